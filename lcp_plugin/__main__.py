@@ -1,0 +1,5 @@
+"""``python -m lcp_plugin`` is the command ``lcp-plugin``."""
+
+from .cli import run
+
+run()

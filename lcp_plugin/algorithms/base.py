@@ -1,0 +1,149 @@
+"""What an algorithm is: frozen options and an iterator; no clock, no tolerance, no status."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
+from ..problem import LCP, FloatVector
+
+SWEEPS = ("forward", "backward", "symmetric")
+
+
+@dataclass(slots=True)
+class Step:
+    """One iterate, handed to the driver.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        Borrowed: the algorithm may overwrite it after the driver has asked for the next step.
+    residual : float or None
+        Exactly the numerator of the relative residual of this z, where the algorithm has it for free.
+    euclidean : float or None
+        ‖z − mid(lower, upper, z − w)‖₂ of this z, where the algorithm has it for free.
+    increment : float or None
+        ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
+    work : float
+        Matrix entries touched since the last step, divided by the nonzeros of M.
+    """
+
+    z: FloatVector
+    residual: float | None = None
+    euclidean: float | None = None
+    increment: float | None = None
+    work: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm(ABC):
+    """A frozen dataclass of its own options that can iterate.
+
+    Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs),
+    `converges_on` (matrix classes with a proof), `cost` (of one iteration), `reference`.
+    """
+
+    name: ClassVar[str]
+    assumption: ClassVar[str]
+    converges_on: ClassVar[str]
+    cost: ClassVar[str]
+    reference: ClassVar[str]
+    monotone: ClassVar[bool] = True
+
+    @abstractmethod
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start and then one step an iteration, for ever.
+
+        Parameters
+        ----------
+        problem : LCP
+        z0 : ndarray, shape (n,)
+            A start within the bounds; the algorithm may overwrite it.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Before the first step, naming the row that stands in the way.
+        """
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
+        return z
+
+    def rehearsal(self) -> Algorithm:
+        """Return the same algorithm with options that fit a 1 × 1 problem (used to compile kernels beforehand)."""
+        return self
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf) -> None:
+    """Raise unless the option is a number in (0, below)."""
+    value = getattr(algorithm, option)
+    if not _is_number(value) or not 0.0 < value < below:
+        limit = "" if below == math.inf else f" and below {below:g}"
+        raise InvalidOption(f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}")
+
+
+def check_number(algorithm: Algorithm, option: str) -> None:
+    """Raise unless the option is a finite number."""
+    value = getattr(algorithm, option)
+    if not _is_number(value) or not math.isfinite(value):
+        raise InvalidOption(f"{algorithm.name}: {option} must be a finite number, got {value!r}")
+
+
+def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None]) -> None:
+    """Raise unless the option is one of the choices."""
+    value = getattr(algorithm, option)
+    if not (value is None or isinstance(value, str)) or value not in choices:
+        raise InvalidOption(
+            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, [str(c) for c in choices])}"
+        )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
+    """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
+    diagonal = problem.diagonal
+    with np.errstate(over="ignore", divide="ignore"):
+        usable = (diagonal > 0.0) & np.isfinite(1.0 / diagonal)
+    if not usable.all():
+        i = int(np.flatnonzero(~usable)[0])
+        raise UnsuitableMatrix(f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"')
+    return diagonal
+
+
+def inverse_residual_scale(problem: LCP) -> FloatVector:
+    """Return 1/d of the scaled residual, shape (n,), kept finite."""
+
+    def compute() -> FloatVector:
+        with np.errstate(over="ignore"):
+            inverse: FloatVector = np.minimum(1.0 / problem.residual_scale, np.finfo(np.float64).max)
+        inverse.flags.writeable = False
+        return inverse
+
+    return problem.shared("inverse_residual_scale", compute)
+
+
+def row_splits(problem: LCP, backward: bool) -> NDArray[Any]:
+    """Return the row splits of a sweep direction, shape (n,), computed once a matrix."""
+    from .. import kernels
+
+    compute: Callable[[], NDArray[Any]] = lambda: kernels.row_splits(problem.csr, backward=backward)  # noqa: E731
+    return problem.shared(f"row_splits_{'backward' if backward else 'forward'}", compute)
+
+
+def directions(sweep: str) -> tuple[bool, ...]:
+    """Return the `backward` flag of each pass of one iteration."""
+    return {"forward": (False,), "backward": (True,), "symmetric": (False, True)}[sweep]

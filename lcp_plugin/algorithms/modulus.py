@@ -1,0 +1,202 @@
+"""M*: the modulus-based matrix splitting iterations of Bai.
+
+With z − lower = (|x| + x)/γ and w = Ω(|x| − x)/γ, γ = 2, complementarity holds by construction and
+
+    (αΩ + D − βL)(x⁺ − x) = −2α (M z + q − Ω max(−x, 0)) + β-part of what is already updated
+
+is Bai's (𝓜 + Ω) x⁺ = 𝓝 x + (Ω − M)|x| − γ q with the AOR splitting, written as a correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InvalidOption, UnsuitableProblem
+from ..problem import LCP, FloatVector
+from .base import (
+    SWEEPS,
+    Algorithm,
+    Step,
+    check_choice,
+    check_number,
+    check_positive,
+    directions,
+    inverse_residual_scale,
+    require_positive_diagonal,
+    row_splits,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModulusBased(Algorithm):
+    """(αΩ + D − βL) x⁺ = [(1−α)D + (α−β)L + αU] x + α[(Ω − M)|x| − 2q], z = lower + max(x, 0).
+
+    Parameters
+    ----------
+    omega : float or array, shape (n,)
+        Ω: a positive multiple of the diagonal of M, or the positive diagonal of Ω itself.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Raises
+    ------
+    UnsuitableProblem
+        On rows without a finite lower bound or with a finite upper bound: the substitution has no room for them.
+
+    Notes
+    -----
+    The start is x⁰ = z⁰ − lower (γ/2 = 1), as in the paper's tables.
+    """
+
+    assumption: ClassVar[str] = "positive diagonal; finite lower, no upper bounds"
+    converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
+    cost: ClassVar[str] = "1 pass"
+    reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
+    monotone: ClassVar[bool] = False
+
+    omega: float | ArrayLike = 1.0
+    sweep: str = "forward"
+
+    def __post_init__(self) -> None:
+        check_choice(self, "sweep", SWEEPS)
+        if np.ndim(self.omega) == 0:
+            check_positive(self, "omega")
+
+    def splitting(self) -> tuple[float, float]:
+        """Return (α, β)."""
+        raise NotImplementedError
+
+    def rehearsal(self) -> Algorithm:
+        """Return the same with a scalar Ω."""
+        return replace(self, omega=1.0)
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
+        from .. import kernels
+
+        M = problem.csr
+        _require_lower_bounds_only(problem, self.name)
+        diagonal = require_positive_diagonal(problem, self.name)
+        alpha, beta = self.splitting()
+        omega = self._omega(problem, diagonal)
+        inverse_pivot = 1.0 / (alpha * omega + diagonal)
+        q = problem.slack(problem.lower)
+        scale = inverse_residual_scale(problem)
+        passes = directions(self.sweep)
+        splits = {backward: row_splits(problem, backward) for backward in passes}
+        z, x, new = z0, z0 - problem.lower, np.empty_like(z0)
+        unwanted = np.empty_like(z0) if len(passes) > 1 else z
+        work = 1.0
+        while True:
+            for k, backward in enumerate(passes):
+                residual, squares = kernels.modulus_sweep(
+                    M.indptr, splits[backward], M.indices, M.data, q, problem.lower, scale, omega, inverse_pivot,
+                    alpha, beta, backward, x, new, unwanted if k else z,
+                )
+                if k == 0:
+                    yield Step(z, residual, squares**0.5, None, work)
+                x, new = new, x
+            work = float(len(passes))
+
+    def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
+        if np.ndim(self.omega) == 0:
+            return float(self.omega) * diagonal  # type: ignore[arg-type]
+        try:
+            omega = np.array(self.omega, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidOption(f"{self.name}: omega must be a number or a real vector ({error})") from error
+        if omega.shape != (problem.n,) or not np.isfinite(omega).all() or not (omega > 0.0).all():
+            raise InvalidOption(
+                f"{self.name}: omega must be a positive number or a positive finite vector of length {problem.n}, "
+                f"got {'shape ' + str(omega.shape) if omega.shape != (problem.n,) else f'a smallest entry of {omega.min()}'}"
+            )
+        return omega
+
+
+def _require_lower_bounds_only(problem: LCP, name: str) -> None:
+    wrong = ~np.isfinite(problem.lower) | (problem.upper != np.inf)
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise UnsuitableProblem(
+            f"{name} needs a finite lower and no upper bound on every row, but row {i} has bounds "
+            f'[{problem.lower[i]}, {problem.upper[i]}]; try algorithm="npsor" or "psor"'
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MAOR(ModulusBased):
+    """MAOR, modulus-based accelerated overrelaxation.
+
+    Parameters
+    ----------
+    relaxation : float
+        α > 0.
+    acceleration : float
+        β.
+    """
+
+    name: ClassVar[str] = "maor"
+    relaxation: float = 0.85
+    acceleration: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive(self, "relaxation")
+        check_number(self, "acceleration")
+
+    def splitting(self) -> tuple[float, float]:
+        """Return (relaxation, acceleration)."""
+        return float(self.relaxation), float(self.acceleration)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MSOR(ModulusBased):
+    """MSOR, modulus-based successive overrelaxation: MAOR with α = β = relaxation.
+
+    Parameters
+    ----------
+    relaxation : float
+        α > 0.
+
+    Notes
+    -----
+    The paper prints Ω = D/(2α); its tables are those of Ω = D/(2α²) in this formula.
+    """
+
+    name: ClassVar[str] = "msor"
+    relaxation: float = 0.85
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive(self, "relaxation")
+
+    def splitting(self) -> tuple[float, float]:
+        """Return (relaxation, relaxation)."""
+        return float(self.relaxation), float(self.relaxation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MGS(ModulusBased):
+    """MGS, modulus-based Gauss–Seidel: MAOR with α = β = 1."""
+
+    name: ClassVar[str] = "mgs"
+
+    def splitting(self) -> tuple[float, float]:
+        """Return (1, 1)."""
+        return 1.0, 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MJ(ModulusBased):
+    """MJ, modulus-based Jacobi: MAOR with α = 1, β = 0."""
+
+    name: ClassVar[str] = "mj"
+
+    def splitting(self) -> tuple[float, float]:
+        """Return (1, 0)."""
+        return 1.0, 0.0

@@ -1,0 +1,117 @@
+"""The paper's Method 3.1 itself, with any splitting the user supplies."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..certificates.residuals import euclidean_norm, scaled_residual
+from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ..problem import LCP, FloatVector
+from .base import Algorithm, Step, check_choice, check_positive
+from .projected_type import REFERENCE, SCALINGS, clean_up_sweep, row_scaling
+
+NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NPSplitting(Algorithm):
+    """NP with any splitting M = 𝓜 − 𝓝: (𝓜 + 2S⁻¹ + D)(z⁺ − z) = −2 S⁻¹ r_S(z), 𝓜 factorised once.
+
+    Parameters
+    ----------
+    splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
+        𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
+        diagonal, or the product of incomplete factors, is a good 𝓜 too.
+    scaling, scaling_factor
+        Row scaling S as in NPSOR.
+
+    Raises
+    ------
+    UnsuitableMatrix
+        Where 𝓜 + 2S⁻¹ + D is singular.
+    """
+
+    name: ClassVar[str] = "npsplitting"
+    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1)"
+    cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
+    reference: ClassVar[str] = REFERENCE
+
+    splitting: Any = "tridiagonal"
+    scaling: str | None = None
+    scaling_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.splitting, str):
+            check_choice(self, "splitting", NAMED_SPLITTINGS)
+        check_choice(self, "scaling", SCALINGS)
+        check_positive(self, "scaling_factor")
+
+    def rehearsal(self) -> Algorithm:
+        """Return the same with a splitting that fits any size."""
+        return replace(self, splitting="diagonal")
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, each with its residual."""
+        step = row_scaling(problem, self.scaling, self.scaling_factor)
+        splitting = self._matrix(problem)
+        factor = self._factorised(problem, splitting + sp.diags_array(2.0 / step + problem.diagonal))
+        entries = max(problem.nonzeros, 1)
+        work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
+        z = z0
+        while True:
+            w = problem.slack(z)
+            residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+            natural = z - np.clip(z - step * w, problem.lower, problem.upper)
+            yield Step(z, residual, euclidean_norm(natural) if self.scaling is None else None, None, work)
+            z = np.clip(z - factor.solve(2.0 * natural / step), problem.lower, problem.upper)
+            work = (factor.nnz + problem.nonzeros) / entries
+
+    def _matrix(self, problem: LCP) -> sp.csr_array:
+        M = problem.csr
+        if isinstance(self.splitting, str):
+            reach = {"diagonal": 0, "tridiagonal": 1, "lower": problem.n}[self.splitting]
+            upper_reach = 0 if self.splitting == "lower" else reach
+            return sp.csr_array(sp.tril(sp.triu(M, -reach), upper_reach))
+        try:
+            # The checks of a problem's matrix are the checks of 𝓜.
+            given = LCP(self.splitting, np.zeros(np.shape(self.splitting)[0] if np.ndim(self.splitting) else 0)).csr
+        except InvalidProblem as error:
+            raise InvalidOption(f"npsplitting: the splitting is no square real matrix: {error}") from error
+        if given.shape != M.shape:
+            raise InvalidOption(f"npsplitting: the splitting must have the shape {M.shape} of M, got {given.shape}")
+        return given
+
+    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
+        from scipy.sparse.linalg import MatrixRankWarning, splu
+
+        if problem.n == 0:
+            return _NothingToSolve()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", MatrixRankWarning)
+                return splu(sp.csc_array(matrix))
+        except (RuntimeError, MatrixRankWarning) as error:
+            raise UnsuitableMatrix(
+                f"npsplitting: 𝓜 + 2S⁻¹ + D is singular ({error}); choose another splitting, or scaling=\"diagonal\""
+            ) from error
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
+        return clean_up_sweep(problem, z)
+
+
+class _NothingToSolve:
+    """The factorisation of a 0 × 0 matrix, which SuperLU refuses."""
+
+    nnz = 0
+
+    @staticmethod
+    def solve(right_hand_side: FloatVector) -> FloatVector:
+        return right_hand_side

@@ -1,0 +1,1 @@
+"""What can be proved about an answer, from the data of the caller alone."""

@@ -1,0 +1,212 @@
+"""How wrong a z is: a function of the caller's (M, q, lower, upper) and z, and of nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InvalidProblem
+from ..problem import LCP, FloatVector
+
+UNIT_ROUNDOFF = 2.0**-53
+MACHINE_EPSILON = 2.0**-52
+MEASURES = ("relative", "euclidean")
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Every measure of how far z is from solving the problem; nothing in it comes from an algorithm.
+
+    Attributes
+    ----------
+    relative_residual : float
+        ‖r(z)‖∞ / ‖r(z°)‖∞ with r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of
+        [lower, upper] nearest to 0. Invariant under row scaling and under the unit of z.
+    natural_residual : float
+        ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
+    euclidean_residual : float
+        ‖z − mid(lower, upper, z − w)‖₂; the paper's Res.
+    bound_violation : float
+        How far z lies outside [lower, upper], in the unit of z.
+    slack_violation : float
+        How far w has a sign that no z within the bounds could allow, in the unit of w.
+    complementarity : float
+        max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
+    worst_index : int
+        The row of the largest scaled residual; −1 for an empty problem.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> Certificate.of(problem, [2.5, 0]).relative_residual
+    0.0
+    >>> Certificate.of(problem, [2.5, 0.5]).worst_index
+    1
+    """
+
+    problem: LCP = field(repr=False)
+    z: FloatVector = field(repr=False)
+    w: FloatVector = field(repr=False)
+    scaled_residual: float
+    worst_index: int
+
+    @classmethod
+    def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
+        """Return the certificate of z, shape (n,), for the problem.
+
+        Raises
+        ------
+        InvalidProblem
+            Where z is no real vector of length n. NaN and infinities are measured, not refused.
+        """
+        z = _checked_point(problem, z)
+        with np.errstate(all="ignore"):
+            w = problem.slack(z)
+            w.flags.writeable = False
+            residual = np.abs(scaled_residual(problem, z, w))
+        worst = int(np.argmax(residual)) if problem.n else -1  # argmax stops at the first NaN
+        largest = float(residual[worst]) if problem.n else 0.0
+        return cls(problem, z, w, largest, worst)
+
+    @cached_property
+    def relative_residual(self) -> float:
+        """‖r(z)‖∞ / ‖r(z°)‖∞; 0 for 0/0."""
+        return ratio(self.scaled_residual, reference_residual(self.problem))
+
+    @cached_property
+    def _natural(self) -> FloatVector:
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            return self.z - np.clip(self.z - self.w, problem.lower, problem.upper)
+
+    @cached_property
+    def natural_residual(self) -> float:
+        """‖z − mid(lower, upper, z − w)‖∞."""
+        return _largest(np.abs(self._natural))
+
+    @cached_property
+    def euclidean_residual(self) -> float:
+        """‖z − mid(lower, upper, z − w)‖₂, without overflow."""
+        return euclidean_norm(self._natural)
+
+    @cached_property
+    def backward_error(self) -> float:
+        """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            residual = np.abs(scaled_residual(problem, self.z, self.w))
+            size = np.abs(self.z) + _magnitude(problem, self.z) / problem.residual_scale
+            return _largest(np.where(residual == 0.0, 0.0, residual / size))
+
+    @cached_property
+    def bound_violation(self) -> float:
+        """max_i of lower_i − z_i, z_i − upper_i and 0."""
+        problem = self.problem
+        outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
+        return _largest(np.maximum(outside, 0.0))
+
+    @cached_property
+    def slack_violation(self) -> float:
+        """The largest part of w with a sign that the row's bounds never allow."""
+        problem = self.problem
+        positive = np.where(problem.lower == -np.inf, np.maximum(self.w, 0.0), 0.0)
+        negative = np.where(problem.upper == np.inf, np.maximum(-self.w, 0.0), 0.0)
+        return _largest(np.maximum(positive, negative))
+
+    @cached_property
+    def complementarity(self) -> float:
+        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
+            below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
+            return _largest(np.abs(np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))))
+
+    @cached_property
+    def rounding_floor(self) -> FloatVector:
+        """What rounding alone can make of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
+
+        k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
+        """
+        problem = self.problem
+        terms = np.diff(problem.csr.indptr) + 2
+        with np.errstate(all="ignore"):
+            floor: FloatVector = terms * MACHINE_EPSILON * _magnitude(problem, self.z) / problem.residual_scale
+        return floor
+
+    @property
+    def is_at_rounding_level(self) -> bool:
+        """True where no row's residual exceeds four times its rounding floor."""
+        with np.errstate(all="ignore"):
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+            return bool(np.all(residual <= 4.0 * self.rounding_floor)) and bool(np.isfinite(residual).all())
+
+    def measured(self, measure: str) -> float:
+        """Return the residual of that measure: "relative" or "euclidean"."""
+        return self.relative_residual if measure == "relative" else self.euclidean_residual
+
+    def __str__(self) -> str:
+        lines = [
+            ("relative residual", self.relative_residual),
+            ("natural residual", self.natural_residual),
+            ("bound violation", self.bound_violation),
+            ("slack violation", self.slack_violation),
+            ("complementarity", self.complementarity),
+            ("backward error", self.backward_error),
+        ]
+        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
+
+
+def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
+    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,)."""
+    residual: FloatVector = z - np.clip(z - w / problem.residual_scale, problem.lower, problem.upper)
+    return residual
+
+
+def reference_residual(problem: LCP) -> float:
+    """Return ‖r(z°)‖∞, the denominator of the relative residual."""
+    z = problem.nearest_to_zero
+    with np.errstate(all="ignore"):
+        w = problem.slack(z) if z.any() else problem.q
+        return _largest(np.abs(scaled_residual(problem, z, w)))
+
+
+def ratio(numerator: float, denominator: float) -> float:
+    """Return numerator/denominator with 0/0 = 0; NaN stays NaN."""
+    if numerator == 0.0:
+        return 0.0
+    return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
+
+
+def euclidean_norm(vector: FloatVector) -> float:
+    """Return ‖vector‖₂ without overflow or underflow on the way."""
+    largest = _largest(np.abs(vector))
+    if largest == 0.0 or not np.isfinite(largest):
+        return largest
+    return largest * float(np.linalg.norm(vector / largest))
+
+
+def _magnitude(problem: LCP, z: FloatVector) -> FloatVector:
+    """Return |M||z| + |q|, shape (n,)."""
+    absolute: Any = abs(problem.M)
+    magnitude: FloatVector = absolute @ np.abs(z) + np.abs(problem.q)
+    return magnitude
+
+
+def _largest(values: FloatVector) -> float:
+    return float(values.max()) if values.size else 0.0  # NaN is the maximum of anything with NaN in it
+
+
+def _checked_point(problem: LCP, z: ArrayLike) -> FloatVector:
+    try:
+        point = np.array(z, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"z must be a real vector of length {problem.n} ({error})") from error
+    if point.shape != (problem.n,):
+        raise InvalidProblem(f"z must be a vector of length {problem.n} (M is {problem.n}×{problem.n}), got shape {point.shape}")
+    point.flags.writeable = False
+    return point

@@ -1,0 +1,145 @@
+"""The policy behind algorithm="auto": which algorithm comes next, decided on counted work and measured residuals.
+
+| so far | next |
+|---|---|
+| nothing | npsor, relaxation 1.7, row scaling "diagonal" (converges for every H₊-matrix) |
+| after 10 sweeps, and every 20 from then on: npsor will arrive within 20 sweeps at its own rate | npsor goes on |
+| npsor is slower than that, or fails, and the diagonal is positive | psor with automatic relaxation |
+| psor diverges or stalls, or has a larger residual after 256 sweeps than npsor left behind | npsor again, for good |
+| otherwise | psor goes on |
+
+256 sweeps, because each change of the relaxation begins with a transient that looks like a failure; and no
+extrapolation of npsor's own rate, because its first sweeps are always its best.
+
+No clock is asked: the same call gives the same answer bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from .algorithms import Algorithm, create
+from .algorithms.projected_relaxation import PSOR
+from .algorithms.projected_type import NPSOR
+from .errors import InvalidOption, UnknownAlgorithm
+from .problem import LCP
+
+TRIAL_SWEEPS = 10
+NEAR_ENOUGH = 20
+COMPARISON_SWEEPS = 256
+
+
+@dataclass
+class Stage:
+    """What one algorithm of a chain has done so far: (iterations in this stage, residual) where measured."""
+
+    algorithm: Algorithm
+    iterations: int = 0
+    work: float = 0.0
+    residuals: list[tuple[int, float]] = field(default_factory=list)
+
+    def rate(self) -> float:
+        """Return the contraction of the residual a sweep, over the second half of the stage."""
+        if len(self.residuals) < 2:
+            return 1.0
+        last_step, last = self.residuals[-1]
+        first_step, first = next(
+            (entry for entry in self.residuals if entry[0] >= last_step // 2), self.residuals[0]
+        )
+        if last_step == first_step or not first > 0.0 or not math.isfinite(last):
+            return 1.0
+        return float((last / first) ** (1.0 / (last_step - first_step)))
+
+
+class Policy(Protocol):
+    """Chooses the first algorithm, and after each step whether another one takes over."""
+
+    name: str
+
+    def first(self, problem: LCP) -> Algorithm:
+        """Return the algorithm to begin with."""
+
+    def wants_residual(self, stages: Sequence[Stage]) -> bool:
+        """Return whether the policy needs the residual of the present step."""
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
+        """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
+
+
+class Single:
+    """The caller's choice: one algorithm to the end."""
+
+    def __init__(self, algorithm: Algorithm) -> None:
+        self.algorithm = algorithm
+        self.name = algorithm.name
+
+    def first(self, problem: LCP) -> Algorithm:
+        """Return the caller's algorithm."""
+        return self.algorithm
+
+    def wants_residual(self, stages: Sequence[Stage]) -> bool:
+        """Return False."""
+        return False
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
+        """Return None: nothing takes over."""
+        return None
+
+
+class Auto:
+    """The table of this module."""
+
+    name = "auto"
+
+    def first(self, problem: LCP) -> Algorithm:
+        """Return NPSOR at the row scaling that is proved to converge for every H₊-matrix."""
+        return NPSOR(scaling="diagonal")
+
+    def wants_residual(self, stages: Sequence[Stage]) -> bool:
+        """Return whether the comparison of the second stage is due at this step."""
+        return len(stages) == 2 and stages[-1].iterations == COMPARISON_SWEEPS
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
+        """Return PSOR after a slow trial of NPSOR, NPSOR after PSOR failed, else None."""
+        now = stages[-1]
+        is_asked = now.iterations >= TRIAL_SWEEPS and (now.iterations - TRIAL_SWEEPS) % NEAR_ENOUGH == 0
+        if len(stages) == 1 and (failed or is_asked):
+            usable = problem.n > 0 and float(problem.diagonal.min()) > 0.0
+            return PSOR() if usable and (failed or _sweeps_to_go(now, target) > NEAR_ENOUGH) else None
+        if len(stages) == 2:
+            grown = now.iterations == COMPARISON_SWEEPS and not now.residuals[-1][1] < stages[0].residuals[-1][1]
+            return stages[0].algorithm if failed or grown else None
+        return None
+
+
+def _sweeps_to_go(stage: Stage, target: float) -> float:
+    residual, rate = stage.residuals[-1][1], stage.rate()
+    if residual <= target:
+        return 0.0
+    return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
+
+
+def policy_for(algorithm: str | Algorithm, options: dict[str, Any]) -> Policy:
+    """Return the policy that the caller's `algorithm` and options mean.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where the name or an option does not exist.
+    """
+    if isinstance(algorithm, Algorithm):
+        if options:
+            raise InvalidOption(
+                f"options {sorted(options)} were given beside an algorithm object; set them in {type(algorithm).__name__}(…)"
+            )
+        return Single(algorithm)
+    if algorithm == "auto":
+        if options:
+            raise InvalidOption(f'algorithm="auto" takes no options of its own, got {sorted(options)}; name an algorithm')
+        return Auto()
+    if not isinstance(algorithm, str):
+        raise UnknownAlgorithm(f"algorithm must be a name or an object such as NPSOR(relaxation=1.5), got {algorithm!r}")
+    return Single(create(algorithm, options))

@@ -1,0 +1,313 @@
+"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, run a benchmark."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+import typer
+
+from . import __version__
+from .errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
+from .problem import LCP, FloatVector
+from .result import Result, Sample
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+QUIET_SECONDS = 1.0
+REFRESH_SECONDS = 0.2
+
+app = typer.Typer(
+    help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
+    epilog="Exit codes: 0 done, 1 ran but not solved or a figure differs, 2 bad input.",
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def run() -> None:
+    """Entry point of the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?', not a traceback
+    app()
+
+
+def _speaks_plainly(command: F) -> F:
+    """Turn every expected failure into one line on stderr and exit code 2."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return command(*args, **kwargs)
+        except LCPError as error:
+            message = str(error)
+        except MemoryError as error:
+            message = f"not enough memory ({error}); choose a smaller problem"
+        except BrokenPipeError:
+            sys.stderr.close()  # the reader has gone; nothing is left to tell
+            raise typer.Exit(EXIT_UNSOLVED) from None
+        except OSError as error:
+            message = f"{error.filename or 'file'}: {error.strerror or error}"
+        typer.echo(f"lcp-plugin: {message}", err=True)
+        raise typer.Exit(EXIT_BAD_INPUT)
+
+    return wrapped  # type: ignore[return-value]
+
+
+@app.callback(invoke_without_command=True)
+def main(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    """Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary."""
+    if version:
+        typer.echo(f"lcp-plugin {__version__}")
+        raise typer.Exit
+
+
+@app.command(
+    epilog="Examples:  lcp-plugin solve obstacle_2d:size=200 --plot out.png   ·   "
+    "lcp-plugin solve problem.npz -a psor --relaxation 1.5   ·   lcp-plugin solve folder_with_M_and_q/ --json"
+)
+@_speaks_plainly
+def solve(
+    target: Annotated[str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene, name:key=value,…")],
+    algorithm: Annotated[str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")] = "auto",
+    relaxation: Annotated[str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")] = None,
+    option: Annotated[list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")] = None,
+    tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
+    max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Save z and w (.npz).")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Solve a file or a scene; print status, residuals and counts."""
+    _check_outputs(plot, out)
+    problem, scene = _read_target(target)
+    settings = dict(
+        algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
+        max_seconds=max_seconds, record=plot is not None, **_options(relaxation, option or []),
+    )
+    with _Progress() as progress:
+        results = _solve_all(problem, scene, settings, progress)
+    result = results[-1]
+    if out is not None:
+        _save_answer(result, out)
+    if plot is not None:
+        from .evidence.pictures import draw
+
+        draw(result, plot, scene)
+    typer.echo(result.to_json() if json else _story(results, scene))
+    for path in filter(None, (plot, out)):
+        typer.echo(f"saved {path}", err=json)
+    if not result.is_solved:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command("list")
+@_speaks_plainly
+def list_everything() -> None:
+    """List the algorithms with what they need, and the scenes with their parameters."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from .algorithms import REGISTRY, algorithm_class
+    from .evidence.gallery import describe
+
+    algorithms = Table(title="Algorithms", title_justify="left", show_lines=False)
+    for heading in ("name", "needs", "proved to converge on", "an iteration costs", "source"):
+        algorithms.add_column(heading)
+    for name in REGISTRY:
+        kind = algorithm_class(name)
+        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, kind.reference)
+    scenes = Table(title="Scenes", title_justify="left")
+    for heading in ("name", "what", "parameters"):
+        scenes.add_column(heading)
+    for name, summary, parameters in describe():
+        scenes.add_row(name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    console.print(algorithms)
+    console.print(scenes)
+
+
+@app.command()
+@_speaks_plainly
+def tables() -> None:
+    """Compute the paper's Tables 1 and 2 again; exit code 1 if an iteration count differs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from .evidence.paper_tables import cells
+
+    computed = list(cells())
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    for example in (1, 2):
+        table = Table(title=f"Table {example}: Example {example}, δ = 4", title_justify="left")
+        for heading in ("algorithm", "n", "paper IT", "IT", "paper Res", "Res", "paper CPU", "CPU", "IT", "Res"):
+            table.add_column(heading, justify="left" if heading == "algorithm" else "right")
+        for cell in (cell for cell in computed if cell.example == example):
+            table.add_row(
+                f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n), str(cell.paper_iterations), str(cell.iterations),
+                f"{cell.paper_residual:.1e}", f"{cell.residual:.2e}", f"{cell.paper_seconds:.4f}", f"{cell.seconds:.4f}",
+                "yes" if cell.same_iterations else "NO", "yes" if cell.same_residual else "no",
+            )
+        console.print(table)
+    same_iterations = sum(cell.same_iterations for cell in computed)
+    same_residual = sum(cell.same_residual for cell in computed)
+    console.print(f"IT equal in {same_iterations} of {len(computed)} cells, Res to the printed digits in {same_residual}.")
+    if same_iterations < len(computed):
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command()
+@_speaks_plainly
+def bench(
+    name: Annotated[str | None, typer.Argument(help="Which benchmark; without a name they are listed.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes: to see that it runs, not for figures.")] = False,
+) -> None:
+    """Run a benchmark: ratios measured in one run on this machine."""
+    from .evidence.benchmarks import BENCHMARKS, load
+
+    if name is None:
+        for known, purpose in BENCHMARKS.items():
+            typer.echo(f"{known:<16} {purpose}")
+        return
+    if name not in BENCHMARKS:
+        raise InvalidOption(f"unknown benchmark {name!r}{did_you_mean(name, BENCHMARKS)}")
+    for line in load(name)(quick=quick):
+        typer.echo(line)
+
+
+def _check_outputs(plot: Path | None, out: Path | None) -> None:
+    """Refuse before the run what could not be written after it."""
+    if plot is not None:
+        from .evidence.pictures import check_format, require_matplotlib
+
+        check_format(plot)
+        require_matplotlib()
+    if out is not None and out.suffix != ".npz":
+        raise InvalidOption(f"--out writes a .npz file, got {out.name!r}")
+    for path in filter(None, (plot, out)):
+        if not path.absolute().parent.is_dir():
+            raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
+
+
+def _read_target(target: str) -> tuple[LCP, Any]:
+    """Return (problem, None) of a file or (problem, scene) of a scene's name."""
+    from .evidence import gallery
+
+    name = target.partition(":")[0]
+    if name in gallery.names():
+        scene = gallery.parse(target)
+        return scene.problem, scene
+    looks_like_a_path = "/" in target or "\\" in target or "." in target
+    if looks_like_a_path or Path(target).exists():
+        return LCP.load(target), None
+    raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
+
+
+def _options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
+    """Return the options of the algorithm; values are read as numbers, true/false/none, or words."""
+    words = {"none": None, "true": True, "false": False}
+    options: dict[str, Any] = {}
+    if relaxation is not None:
+        pairs = [f"relaxation={relaxation}", *pairs]
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key:
+            raise InvalidOption(f"--option wants name=value, got {pair!r}")
+        try:
+            options[key] = float(text)
+        except ValueError:
+            options[key] = words.get(text.lower(), text)
+    return options
+
+
+def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: _Progress) -> list[Result]:
+    """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
+    from .driver import solve as solve_problem
+
+    results: list[Result] = []
+    start = scene.start if scene is not None else None
+    for step in range(scene.steps if scene is not None else 1):
+        if step:
+            start = results[-1].z
+            problem = problem.with_q(scene.advance(start))
+        results.append(solve_problem(problem, z0=start, callback=progress, **settings))
+        if not results[-1].is_solved:
+            break
+    return results
+
+
+def _save_answer(result: Result, path: Path) -> None:
+    from .problem_files import write_whole
+
+    status = np.array(result.status.name)
+    write_whole(path, lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status))
+
+
+def _story(results: list[Result], scene: Any) -> str:
+    """Return what a person wants to read after a run."""
+    result = results[-1]
+    problem = result.certificate.problem
+    lines = [str(scene) if scene is not None else "", f"{problem!r}", result.explain(), str(result.certificate)]
+    if len(results) > 1 or (scene is not None and scene.steps > 1):
+        total = sum(one.iterations for one in results)
+        seconds = sum(one.seconds for one in results)
+        lines.insert(2, f"march: {len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s; the last step:")
+    at_bound = np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))
+    lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
+    if scene is not None and scene.steps == 1:
+        for reference, name in ((scene.exact, "true error"), (scene.continuum, "from the continuum")):
+            if reference is not None and problem.n:
+                lines.append(f"{name:<18} {_distance(result.z, reference):.3e}")
+    return "\n".join(filter(None, lines))
+
+
+def _distance(z: FloatVector, reference: FloatVector) -> float:
+    return float(np.max(np.abs(z - reference)))
+
+
+class _Progress:
+    """A line on the terminal for runs longer than a second; silence otherwise."""
+
+    def __init__(self) -> None:
+        self._began = self._shown = time.perf_counter()
+        self._status: Any = None
+        self._residual = float("nan")
+        self._wanted = sys.stderr.isatty()
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        if sample.residual is not None:
+            self._residual = sample.residual
+        now = time.perf_counter()
+        if self._wanted and now - self._began > QUIET_SECONDS and now - self._shown > REFRESH_SECONDS:
+            self._shown = now
+            self._show(f"{sample.label}: iteration {sample.iteration}, residual {self._residual:.2e}, {sample.seconds:.1f} s")
+        return False
+
+    def _show(self, text: str) -> None:
+        if self._status is None:
+            from rich.console import Console
+
+            self._status = Console(stderr=True).status(text)
+            self._status.start()
+        self._status.update(text + "  (Ctrl-C stops and keeps the best)")
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,419 @@
+"""solve(): the one loop, with its clock, its limits and its judgement."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .algorithms import Algorithm, Step
+from .certificates.residuals import MEASURES, Certificate, ratio, reference_residual, scaled_residual
+from .choice import Policy, Stage, policy_for
+from .errors import InvalidOption, did_you_mean
+from .problem import LCP, FloatVector
+from .result import Result, Sample, Status
+
+Callback = Callable[[Sample, FloatVector], Any]
+
+DEFAULT_MAX_ITERATIONS = 100_000
+DIVERGED_BEYOND = 1e8
+FIRST_CHECK = 10
+CHECK_GROWTH = 1.5
+SAMPLE_GROWTH = 1.05
+FIRST_FLOOR_CHECK = 25
+PROGRESS = 0.99
+
+
+def solve(
+    problem: LCP,
+    algorithm: str | Algorithm = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    measure: str = "relative",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    record: bool = False,
+    callback: Callback | None = None,
+    **options: Any,
+) -> Result:
+    """Return the best z an algorithm finds, judged by a certificate on the problem's own data.
+
+    Parameters
+    ----------
+    problem : LCP
+        Never modified.
+    algorithm : str or Algorithm
+        A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    z0 : array, shape (n,), optional
+        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
+    tolerance : float
+        SOLVED means that the measured residual of the returned z is at most this.
+    measure : {"relative", "euclidean"}
+        The residual to stop on: ``Certificate.relative_residual`` (without unit) or the paper's
+        ``Certificate.euclidean_residual``.
+    max_iterations : int, optional
+        100 000 by default.
+    max_seconds : float, optional
+        Wall-clock limit in seconds, set-up included, obeyed at the end of the iteration under way.
+    record : bool
+        Keep samples of the run at geometric intervals in ``Result.history``.
+    callback : callable, optional
+        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value
+        ends the run with status INTERRUPTED. What it raises is passed on.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Result
+        Always, whatever the status; Ctrl-C returns the best iterate so far. ``result.require_solved()`` raises
+        instead.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+        Before the first iteration.
+
+    Examples
+    --------
+    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
+    >>> result = solve(problem, "npsor", relaxation=1.7)
+    >>> result.status.name, result.z.round(6)
+    ('SOLVED', array([0.75, 0.  ]))
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
+    policy = policy_for(algorithm, options)
+    run = _Run(problem, policy, tolerance, measure, max_iterations, max_seconds, record, callback)
+    start = _checked_start(problem, z0)
+    try:
+        reason = run.drive(start)
+    except KeyboardInterrupt:
+        reason = Status.INTERRUPTED
+    return run.judged(start, reason)
+
+
+class _Run:
+    """The state of one run: its clock, its best iterate, its record."""
+
+    def __init__(
+        self, problem: LCP, policy: Policy, tolerance: float, measure: str, max_iterations: int | None,
+        max_seconds: float | None, record: bool, callback: Callback | None,
+    ) -> None:
+        self.problem, self.policy, self.callback = problem, policy, callback
+        self.tolerance = _checked_number(tolerance, "tolerance", zero=True)
+        if measure not in MEASURES:
+            raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
+        self.measure = measure
+        self.max_iterations = _checked_count(max_iterations)
+        self.max_seconds = math.inf if max_seconds is None else _checked_number(max_seconds, "max_seconds", zero=True)
+        self.record = record
+        self.reference = reference_residual(problem)
+        self.stages: list[Stage] = []
+        self.iteration, self.work, self.setup_seconds = -1, 0.0, 0.0
+        self.history: list[Sample] = []
+        self.best_z: FloatVector | None = None
+        self.best = math.inf
+        self.start_residual = math.inf
+        self.checks = _CheckSchedule()
+        self.progress = _Progress(problem.n, self.max_iterations)
+        self._next_sample = 0
+        self._began = self._now = time.perf_counter()
+        self._stopped = self._compiling = 0.0
+
+    # --- the loop ---------------------------------------------------------------------------------------
+
+    def drive(self, start: FloatVector) -> Status:
+        """Run the chain of algorithms; return why it ended."""
+        algorithm: Algorithm | None = self.policy.first(self.problem)
+        while algorithm is not None:
+            with _Paused(self) as pause:
+                _rehearse(algorithm, self.problem)
+            self._compiling += pause.seconds
+            self.stages.append(Stage(algorithm))
+            z = (start if self.best_z is None else self.best_z).copy()
+            algorithm, reason = self._run_stage(algorithm.iterates(self.problem, z))
+            if reason is not None:
+                return reason
+        return Status.STALLED
+
+    def _run_stage(self, steps: Iterator[Step]) -> tuple[Algorithm | None, Status | None]:
+        stage = self.stages[-1]
+        is_first_step = True
+        for step in steps:
+            self._now = time.perf_counter()
+            self.work += step.work
+            stage.work += step.work
+            # A later stage begins with the iterate that the one before ended with.
+            if not is_first_step or len(self.stages) == 1:
+                self.iteration += 1
+            stage.iterations += 0 if is_first_step else 1
+            reason = self._observe(step, is_first_step)
+            is_first_step = False
+            failed = reason is Status.DIVERGED or reason is Status.STALLED
+            if reason is not None and not failed:
+                return None, reason
+            following = self.policy.next_step(self.problem, self.stages, self.tolerance, failed)
+            if following is not None:
+                return following, None
+            if reason is not None:
+                return None, reason
+        return None, None
+
+    def _observe(self, step: Step, is_first_step: bool) -> Status | None:
+        """Take note of one step; return the reason to end, if there is one."""
+        if self.iteration == 0:
+            self.setup_seconds = self.seconds
+        wanted = is_first_step or self.checks.is_due(self.iteration, step.increment, self._target)
+        residual = self._residual(step, wanted or self.policy.wants_residual(self.stages))
+        if residual is not None:
+            if step.residual is None and step.increment is not None:
+                self.checks.learn(self.iteration, step.increment, residual)
+            self._keep_if_better(step, residual)
+            self.stages[-1].residuals.append((self.stages[-1].iterations, residual))
+            if self.iteration == 0:
+                self.start_residual = residual
+        if self._report(step, residual):
+            return Status.INTERRUPTED
+        return self._reason_to_end(step, residual)
+
+    def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
+        if residual is not None:
+            if residual <= self.tolerance and self._is_certified(step.z):
+                return Status.SOLVED
+            if not residual <= DIVERGED_BEYOND * max(self.start_residual, self._unit):
+                return Status.DIVERGED
+        elif step.increment is not None and not math.isfinite(step.increment):
+            return Status.DIVERGED
+        if self.iteration >= self.max_iterations:
+            return Status.MAX_ITERATIONS
+        if self._now - self._began - self._compiling >= self.max_seconds:
+            return Status.MAX_SECONDS
+        if residual is None:
+            return None
+        if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():
+            return Status.PRECISION_LIMIT
+        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.tolerance) else None
+
+    # --- measuring --------------------------------------------------------------------------------------
+
+    def _residual(self, step: Step, wanted: bool) -> float | None:
+        """Return the residual of the step in the run's measure: the algorithm's own, or measured when wanted."""
+        if self.measure == "relative":
+            if step.residual is not None:
+                return ratio(step.residual, self.reference)
+        elif step.euclidean is not None and math.isfinite(step.euclidean):
+            return step.euclidean
+        if not wanted:
+            return None
+        if self.iteration > 0:  # every problem starts with a measured residual; only further ones are work
+            self.work += 1.0
+        return self._measure(step.z)
+
+    def _measure(self, z: FloatVector) -> float:
+        if self.measure == "euclidean":
+            return Certificate.of(self.problem, z).euclidean_residual
+        with np.errstate(all="ignore"):
+            residual = scaled_residual(self.problem, z, self.problem.slack(z))
+            largest = float(np.max(np.abs(residual, out=residual), initial=0.0))
+        return ratio(largest, self.reference)
+
+    def _is_certified(self, z: FloatVector) -> bool:
+        """Return whether the certificate agrees: a kernel adds in another order, and only the certificate counts."""
+        return Certificate.of(self.problem, z).measured(self.measure) <= self.tolerance
+
+    def _is_at_floor(self) -> bool:
+        return self.best_z is not None and Certificate.of(self.problem, self.best_z).is_at_rounding_level
+
+    @cached_property
+    def _unit(self) -> float:
+        """The size of a residual that is nothing to worry about: that of z°."""
+        return 1.0 if self.measure == "relative" else Certificate.of(self.problem, self.problem.nearest_to_zero).euclidean_residual
+
+    @property
+    def _target(self) -> float:
+        """The tolerance in the unit of an increment."""
+        return self.tolerance * self.reference if self.measure == "relative" else self.tolerance
+
+    def _keep_if_better(self, step: Step, residual: float | None) -> None:
+        if self.best_z is None:
+            self.best_z = step.z.copy()
+            self.best = math.inf if residual is None or math.isnan(residual) else residual
+        elif residual is not None and residual < self.best:
+            np.copyto(self.best_z, step.z)
+            self.best = residual
+
+    # --- telling ----------------------------------------------------------------------------------------
+
+    @property
+    def seconds(self) -> float:
+        """Time of the algorithm up to the present step, the clock's pauses taken off."""
+        return self._now - self._began - self._stopped
+
+    def _report(self, step: Step, residual: float | None) -> bool:
+        """Record and call back, the clock stopped; return whether the caller wants to stop."""
+        due = self.record and self.iteration >= self._next_sample
+        if not due and self.callback is None:
+            return False
+        with _Paused(self):
+            if due:
+                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
+                residual = self._measure(step.z) if residual is None else residual
+            sample = Sample(self.iteration, self.work, self.seconds, residual, self.stages[-1].algorithm.name)
+            if due:
+                self.history.append(sample)
+            if self.callback is None:
+                return False
+            view = step.z.view()
+            view.flags.writeable = False
+            return bool(self.callback(sample, view))
+
+    def judged(self, start: FloatVector, reason: Status) -> Result:
+        """Return the result: finish, certify, and let the certificate name the status."""
+        problem = self.problem
+        z = start if self.best_z is None else self.best_z
+        certificate = Certificate.of(problem, z)
+        if self.stages and self.measure == "relative" and np.isfinite(z).all():
+            cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
+            if cleaned.scaled_residual <= certificate.scaled_residual:
+                certificate = cleaned
+        if certificate.measured(self.measure) <= self.tolerance:
+            reason = Status.SOLVED
+        elif certificate.is_at_rounding_level:
+            reason = Status.PRECISION_LIMIT
+        elif reason is Status.SOLVED or reason is Status.PRECISION_LIMIT:
+            reason = Status.STALLED
+        chain = [stage.algorithm.name for stage in self.stages]
+        name = self.policy.name if self.policy.name == "".join(chain) else f"{self.policy.name}: {', '.join(chain)}"
+        return Result(
+            z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
+            iterations=max(self.iteration, 0), work=self.work, seconds=self.seconds, setup_seconds=self.setup_seconds,
+            tolerance=self.tolerance, measure=self.measure, history=tuple(self.history),
+            work_shares=tuple((stage.algorithm.name, stage.work) for stage in self.stages),
+        )
+
+
+class _Paused:
+    """Stop the run's clock while something is measured that the algorithm did not need."""
+
+    def __init__(self, run: _Run) -> None:
+        self.run = run
+
+    def __enter__(self) -> _Paused:
+        self.began = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds = time.perf_counter() - self.began
+        self.run._stopped += self.seconds
+
+
+class _CheckSchedule:
+    """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
+
+    def __init__(self) -> None:
+        self.next_check = FIRST_CHECK
+        self.residual_per_increment = 1.0
+
+    def is_due(self, iteration: int, increment: float | None, target: float) -> bool:
+        if iteration >= self.next_check or increment is None:
+            return True
+        return increment * self.residual_per_increment <= target
+
+    def learn(self, iteration: int, increment: float, residual: float) -> None:
+        self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * CHECK_GROWTH))
+        self.residual_per_increment = residual / increment if increment > 0.0 else 1.0
+
+
+class _Progress:
+    """Whether the best residual still falls."""
+
+    def __init__(self, n: int, max_iterations: int) -> None:
+        self.window = max(200, 5 * math.ceil(math.log2(max(n, 2))))
+        self.max_iterations = max_iterations
+        self.window_start: tuple[int, float] | None = None
+        self.last_fall: tuple[int, float] = (0, math.inf)
+        self.next_floor_check = FIRST_FLOOR_CHECK
+
+    def is_flat(self, iteration: int, best: float) -> bool:
+        """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""
+        since, value = self.last_fall
+        if best < PROGRESS * value:
+            self.last_fall = (iteration, best)
+            self.next_floor_check = FIRST_FLOOR_CHECK
+        elif iteration - since >= self.next_floor_check:
+            self.next_floor_check *= 2
+            return True
+        return False
+
+    def is_stalled(self, iteration: int, best: float, tolerance: float) -> bool:
+        """Return whether a window passed with less than 1 % and extrapolation misses max_iterations."""
+        if self.window_start is None:
+            self.window_start = (iteration, best)
+        since, value = self.window_start
+        if iteration - since < self.window:
+            return False
+        self.window_start = (iteration, best)
+        if best < PROGRESS * value:
+            return False
+        fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
+        needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
+        return needed > fall * (self.max_iterations - iteration)
+
+
+_rehearsed: set[tuple[type[Algorithm], str]] = set()
+_rehearsal_lock = threading.Lock()
+
+
+def _rehearse(algorithm: Algorithm, problem: LCP) -> None:
+    """Run the algorithm once on a 1 × 1 problem of the same index width, so that compilation is off the clock."""
+    width = problem.csr.indices.dtype.name
+    key = (type(algorithm), width)
+    if key in _rehearsed:
+        return
+    with _rehearsal_lock:
+        tiny = LCP([[1.0]], [-1.0])
+        if width != tiny.csr.indices.dtype.name:
+            return  # compiled on first use; such a matrix has two billion entries
+        rehearsal = algorithm.rehearsal()
+        steps = rehearsal.iterates(tiny, np.zeros(1))
+        for _ in range(3):
+            next(steps, None)
+        rehearsal.finish(tiny, np.zeros(1))
+        _rehearsed.add(key)
+
+
+def _checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
+    if z0 is None:
+        return problem.nearest_to_zero
+    try:
+        start = np.array(z0, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.n} ({error})") from error
+    if start.shape != (problem.n,) or not np.isfinite(start).all():
+        what = f"shape {start.shape}" if start.shape != (problem.n,) else "NaN or infinite entries"
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got {what}")
+    return np.clip(start, problem.lower, problem.upper)
+
+
+def _checked_number(value: Any, name: str, *, zero: bool) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InvalidOption(f"{name} must be a number, got {value!r}")
+    if not (value > 0 or (zero and value == 0)) or not math.isfinite(value):
+        raise InvalidOption(f"{name} must be finite and {'not negative' if zero else 'positive'}, got {value!r}")
+    return float(value)
+
+
+def _checked_count(value: Any) -> int:
+    if value is None:
+        return DEFAULT_MAX_ITERATIONS
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise InvalidOption(f"max_iterations must be a whole number ≥ 0, got {value!r}")
+    return int(value)

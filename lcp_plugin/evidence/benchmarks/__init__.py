@@ -1,0 +1,19 @@
+"""Benchmarks: each yields lines of text with ratios measured in one run. Run by ``lcp-plugin bench NAME``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+
+BENCHMARKS = {
+    "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",
+    "paper-at-scale": "the paper's Example 1 at n = 10⁶ by NPSOR(1.7) against scipy implementations, end to end",
+    "small": "a warm solve of Example 1 with n = 100",
+}
+
+
+def load(name: str) -> Callable[..., Iterator[str]]:
+    """Return the benchmark of that name: a callable with the keyword `quick` that yields lines."""
+    module = import_module(f"{__name__}.{name.replace('-', '_')}")
+    run: Callable[..., Iterator[str]] = module.run
+    return run

@@ -1,0 +1,68 @@
+"""One compiled sweep against one scipy product with the same matrix, in turn and single-threaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ... import kernels
+from ...algorithms.base import inverse_residual_scale, row_splits
+from ...problem import LCP
+from ..gallery import build
+from .timing import medians
+
+TARGETS = {"npgs": 2.2, "pgs": 1.8}
+
+
+def run(*, quick: bool = False) -> Iterator[str]:
+    """Yield the ratios sweep ÷ product on the five-point matrix of the paper's Example 1."""
+    scene = build("paper_example_1", n=10_000 if quick else 1_000_000)
+    problem, z = scene.problem, np.array(scene.start)
+    calls: dict[str, Callable[[], object]] = {
+        "product": lambda: problem.csr @ z,
+        "npgs": npgs_sweep(problem, z, backward=False),
+        "npgs backward": npgs_sweep(problem, z, backward=True),
+        "pgs": pgs_sweep(problem, z, backward=False),
+        "pgs backward": pgs_sweep(problem, z, backward=True),
+        "mgs": mgs_sweep(problem, z),
+    }
+    seconds = medians(calls, repeats=5 if quick else 25)
+    product = seconds.pop("product")
+    yield f"n = {problem.n}, nonzeros = {problem.nonzeros}; one scipy CSR product: {1e3 * product:.2f} ms"
+    for name, value in seconds.items():
+        target = f"   target ≤ {TARGETS[name]}" if name in TARGETS else ""
+        with_residual = " with its residual" if "pgs" not in name.split()[0] or name.startswith("n") else ""
+        yield f"one {name} sweep{with_residual}: {1e3 * value:.2f} ms = {value / product:.2f} products{target}"
+
+
+def npgs_sweep(problem: LCP, z: np.ndarray, *, backward: bool) -> Callable[[], object]:
+    """Return a call that does one NPGS sweep with both residual norms."""
+    M, split = problem.csr, row_splits(problem, backward)
+    step, pivot, new = np.ones(problem.n), 1.0 / (2.0 * problem.diagonal + 2.0), np.empty(problem.n)
+    scale = inverse_residual_scale(problem)
+    return lambda: kernels.splitting_sweep(
+        M.indptr, split, M.indices, M.data, problem.q, problem.lower, problem.upper, scale, step, pivot,
+        1.0, True, backward, z, new,
+    )
+
+
+def pgs_sweep(problem: LCP, z: np.ndarray, *, backward: bool) -> Callable[[], object]:
+    """Return a call that does one projected Gauss–Seidel sweep in place, on a copy of z."""
+    M, split, own = problem.csr, row_splits(problem, backward), z.copy()
+    step = 1.0 / problem.diagonal
+    return lambda: kernels.relaxation_sweep(
+        M.indptr, split, M.indices, M.data, problem.q, problem.lower, problem.upper, step, backward, own
+    )
+
+
+def mgs_sweep(problem: LCP, z: np.ndarray) -> Callable[[], object]:
+    """Return a call that does one modulus Gauss–Seidel sweep with both residual norms."""
+    M, split = problem.csr, row_splits(problem, False)
+    new, answer, omega = np.empty(problem.n), np.empty(problem.n), problem.diagonal
+    pivot = 1.0 / (2.0 * problem.diagonal)
+    scale = inverse_residual_scale(problem)
+    return lambda: kernels.modulus_sweep(
+        M.indptr, split, M.indices, M.data, problem.q, problem.lower, scale, omega, pivot,
+        1.0, 1.0, False, z, new, answer,
+    )

@@ -1,0 +1,37 @@
+"""Named, parametrised scenes: problems that know what is known about them.
+
+``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
+same :class:`Scene`; ``describe()`` lists them all.
+"""
+
+from .binomial_tree import binomial_put
+from .matrices import murty, random_h_plus, scaling_trap
+from .obstacle import obstacle_2d, obstacle_3d, obstacle_bumps
+from .option_pricing import american_put, american_put_march
+from .paper import half_active, paper_example_1, paper_example_2
+from .registry import Description, build, describe, names, parse, scene_builder
+from .scene import Scene
+from .stopping import optimal_stopping
+
+__all__ = [
+    "Description",
+    "Scene",
+    "american_put",
+    "american_put_march",
+    "binomial_put",
+    "build",
+    "describe",
+    "half_active",
+    "murty",
+    "names",
+    "obstacle_2d",
+    "obstacle_3d",
+    "obstacle_bumps",
+    "optimal_stopping",
+    "paper_example_1",
+    "paper_example_2",
+    "parse",
+    "random_h_plus",
+    "scaling_trap",
+    "scene_builder",
+]

@@ -1,0 +1,222 @@
+"""Compiled sweeps over CSR arrays; they know arrays only.
+
+Every sweep is one pass over the rows in the chosen direction. The matrix arrives as
+``(indptr, split, indices, data)``; ``split`` cuts each row in two, so that one side of the cut holds exactly
+the columns that a Gauss–Seidel sweep in that direction has already updated (see :func:`split_rows`).
+
+Three things make the passes fast, each measured on the five-point matrix with n = 10⁶:
+unsigned row positions (no wrap-around test at each access), pivots inverted beforehand, and the updated
+neighbour nearest to the diagonal taken out of the inner loop: its value is still in a register, and it is the
+only one the next row has to wait for.
+
+A comparison with NaN is false; every maximum below is written so that a NaN survives it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, uintp
+
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@njit(inline="always")
+def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
+    """mid(lower, upper, value), a NaN kept."""
+    value = lower if lower > value else value
+    return upper if upper < value else value
+
+
+@_compiled
+def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def]
+    """Fill split[i] with the position in row i of the first column ≥ i (backward: > i)."""
+    one = uintp(1)
+    for i in range(uintp(split.size)):
+        first = i + one if backward else i
+        k = uintp(indptr[i])
+        end = uintp(indptr[i + one])
+        while k < end and uintp(indices[k]) < first:
+            k += one
+        split[i] = k
+
+
+@_compiled
+def splitting_sweep(  # type: ignore[no-untyped-def]
+    indptr, split, indices, data, q, lower, upper, inverse_scale, step, inverse_pivot,
+    coupling, projected, backward, z, new,
+):
+    """Write the next iterate of an AOR-type splitting into `new`; return two norms of the residual of z.
+
+    With w = M z + q at the old z and c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
+
+        projected:  new_i = mid(l_i, u_i, z_i − (2 r_i + coupling step_i c_i) inverse_pivot_i)
+                    where r_i = z_i − mid(l_i, u_i, z_i − step_i w_i)
+        otherwise:  new_i = mid(l_i, u_i, z_i − step_i (w_i + coupling c_i) inverse_pivot_i)
+
+    Returns max_i |z_i − mid(l_i, u_i, z_i − w_i inverse_scale_i)| and Σ_i r_i².
+    """
+    n = uintp(q.size)
+    one = uintp(1)
+    largest = 0.0
+    squares = 0.0
+    near = 0.0
+    i = n if backward else uintp(0) - one
+    for _ in range(n):
+        if backward:
+            i -= one
+            first, last = uintp(split[i]), uintp(indptr[i + one])
+            rest, rest_end = uintp(indptr[i]), first
+        else:
+            i += one
+            first, last = uintp(indptr[i]), uintp(split[i])
+            rest, rest_end = last, uintp(indptr[i + one])
+        w = q[i]
+        c = 0.0
+        nearest_weight = 0.0
+        nearest_change = 0.0
+        inverse = inverse_pivot[i]
+        s = step[i]
+        for k in range(rest, rest_end):
+            w += data[k] * z[uintp(indices[k])]
+        if last > first:
+            if backward:
+                nearest = first
+                first += one
+            else:
+                last -= one
+                nearest = last
+            for k in range(first, last):
+                j = uintp(indices[k])
+                old = z[j]
+                w += data[k] * old
+                c += data[k] * (new[j] - old)
+            j = uintp(indices[nearest])
+            old = z[j]
+            w += data[nearest] * old
+            nearest_weight = coupling * s * data[nearest] * inverse
+            nearest_change = near if j + one == i or i + one == j else new[j] - old
+        zi = z[i]
+        low = lower[i]
+        high = upper[i]
+        r = abs(zi - _clamp(zi - w * inverse_scale[i], low, high))
+        if r > largest or r != r:
+            largest = r
+        r = zi - _clamp(zi - w * s, low, high)
+        squares += r * r
+        drive = 2.0 * r if projected else w * s
+        value = _clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
+        new[i] = value
+        near = value - zi
+    return largest, squares
+
+
+@_compiled
+def relaxation_sweep(  # type: ignore[no-untyped-def]
+    indptr, split, indices, data, q, lower, upper, step, backward, z
+):
+    """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − step_i w_i) with w_i from the current z.
+
+    Returns max_i |change of z_i| and Σ_i |change of z_i|.
+    """
+    n = uintp(q.size)
+    one = uintp(1)
+    largest = 0.0
+    total = 0.0
+    near = 0.0
+    i = n if backward else uintp(0) - one
+    for _ in range(n):
+        if backward:
+            i -= one
+            first, last = uintp(split[i]), uintp(indptr[i + one])
+            rest, rest_end = uintp(indptr[i]), first
+        else:
+            i += one
+            first, last = uintp(indptr[i]), uintp(split[i])
+            rest, rest_end = last, uintp(indptr[i + one])
+        w = q[i]
+        nearest_weight = 0.0
+        nearest_value = 0.0
+        s = step[i]
+        for k in range(rest, rest_end):
+            w += data[k] * z[uintp(indices[k])]
+        if last > first:
+            if backward:
+                nearest = first
+                first += one
+            else:
+                last -= one
+                nearest = last
+            for k in range(first, last):
+                w += data[k] * z[uintp(indices[k])]
+            j = uintp(indices[nearest])
+            nearest_weight = data[nearest] * s
+            nearest_value = near if j + one == i or i + one == j else z[j]
+        zi = z[i]
+        value = _clamp((zi - w * s) - nearest_weight * nearest_value, lower[i], upper[i])
+        z[i] = value
+        near = value
+        change = abs(value - zi)
+        total += change
+        if change > largest or change != change:
+            largest = change
+    return largest, total
+
+
+@_compiled
+def modulus_sweep(  # type: ignore[no-untyped-def]
+    indptr, split, indices, data, q, lower, inverse_scale, omega, inverse_pivot,
+    relaxation, acceleration, backward, x, new, z,
+):
+    """Write the next modulus vector into `new` and z = lower + max(x, 0) of the incoming x into `z`.
+
+    With w = M max(x, 0) + q and c_i = Σ m_ij (new_j − x_j) over the columns j already updated:
+
+        new_i = x_i − (2 α (w_i − Ω_i max(−x_i, 0)) + β c_i) inverse_pivot_i
+
+    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)| and Σ_i min(z_i − lower_i, w_i)².
+    """
+    n = uintp(q.size)
+    one = uintp(1)
+    largest = 0.0
+    squares = 0.0
+    i = n if backward else uintp(0) - one
+    for _ in range(n):
+        if backward:
+            i -= one
+            first, last = uintp(split[i]), uintp(indptr[i + one])
+            rest, rest_end = uintp(indptr[i]), first
+        else:
+            i += one
+            first, last = uintp(indptr[i]), uintp(split[i])
+            rest, rest_end = last, uintp(indptr[i + one])
+        w = q[i]
+        c = 0.0
+        for k in range(first, last):
+            j = uintp(indices[k])
+            old = x[j]
+            w += data[k] * (0.0 if old < 0.0 else old)
+            c += data[k] * (new[j] - old)
+        for k in range(rest, rest_end):
+            old = x[uintp(indices[k])]
+            w += data[k] * (0.0 if old < 0.0 else old)
+        xi = x[i]
+        positive = 0.0 if xi < 0.0 else xi
+        slack = w * inverse_scale[i]
+        r = abs(slack if slack < positive else positive)
+        if r > largest or r != r or slack != slack:
+            largest = r if slack == slack else slack
+        r = w if w < positive else positive
+        squares += r * r
+        z[i] = lower[i] + positive
+        new[i] = xi - (2.0 * relaxation * (w - omega[i] * (positive - xi)) + acceleration * c) * inverse_pivot[i]
+    return largest, squares
+
+
+def row_splits(matrix: Any, *, backward: bool) -> Any:
+    """Return the read-only split pointers of a CSR array for sweeps in that direction, shape (n,)."""
+    split = np.empty(matrix.shape[0], dtype=matrix.indptr.dtype)
+    split_rows(matrix.indptr, matrix.indices, backward, split)
+    split.flags.writeable = False
+    return split

@@ -1,0 +1,161 @@
+"""What a run gives back: a status that is an advice, the answer, and the record of how it was found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from .certificates.residuals import Certificate
+from .errors import NotConverged
+from .problem import FloatVector
+
+
+class Status(Enum):
+    """Why a run ended; the value of each member is the advice that goes with it."""
+
+    SOLVED = "the residual measured on your data is within the tolerance"
+    PRECISION_LIMIT = (
+        "the residual is above the tolerance, but no larger than rounding in double precision explains; "
+        "a smaller one cannot be measured: accept z, or rescale the data"
+    )
+    MAX_ITERATIONS = "the iteration limit came first; raise max_iterations, continue from z0=result.z, or change the algorithm"
+    MAX_SECONDS = "the time limit came first; raise max_seconds, continue from z0=result.z, or change the algorithm"
+    STALLED = (
+        "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
+        'scaling="diagonal", otherwise algorithm="psor" or a better start z0'
+    )
+    DIVERGED = (
+        'the iteration left every reasonable range; for a projected-type method try scaling="diagonal", for a '
+        "relaxation method a smaller relaxation"
+    )
+    INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One point of a run's history.
+
+    Attributes
+    ----------
+    iteration : int
+        0 is the projected start, after the set-up.
+    work : float
+        Matrix entries touched so far, divided by the nonzeros of M.
+    seconds : float
+        Time of the algorithm so far, set-up included; the clock stands still while a sample is measured.
+    residual : float or None
+        In the measure of the run; None in a callback at a step where nobody measured it.
+    label : str
+        The algorithm at work.
+    """
+
+    iteration: int
+    work: float
+    seconds: float
+    residual: float | None
+    label: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The answer of a run, judged by its certificate.
+
+    Attributes
+    ----------
+    z, w : ndarray, shape (n,)
+        The best iterate and its slack M z + q, read-only.
+    status : Status
+        Derived from the certificate; where that does not pass, the reason why the run ended.
+    certificate : Certificate
+        All residuals of z on the caller's own data.
+    algorithm : str
+        What ran; for ``auto`` the chain of what it chose.
+    iterations, work, seconds, setup_seconds
+        Of the whole run; see :class:`Sample` for the units.
+    history : tuple of Sample
+        Empty unless asked for with ``record=True``.
+    """
+
+    z: FloatVector = field(repr=False)
+    w: FloatVector = field(repr=False)
+    status: Status
+    certificate: Certificate = field(repr=False)
+    algorithm: str
+    iterations: int
+    work: float
+    seconds: float
+    setup_seconds: float
+    tolerance: float
+    measure: str
+    history: tuple[Sample, ...] = field(default=(), repr=False)
+    work_shares: tuple[tuple[str, float], ...] = field(default=(), repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def residual(self) -> float:
+        """The residual in the measure of the run."""
+        return self.certificate.measured(self.measure)
+
+    def require_solved(self) -> Result:
+        """Return this result, or raise where it is not solved.
+
+        Raises
+        ------
+        NotConverged
+            With the status, the residual reached and the advice.
+        """
+        if not self.is_solved:
+            raise NotConverged(
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self.measure} residual "
+                f"{self.residual:.3e}, asked for {self.tolerance:.3e}; {self.status.value}"
+            )
+        return self
+
+    def explain(self) -> str:
+        """Return the story of the run in a few lines."""
+        lines = [
+            f"{self.status.name}: {self.status.value}.",
+            f"{self.measure} residual {self.residual:.3e}, asked for {self.tolerance:.3e}",
+            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
+            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
+        ]
+        if len(self.work_shares) > 1:
+            total = sum(work for _, work in self.work_shares) or 1.0
+            lines.append("share of the work: " + ", ".join(f"{name} {work / total:.0%}" for name, work in self.work_shares))
+        lines.extend(self.notes)
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""
+        certificate = self.certificate
+        numbers: dict[str, Any] = {
+            "relative_residual": certificate.relative_residual,
+            "natural_residual": certificate.natural_residual,
+            "euclidean_residual": certificate.euclidean_residual,
+            "bound_violation": certificate.bound_violation,
+            "slack_violation": certificate.slack_violation,
+            "complementarity": certificate.complementarity,
+            "work": self.work,
+            "seconds": self.seconds,
+            "setup_seconds": self.setup_seconds,
+            "tolerance": self.tolerance,
+        }
+        content = {
+            "status": self.status.name,
+            "advice": self.status.value,
+            "algorithm": self.algorithm,
+            "n": certificate.problem.n,
+            "iterations": self.iterations,
+            "measure": self.measure,
+            **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
+        }
+        return json.dumps(content, indent=2)

@@ -124,6 +124,7 @@ class _Run:
         self.start_residual = math.inf
         self.checks = _CheckSchedule()
         self.progress = _Progress(problem.n, self.max_iterations)
+        self._last_certificate: Certificate | None = None
         self._next_sample = 0
         self._began = self._now = time.perf_counter()
         self._stopped = self._compiling = 0.0
@@ -188,7 +189,7 @@ class _Run:
         if residual is not None:
             if residual <= self.tolerance and self._is_certified(step.z):
                 return Status.SOLVED
-            if not residual <= DIVERGED_BEYOND * max(self.start_residual, self._unit):
+            if not residual <= DIVERGED_BEYOND * self.start_residual and not residual <= DIVERGED_BEYOND * self._unit:
                 return Status.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return Status.DIVERGED
@@ -227,7 +228,8 @@ class _Run:
 
     def _is_certified(self, z: FloatVector) -> bool:
         """Return whether the certificate agrees: a kernel adds in another order, and only the certificate counts."""
-        return Certificate.of(self.problem, z).measured(self.measure) <= self.tolerance
+        self._last_certificate = Certificate.of(self.problem, z)
+        return self._last_certificate.measured(self.measure) <= self.tolerance
 
     def _is_at_floor(self) -> bool:
         return self.best_z is not None and Certificate.of(self.problem, self.best_z).is_at_rounding_level
@@ -235,7 +237,7 @@ class _Run:
     @cached_property
     def _unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
-        return 1.0 if self.measure == "relative" else Certificate.of(self.problem, self.problem.nearest_to_zero).euclidean_residual
+        return 1.0 if self.measure == "relative" else self._measure(self.problem.nearest_to_zero)
 
     @property
     def _target(self) -> float:
@@ -279,7 +281,9 @@ class _Run:
         """Return the result: finish, certify, and let the certificate name the status."""
         problem = self.problem
         z = start if self.best_z is None else self.best_z
-        certificate = Certificate.of(problem, z)
+        certificate = self._last_certificate
+        if certificate is None or not np.array_equal(certificate.z, z):
+            certificate = Certificate.of(problem, z)
         if self.stages and self.measure == "relative" and np.isfinite(z).all():
             cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
             if cleaned.scaled_residual <= certificate.scaled_residual:

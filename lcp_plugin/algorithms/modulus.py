@@ -84,9 +84,10 @@ class ModulusBased(Algorithm):
         diagonal = require_positive_diagonal(problem, self.name)
         alpha, beta = self.splitting()
         omega = self._omega(problem, diagonal)
-        inverse_pivot = 1.0 / (alpha * omega + diagonal)
-        q = problem.slack(problem.lower)
-        scale = inverse_residual_scale(problem)
+        rows = kernels.packed(
+            problem.slack(problem.lower), problem.lower, inverse_residual_scale(problem), omega,
+            1.0 / (alpha * omega + diagonal),
+        )
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem, backward) for backward in passes}
         z, x, new = z0, z0 - problem.lower, np.empty_like(z0)
@@ -95,8 +96,8 @@ class ModulusBased(Algorithm):
         while True:
             for k, backward in enumerate(passes):
                 residual, squares = kernels.modulus_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, q, problem.lower, scale, omega, inverse_pivot,
-                    alpha, beta, backward, x, new, unwanted if k else z,
+                    M.indptr, splits[backward], M.indices, M.data, rows, alpha, beta, backward, x, new,
+                    unwanted if k else z,
                 )
                 if k == 0:
                     yield Step(z, residual, squares**0.5, None, work)
@@ -113,7 +114,7 @@ class ModulusBased(Algorithm):
         if omega.shape != (problem.n,) or not np.isfinite(omega).all() or not (omega > 0.0).all():
             raise InvalidOption(
                 f"{self.name}: omega must be a positive number or a positive finite vector of length {problem.n}, "
-                f"got {'shape ' + str(omega.shape) if omega.shape != (problem.n,) else f'a smallest entry of {omega.min()}'}"
+                f"got shape {omega.shape}, smallest entry {np.min(omega, initial=np.inf)}"
             )
         return omega
 

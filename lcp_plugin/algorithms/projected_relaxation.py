@@ -66,27 +66,25 @@ class PSOR(Algorithm):
         from .. import kernels
 
         M = problem.csr
-        inverse_diagonal = 1.0 / require_positive_diagonal(problem, self.name)
+        require_positive_diagonal(problem, self.name)
+        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem, backward) for backward in passes}
         adaptive = AdaptiveRelaxation() if self.relaxation == "auto" else None
         relaxation = 1.0 if adaptive else float(self.relaxation)
-        step = relaxation * inverse_diagonal
         z = z0
         yield Step(z, work=0.0)
         while True:
             largest = total = 0.0
             for backward in passes:
                 change, change_sum = kernels.relaxation_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, problem.q, problem.lower, problem.upper,
-                    step, backward, z,
+                    M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             yield Step(z, increment=largest, work=float(len(passes)))
-            if adaptive and (wanted := adaptive.after(total)) != relaxation:
-                relaxation = wanted
-                np.multiply(inverse_diagonal, relaxation, out=step)
+            if adaptive:
+                relaxation = adaptive.after(total)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,8 +124,9 @@ class _Simultaneous(Algorithm):
         M = problem.csr
         omega, beta = self.weights()
         step = omega / require_positive_diagonal(problem, self.name)
-        one = np.ones(problem.n)
-        scale = inverse_residual_scale(problem)
+        rows = kernels.packed(
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step, np.ones(problem.n)
+        )
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem, backward) for backward in passes}
         z, new = z0, np.empty_like(z0)
@@ -135,8 +134,7 @@ class _Simultaneous(Algorithm):
         while True:
             for k, backward in enumerate(passes):
                 residual, _ = kernels.splitting_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, problem.q, problem.lower, problem.upper,
-                    scale, step, one, beta / omega, False, backward, z, new,
+                    M.indptr, splits[backward], M.indices, M.data, rows, beta / omega, False, backward, z, new
                 )
                 if k == 0:
                     yield Step(z, residual, work=work)

@@ -47,11 +47,9 @@ def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
     from .. import kernels
 
     M = problem.csr
+    rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem))
     cleaned = z.copy()
-    kernels.relaxation_sweep(
-        M.indptr, row_splits(problem, False), M.indices, M.data, problem.q, problem.lower, problem.upper,
-        inverse_residual_scale(problem), False, cleaned,
-    )
+    kernels.relaxation_sweep(M.indptr, row_splits(problem, False), M.indices, M.data, rows, 1.0, False, cleaned)
     return cleaned
 
 
@@ -99,16 +97,17 @@ class ProjectedType(Algorithm):
         M = problem.csr
         alpha, beta = self.splitting()
         step = row_scaling(problem, self.scaling, self.scaling_factor)
-        inverse_pivot = self._inverse_pivot(problem, step * problem.diagonal, alpha)
-        scale = inverse_residual_scale(problem)
+        rows = kernels.packed(
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step,
+            self._inverse_pivot(problem, step * problem.diagonal, alpha),
+        )
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem, backward) for backward in passes}
         z, new = z0, np.empty_like(z0)
 
         def advance(backward: bool) -> tuple[float, float]:
             norms: tuple[float, float] = kernels.splitting_sweep(
-                M.indptr, splits[backward], M.indices, M.data, problem.q, problem.lower, problem.upper,
-                scale, step, inverse_pivot, beta / alpha, True, backward, z, new,
+                M.indptr, splits[backward], M.indices, M.data, rows, beta / alpha, True, backward, z, new
             )
             return norms
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import kernels
 from ...algorithms.base import inverse_residual_scale, row_splits
-from ...problem import LCP
+from ...problem import LCP, FloatVector
 from ..gallery import build
 from .timing import medians
 
@@ -36,33 +36,30 @@ def run(*, quick: bool = False) -> Iterator[str]:
         yield f"one {name} sweep{with_residual}: {1e3 * value:.2f} ms = {value / product:.2f} products{target}"
 
 
-def npgs_sweep(problem: LCP, z: np.ndarray, *, backward: bool) -> Callable[[], object]:
+def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one NPGS sweep with both residual norms."""
-    M, split = problem.csr, row_splits(problem, backward)
-    step, pivot, new = np.ones(problem.n), 1.0 / (2.0 * problem.diagonal + 2.0), np.empty(problem.n)
-    scale = inverse_residual_scale(problem)
-    return lambda: kernels.splitting_sweep(
-        M.indptr, split, M.indices, M.data, problem.q, problem.lower, problem.upper, scale, step, pivot,
-        1.0, True, backward, z, new,
+    M, split, new = problem.csr, row_splits(problem, backward), np.empty(problem.n)
+    rows = kernels.packed(
+        problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), np.ones(problem.n),
+        1.0 / (2.0 * problem.diagonal + 2.0),
     )
+    return lambda: kernels.splitting_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, True, backward, z, new)
 
 
-def pgs_sweep(problem: LCP, z: np.ndarray, *, backward: bool) -> Callable[[], object]:
+def pgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one projected Gauss–Seidel sweep in place, on a copy of z."""
     M, split, own = problem.csr, row_splits(problem, backward), z.copy()
-    step = 1.0 / problem.diagonal
-    return lambda: kernels.relaxation_sweep(
-        M.indptr, split, M.indices, M.data, problem.q, problem.lower, problem.upper, step, backward, own
-    )
+    rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
+    return lambda: kernels.relaxation_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, backward, own)
 
 
-def mgs_sweep(problem: LCP, z: np.ndarray) -> Callable[[], object]:
+def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
     """Return a call that does one modulus Gauss–Seidel sweep with both residual norms."""
     M, split = problem.csr, row_splits(problem, False)
-    new, answer, omega = np.empty(problem.n), np.empty(problem.n), problem.diagonal
-    pivot = 1.0 / (2.0 * problem.diagonal)
-    scale = inverse_residual_scale(problem)
+    new, answer = np.empty(problem.n), np.empty(problem.n)
+    rows = kernels.packed(
+        problem.q, problem.lower, inverse_residual_scale(problem), problem.diagonal, 1.0 / (2.0 * problem.diagonal)
+    )
     return lambda: kernels.modulus_sweep(
-        M.indptr, split, M.indices, M.data, problem.q, problem.lower, scale, omega, pivot,
-        1.0, 1.0, False, z, new, answer,
+        M.indptr, split, M.indices, M.data, rows, 1.0, 1.0, False, z, new, answer
     )

@@ -30,16 +30,23 @@ from .problem import LCP
 TRIAL_SWEEPS = 10
 NEAR_ENOUGH = 20
 COMPARISON_SWEEPS = 256
+KEPT_RESIDUALS = 512
 
 
 @dataclass
 class Stage:
-    """What one algorithm of a chain has done so far: (iterations in this stage, residual) where measured."""
+    """What one algorithm of a chain has done so far; `residuals` holds (iteration of this stage, residual)."""
 
     algorithm: Algorithm
     iterations: int = 0
     work: float = 0.0
     residuals: list[tuple[int, float]] = field(default_factory=list)
+
+    def note(self, residual: float) -> None:
+        """Keep the residual of the present iteration: of the first 512 measured all, then the latest."""
+        if len(self.residuals) >= KEPT_RESIDUALS:
+            self.residuals.pop()
+        self.residuals.append((self.iterations, residual))
 
     def rate(self) -> float:
         """Return the contraction of the residual a sweep, over the second half of the stage."""
@@ -133,13 +140,14 @@ def policy_for(algorithm: str | Algorithm, options: dict[str, Any]) -> Policy:
     if isinstance(algorithm, Algorithm):
         if options:
             raise InvalidOption(
-                f"options {sorted(options)} were given beside an algorithm object; set them in {type(algorithm).__name__}(…)"
+                f"options {sorted(options)} were given beside an algorithm object; "
+                f"set them in {type(algorithm).__name__}(…)"
             )
         return Single(algorithm)
     if algorithm == "auto":
         if options:
-            raise InvalidOption(f'algorithm="auto" takes no options of its own, got {sorted(options)}; name an algorithm')
+            raise InvalidOption(f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well')
         return Auto()
     if not isinstance(algorithm, str):
-        raise UnknownAlgorithm(f"algorithm must be a name or an object such as NPSOR(relaxation=1.5), got {algorithm!r}")
+        raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
     return Single(create(algorithm, options))

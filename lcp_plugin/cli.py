@@ -76,10 +76,18 @@ def main(version: Annotated[bool, typer.Option("--version", help="Print the vers
 )
 @_speaks_plainly
 def solve(
-    target: Annotated[str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene, name:key=value,…")],
-    algorithm: Annotated[str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")] = "auto",
-    relaxation: Annotated[str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")] = None,
-    option: Annotated[list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")] = None,
+    target: Annotated[
+        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
+    ],
+    algorithm: Annotated[
+        str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
+    ] = "auto",
+    relaxation: Annotated[
+        str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
+    ] = None,
     tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
@@ -154,15 +162,17 @@ def tables() -> None:
             table.add_column(heading, justify="left" if heading == "algorithm" else "right")
         for cell in (cell for cell in computed if cell.example == example):
             table.add_row(
-                f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n), str(cell.paper_iterations), str(cell.iterations),
-                f"{cell.paper_residual:.1e}", f"{cell.residual:.2e}", f"{cell.paper_seconds:.4f}", f"{cell.seconds:.4f}",
+                f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n),
+                str(cell.paper_iterations), str(cell.iterations),
+                f"{cell.paper_residual:.1e}", f"{cell.residual:.2e}",
+                f"{cell.paper_seconds:.4f}", f"{cell.seconds:.4f}",
                 "yes" if cell.same_iterations else "NO", "yes" if cell.same_residual else "no",
             )
         console.print(table)
-    same_iterations = sum(cell.same_iterations for cell in computed)
-    same_residual = sum(cell.same_residual for cell in computed)
-    console.print(f"IT equal in {same_iterations} of {len(computed)} cells, Res to the printed digits in {same_residual}.")
-    if same_iterations < len(computed):
+    equal = sum(cell.same_iterations for cell in computed)
+    equal_residual = sum(cell.same_residual for cell in computed)
+    console.print(f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}.")
+    if equal < len(computed):
         raise typer.Exit(EXIT_UNSOLVED)
 
 
@@ -261,7 +271,8 @@ def _story(results: list[Result], scene: Any) -> str:
     if len(results) > 1 or (scene is not None and scene.steps > 1):
         total = sum(one.iterations for one in results)
         seconds = sum(one.seconds for one in results)
-        lines.insert(2, f"march: {len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s; the last step:")
+        count = f"{len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s"
+        lines.insert(2, f"march: {count}; the last step:")
     at_bound = np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))
     lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
     if scene is not None and scene.steps == 1:
@@ -297,7 +308,8 @@ class _Progress:
         now = time.perf_counter()
         if self._wanted and now - self._began > QUIET_SECONDS and now - self._shown > REFRESH_SECONDS:
             self._shown = now
-            self._show(f"{sample.label}: iteration {sample.iteration}, residual {self._residual:.2e}, {sample.seconds:.1f} s")
+            count = f"{sample.label}: iteration {sample.iteration}"
+            self._show(f"{count}, residual {self._residual:.2e}, {sample.seconds:.1f} s")
         return False
 
     def _show(self, text: str) -> None:

@@ -16,6 +16,7 @@ from .algorithms import Algorithm, Step
 from .certificates.residuals import MEASURES, Certificate, ratio, reference_residual, scaled_residual
 from .choice import Policy, Stage, policy_for
 from .errors import InvalidOption, did_you_mean
+from .pacing import CheckSchedule, Progress
 from .problem import LCP, FloatVector
 from .result import Result, Sample, Status
 
@@ -23,11 +24,7 @@ Callback = Callable[[Sample, FloatVector], Any]
 
 DEFAULT_MAX_ITERATIONS = 100_000
 DIVERGED_BEYOND = 1e8
-FIRST_CHECK = 10
-CHECK_GROWTH = 1.5
 SAMPLE_GROWTH = 1.05
-FIRST_FLOOR_CHECK = 25
-PROGRESS = 0.99
 
 
 def solve(
@@ -61,7 +58,8 @@ def solve(
     max_iterations : int, optional
         100 000 by default.
     max_seconds : float, optional
-        Wall-clock limit in seconds, set-up included, obeyed at the end of the iteration under way.
+        Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
+        the iteration under way.
     record : bool
         Keep samples of the run at geometric intervals in ``Result.history``.
     callback : callable, optional
@@ -117,13 +115,14 @@ class _Run:
         self.record = record
         self.reference = reference_residual(problem)
         self.stages: list[Stage] = []
-        self.iteration, self.work, self.setup_seconds = -1, 0.0, 0.0
+        self.iteration, self.work = -1, 0.0
+        self.seconds = self.setup_seconds = 0.0  # up to the present step, the clock's pauses taken off
         self.history: list[Sample] = []
         self.best_z: FloatVector | None = None
         self.best = math.inf
         self.start_residual = math.inf
-        self.checks = _CheckSchedule()
-        self.progress = _Progress(problem.n, self.max_iterations)
+        self.checks = CheckSchedule()
+        self.progress = Progress(problem.n, self.max_iterations)
         self._last_certificate: Certificate | None = None
         self._next_sample = 0
         self._began = self._now = time.perf_counter()
@@ -150,6 +149,7 @@ class _Run:
         is_first_step = True
         for step in steps:
             self._now = time.perf_counter()
+            self.seconds = self._now - self._began - self._stopped
             self.work += step.work
             stage.work += step.work
             # A later stage begins with the iterate that the one before ended with.
@@ -178,12 +178,12 @@ class _Run:
             if step.residual is None and step.increment is not None:
                 self.checks.learn(self.iteration, step.increment, residual)
             self._keep_if_better(step, residual)
-            self.stages[-1].residuals.append((self.stages[-1].iterations, residual))
+            self.stages[-1].note(residual)
             if self.iteration == 0:
                 self.start_residual = residual
-        if self._report(step, residual):
-            return Status.INTERRUPTED
-        return self._reason_to_end(step, residual)
+        reason = self._reason_to_end(step, residual)
+        wants_to_stop = self._report(step, residual, is_last=reason is not None)
+        return reason or (Status.INTERRUPTED if wants_to_stop else None)
 
     def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
         if residual is not None:
@@ -254,14 +254,9 @@ class _Run:
 
     # --- telling ----------------------------------------------------------------------------------------
 
-    @property
-    def seconds(self) -> float:
-        """Time of the algorithm up to the present step, the clock's pauses taken off."""
-        return self._now - self._began - self._stopped
-
-    def _report(self, step: Step, residual: float | None) -> bool:
+    def _report(self, step: Step, residual: float | None, *, is_last: bool) -> bool:
         """Record and call back, the clock stopped; return whether the caller wants to stop."""
-        due = self.record and self.iteration >= self._next_sample
+        due = self.record and (is_last or self.iteration >= self._next_sample)
         if not due and self.callback is None:
             return False
         with _Paused(self):
@@ -319,65 +314,14 @@ class _Paused:
         self.run._stopped += self.seconds
 
 
-class _CheckSchedule:
-    """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
-
-    def __init__(self) -> None:
-        self.next_check = FIRST_CHECK
-        self.residual_per_increment = 1.0
-
-    def is_due(self, iteration: int, increment: float | None, target: float) -> bool:
-        if iteration >= self.next_check or increment is None:
-            return True
-        return increment * self.residual_per_increment <= target
-
-    def learn(self, iteration: int, increment: float, residual: float) -> None:
-        self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * CHECK_GROWTH))
-        self.residual_per_increment = residual / increment if increment > 0.0 else 1.0
-
-
-class _Progress:
-    """Whether the best residual still falls."""
-
-    def __init__(self, n: int, max_iterations: int) -> None:
-        self.window = max(200, 5 * math.ceil(math.log2(max(n, 2))))
-        self.max_iterations = max_iterations
-        self.window_start: tuple[int, float] | None = None
-        self.last_fall: tuple[int, float] = (0, math.inf)
-        self.next_floor_check = FIRST_FLOOR_CHECK
-
-    def is_flat(self, iteration: int, best: float) -> bool:
-        """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""
-        since, value = self.last_fall
-        if best < PROGRESS * value:
-            self.last_fall = (iteration, best)
-            self.next_floor_check = FIRST_FLOOR_CHECK
-        elif iteration - since >= self.next_floor_check:
-            self.next_floor_check *= 2
-            return True
-        return False
-
-    def is_stalled(self, iteration: int, best: float, tolerance: float) -> bool:
-        """Return whether a window passed with less than 1 % and extrapolation misses max_iterations."""
-        if self.window_start is None:
-            self.window_start = (iteration, best)
-        since, value = self.window_start
-        if iteration - since < self.window:
-            return False
-        self.window_start = (iteration, best)
-        if best < PROGRESS * value:
-            return False
-        fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
-        needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
-        return needed > fall * (self.max_iterations - iteration)
-
-
 _rehearsed: set[tuple[type[Algorithm], str]] = set()
 _rehearsal_lock = threading.Lock()
 
 
 def _rehearse(algorithm: Algorithm, problem: LCP) -> None:
     """Run the algorithm once on a 1 × 1 problem of the same index width, so that compilation is off the clock."""
+    if not algorithm.is_compiled:
+        return
     width = problem.csr.indices.dtype.name
     key = (type(algorithm), width)
     if key in _rehearsed:

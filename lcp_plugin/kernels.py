@@ -57,7 +57,8 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
 ):
     """Write the next iterate of an AOR-type splitting into `new`; return two norms of the residual of z.
 
-    `rows` holds q, lower, upper, inverse_scale, step, inverse_pivot. With w = M z + q at the old z and c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
+    `rows` holds q, lower, upper, inverse_scale, step, inverse_pivot. With w = M z + q at the old z and
+    c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
 
         projected:  new_i = mid(l_i, u_i, z_i − (2 r_i + coupling step_i c_i) inverse_pivot_i)
                     where r_i = z_i − mid(l_i, u_i, z_i − step_i w_i)
@@ -178,7 +179,8 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
 ):
     """Write the next modulus vector into `new` and z = lower + max(x, 0) of the incoming x into `z`.
 
-    `rows` holds q, lower, inverse_scale, omega, inverse_pivot. With w = M max(x, 0) + q and c_i = Σ m_ij (new_j − x_j) over the columns j already updated:
+    `rows` holds q, lower, inverse_scale, omega, inverse_pivot. With w = M max(x, 0) + q and
+    c_i = Σ m_ij (new_j − x_j) over the columns j already updated:
 
         new_i = x_i − (2 α (w_i − Ω_i max(−x_i, 0)) + β c_i) inverse_pivot_i
 

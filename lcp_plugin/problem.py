@@ -289,7 +289,7 @@ def _real_array(values: Any, name: str) -> NDArray[np.float64]:
 
 def _checked_vector(values: Any, name: str, n: int) -> FloatVector:
     if sp.issparse(values):
-        raise InvalidProblem(f"{name} must be a dense vector of length {n}, got a sparse array; use {name}.toarray().ravel()")
+        raise InvalidProblem(f"{name} must be a vector of length {n}, got a sparse array; use {name}.toarray().ravel()")
     array = _real_array(values, name)
     if array.shape != (n,):
         raise InvalidProblem(f"{name} must be a finite vector of length {n} (M is {n}×{n}), got shape {array.shape}")
@@ -304,7 +304,7 @@ def _checked_bound(values: Any, name: str, n: int) -> FloatVector:
     if array.shape == ():
         array = np.full(n, float(array))
     if array.shape != (n,):
-        raise InvalidProblem(f"{name} must be a number or a vector of length {n} (M is {n}×{n}), got shape {array.shape}")
+        raise InvalidProblem(f"{name} must be a number or a vector of length {n}, got shape {array.shape}")
     if np.isnan(array).any():
         where = int(np.flatnonzero(np.isnan(array))[0])
         raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")

@@ -66,7 +66,7 @@ def write_whole(target: Path, write: Callable[[Any], object]) -> None:
     try:
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
     except OSError as error:
-        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose a folder that exists") from error
+        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose another folder") from error
     try:
         with os.fdopen(handle, "wb") as file:
             write(file)
@@ -116,7 +116,8 @@ def _load_npz(source: Path) -> LCP:
         raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP with the keys data … q")
     missing = [key for key in (*MATRIX_KEYS, "q") if key not in content]
     if missing:
-        raise UnreadableFile(f"{source} lacks the keys {missing}; an LCP file holds {', '.join((*MATRIX_KEYS, *VECTORS))}")
+        wanted = ", ".join((*MATRIX_KEYS, *VECTORS))
+        raise UnreadableFile(f"{source} lacks the keys {missing}; an LCP file holds {wanted}")
     try:
         shape = tuple(int(k) for k in content["shape"])
         M = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
@@ -138,7 +139,8 @@ def _read_npz(source: Path) -> Mapping[str, Any]:
     except UnreadableFile:
         raise
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, MemoryError) as error:
-        hint = "it holds pickled objects, which are never read" if "allow_pickle" in str(error) else "it is damaged or no .npz file"
+        is_pickled = "allow_pickle" in str(error)
+        hint = "it holds pickled objects, which are never read" if is_pickled else "it is damaged or no .npz file"
         raise UnreadableFile(f"cannot read {source}: {hint} ({error})") from error
 
 

@@ -22,8 +22,8 @@ class Status(Enum):
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "a smaller one cannot be measured: accept z, or rescale the data"
     )
-    MAX_ITERATIONS = "the iteration limit came first; raise max_iterations, continue from z0=result.z, or change the algorithm"
-    MAX_SECONDS = "the time limit came first; raise max_seconds, continue from z0=result.z, or change the algorithm"
+    MAX_ITERATIONS = "the iteration limit came first: raise max_iterations, go on from z0=result.z, or change algorithm"
+    MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
     STALLED = (
         "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
         'scaling="diagonal", otherwise algorithm="psor" or a better start z0'
@@ -93,7 +93,6 @@ class Result:
     measure: str
     history: tuple[Sample, ...] = field(default=(), repr=False)
     work_shares: tuple[tuple[str, float], ...] = field(default=(), repr=False)
-    notes: tuple[str, ...] = field(default=(), repr=False)
 
     @property
     def is_solved(self) -> bool:
@@ -130,9 +129,11 @@ class Result:
         ]
         if len(self.work_shares) > 1:
             total = sum(work for _, work in self.work_shares) or 1.0
-            lines.append("share of the work: " + ", ".join(f"{name} {work / total:.0%}" for name, work in self.work_shares))
-        lines.extend(self.notes)
+            shares = ", ".join(f"{name} {work / total:.0%}" for name, work in self.work_shares)
+            lines.append(f"share of the work: {shares}")
         return "\n".join(lines)
+
+    __str__ = explain
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""

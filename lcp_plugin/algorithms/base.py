@@ -47,7 +47,8 @@ class Algorithm(ABC):
     """A frozen dataclass of its own options that can iterate.
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs),
-    `converges_on` (matrix classes with a proof), `cost` (of one iteration), `reference`.
+    `converges_on` (matrix classes with a proof), `cost` (of one iteration), `reference`; `is_compiled` asks the
+    driver for a rehearsal off the clock.
     """
 
     name: ClassVar[str]
@@ -55,7 +56,7 @@ class Algorithm(ABC):
     converges_on: ClassVar[str]
     cost: ClassVar[str]
     reference: ClassVar[str]
-    monotone: ClassVar[bool] = True
+    is_compiled: ClassVar[bool] = False
 
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -120,7 +121,9 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
         usable = (diagonal > 0.0) & np.isfinite(1.0 / diagonal)
     if not usable.all():
         i = int(np.flatnonzero(~usable)[0])
-        raise UnsuitableMatrix(f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"')
+        raise UnsuitableMatrix(
+            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
+        )
     return diagonal
 
 

@@ -57,7 +57,7 @@ class ModulusBased(Algorithm):
     converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
-    monotone: ClassVar[bool] = False
+    is_compiled: ClassVar[bool] = True
 
     omega: float | ArrayLike = 1.0
     sweep: str = "forward"

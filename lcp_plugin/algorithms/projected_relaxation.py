@@ -47,6 +47,7 @@ class PSOR(Algorithm):
 
     name: ClassVar[str] = "psor"
     assumption: ClassVar[str] = "positive diagonal"
+    is_compiled: ClassVar[bool] = True
     converges_on: ClassVar[str] = "SPD for 0 < ω < 2; H₊ for 0 < ω < 2/(1+ρ); auto: both"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = CRYER
@@ -107,6 +108,7 @@ class _Simultaneous(Algorithm):
     """z⁺ = mid(lower, upper, z − D⁻¹(ω w + β Σ m_ij (z⁺_j − z_j))), the sum over the rows done before row i."""
 
     assumption: ClassVar[str] = "positive diagonal"
+    is_compiled: ClassVar[bool] = True
     cost: ClassVar[str] = "1 pass"
     sweep: str = "forward"
 

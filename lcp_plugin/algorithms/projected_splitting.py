@@ -39,6 +39,7 @@ class NPSplitting(Algorithm):
 
     name: ClassVar[str] = "npsplitting"
     assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    is_compiled: ClassVar[bool] = True
     converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1)"
     cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
     reference: ClassVar[str] = REFERENCE

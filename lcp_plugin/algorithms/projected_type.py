@@ -77,6 +77,7 @@ class ProjectedType(Algorithm):
     sweep: str = "forward"
 
     assumption: ClassVar[str] = "none (positive diagonal advised)"
+    is_compiled: ClassVar[bool] = True
     converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", 0 ≤ β ≤ α'
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = REFERENCE

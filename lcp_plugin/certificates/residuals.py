@@ -207,6 +207,6 @@ def _checked_point(problem: LCP, z: ArrayLike) -> FloatVector:
     except (TypeError, ValueError) as error:
         raise InvalidProblem(f"z must be a real vector of length {problem.n} ({error})") from error
     if point.shape != (problem.n,):
-        raise InvalidProblem(f"z must be a vector of length {problem.n} (M is {problem.n}×{problem.n}), got shape {point.shape}")
+        raise InvalidProblem(f"z must be a vector of length {problem.n}, got shape {point.shape}")
     point.flags.writeable = False
     return point

@@ -1,0 +1,132 @@
+"""The picture in the README is the import graph, and importing the package loads nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lcp_plugin
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "lcp_plugin"
+DOORS = {("problem", "problem_files")}
+HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")
+FRONT_DOORS = ("__init__", "__main__")
+
+
+def rooms_by_line() -> dict[str, int]:
+    """The picture: room → line, counted from the top."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## How it is built")[1]
+    picture = re.search(r"```text\n(.*?)```", text, re.S)
+    assert picture is not None
+    return {room: k for k, line in enumerate(picture[1].splitlines()) for room in line.split()}
+
+
+def room_of(file: Path) -> str:
+    return file.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imported_rooms(file: Path) -> set[str]:
+    """Rooms of this package that a file imports, at the top or inside a function."""
+    package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
+    rooms = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            targets = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            prefix = ".".join([*base, node.module] if node.module else base)
+            targets = [f"{prefix}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for target in targets:
+            parts = target.split(".")
+            if parts[0] == "lcp_plugin" and len(parts) > 1:
+                rooms.add(parts[1])
+    return rooms
+
+
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in FRONT_DOORS)
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_arrows_point_up_the_picture(file: Path) -> None:
+    """A file imports only rooms on lines above its own room, or its own room, or through a listed door."""
+    lines = rooms_by_line()
+    room = room_of(file)
+    for target in imported_rooms(file) & {*lines, *map(room_of, FILES)}:
+        if target != room and (room, target) not in DOORS:
+            assert lines[target] < lines[room] or (room, target) == ("problem_files", "problem"), f"{room} → {target}"
+
+
+def test_picture_shows_every_room() -> None:
+    """The picture names every module and folder of the package, and nothing else."""
+    assert set(rooms_by_line()) == {room_of(file) for file in FILES}
+
+
+def test_modules_stay_short() -> None:
+    """No module exceeds 400 lines."""
+    long = {file.name: n for file in FILES if (n := len(file.read_text(encoding="utf-8").splitlines())) > 400}
+    assert not long
+
+
+def test_import_loads_nothing_heavy() -> None:
+    """``import lcp_plugin`` and building, certifying and pickling a problem load no heavy package."""
+    code = (
+        "import sys, lcp_plugin\n"
+        f"heavy = {HEAVY!r}\n"
+        "assert not [m for m in heavy if m in sys.modules], 'import'\n"
+        "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])\n"
+        "print([m for m in heavy if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_a_solve_loads_no_package_it_does_not_use() -> None:
+    """``solve`` loads numba and none of the other heavy packages."""
+    code = (
+        "import sys\nfrom lcp_plugin import LCP, solve\n"
+        "solve(LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "['numba']"
+
+
+def test_public_names_resolve() -> None:
+    """Every name in ``__all__`` can be had, also after the submodules were imported."""
+    import lcp_plugin.driver  # noqa: F401 - importing it first must not hide the function
+
+    for name in lcp_plugin.__all__:
+        assert getattr(lcp_plugin, name) is not None
+    assert callable(lcp_plugin.solve)
+    with pytest.raises(AttributeError, match="no attribute 'sovle'"):
+        lcp_plugin.sovle  # noqa: B018
+
+
+def table_rows() -> dict[str, list[str]]:
+    """The README's algorithm table: name → cells."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("## Notation")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("| `")]
+    return {row[0].strip("`"): row[1:] for row in rows}
+
+
+def test_readme_table_is_the_registry() -> None:
+    """The README's algorithm table has one row a registered algorithm, in order, with exactly its options."""
+    from dataclasses import fields
+
+    rows = table_rows()
+    assert list(rows) == list(REGISTRY)
+    for name, cells in rows.items():
+        kind = algorithm_class(name)
+        written = {option.strip() for option in cells[-1].split(",")}
+        own = {field.name for field in fields(kind)} - ({"relaxation"} if name == "pgs" else set())
+        assert written == own, name
+        assert kind.__doc__ and kind.assumption and kind.converges_on and kind.cost and kind.reference

@@ -1,0 +1,38 @@
+"""Benchmarks run; what they measure is read by people, not asserted here."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from lcp_plugin.evidence import gallery
+from lcp_plugin.evidence.benchmarks import BENCHMARKS, load
+from lcp_plugin.evidence.benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
+from lcp_plugin.evidence.paper_tables import cells, published
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_benchmark_runs(name: str) -> None:
+    """A benchmark in its quick form prints lines with measured figures."""
+    lines = list(load(name)(quick=True))
+    assert any(re.search(r"\d+\.?\d* (products|µs|s )", line) for line in lines)
+
+
+def test_scipy_baselines_compute_the_same_iterates() -> None:
+    """Both scipy implementations stop at the paper's count and at our iterate: the comparison is fair."""
+    scene = gallery.build("paper_example_1", n=900)
+    M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
+    (first, k), (second, m) = (scipy_npsor(M, q, start, prepare) for prepare in (factorised, substituted))
+    assert (k, m) == (16, 16)
+    np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
+
+
+def test_paper_tables_are_reproduced() -> None:
+    """All 48 iteration counts equal the paper's, and at least 44 residuals to the printed digits."""
+    computed = list(cells())
+    assert len(computed) == 48
+    assert [cell for cell in computed if not cell.same_iterations] == []
+    assert sum(cell.same_residual for cell in computed) >= 44
+    assert published()["n"] == sorted({cell.n for cell in computed})

@@ -1,0 +1,365 @@
+"""The one loop: statuses, limits, clock, record, callback, warm start, automatic choice."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, NotConverged, Result, Sample, Status, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.evidence import gallery
+
+EXAMPLE = gallery.build("paper_example_1", n=400)
+OBSTACLE = gallery.build("obstacle_2d", size=20)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scripted(Algorithm):
+    """Yields the given iterates, then the last one for ever."""
+
+    name: ClassVar[str] = "scripted"
+    points: tuple[tuple[float, ...], ...]
+    claimed_residual: float | None = None
+    interrupt_at: int = -1
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        for k, point in enumerate(self.points):
+            if k == self.interrupt_at:
+                signal.raise_signal(signal.SIGINT)
+            yield Step(np.array(point), self.claimed_residual)
+        while True:
+            yield Step(np.array(self.points[-1]), self.claimed_residual)
+
+
+TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_solved_means_the_certificate_passes(name: str) -> None:
+    """SOLVED comes with a certificate at or below the tolerance, in either measure."""
+    for measure, tolerance in (("relative", 1e-9), ("euclidean", 1e-7)):
+        result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance, measure=measure)
+        assert result.status is Status.SOLVED
+        assert result.certificate.measured(measure) <= tolerance
+        assert result.residual == result.certificate.measured(measure)
+        np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
+
+
+def test_a_claimed_residual_is_never_believed() -> None:
+    """An algorithm that claims residual 0 with a wrong z is not SOLVED."""
+    result = solve(TWO, Scripted(points=((1.0, 1.0),), claimed_residual=0.0), max_iterations=50)
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.residual > 0.1
+
+
+def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
+    """A best iterate that passes is SOLVED even where a limit ended the run at that very step."""
+    result = solve(TWO, Scripted(points=((0.0, 0.0), (2.5, 0.0))), max_iterations=1)
+    assert result.status is Status.SOLVED
+    assert result.iterations == 1
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.parametrize("limit", [0, 1, 7])
+def test_iteration_limit_is_exact(name: str, limit: int) -> None:
+    """max_iterations=k returns after exactly k iterations, k = 0 included."""
+    result = solve(OBSTACLE.problem if not name.startswith("m") else EXAMPLE.problem, name, max_iterations=limit)
+    assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
+
+
+def test_best_iterate_is_returned() -> None:
+    """Where the iteration gets worse again, the best point comes back, not the last."""
+    points = ((0.0, 0.0), (2.4, 0.0), (2.0, 3.0))
+    result = solve(TWO, Scripted(points=points), max_iterations=5)
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+
+
+def test_nan_in_the_middle_is_diverged_with_the_best_so_far() -> None:
+    """A NaN ends the run as DIVERGED; the best finite iterate is kept."""
+    result = solve(TWO, Scripted(points=((0.0, 0.0), (2.0, 0.0), (np.nan, 0.0))))
+    assert result.status is Status.DIVERGED
+    np.testing.assert_array_equal(result.z, (2.0, 0.0))
+
+
+def test_explosion_is_diverged() -> None:
+    """A residual 1e8 times that of the start ends the run."""
+    result = solve(TWO, Scripted(points=((0.0, 0.0), (1e12, 1e12))))
+    assert (result.status, result.iterations) == (Status.DIVERGED, 1)
+
+
+def test_standstill_is_stalled_after_two_hundred_steps() -> None:
+    """A residual that does not fall ends the run as STALLED after 200 steps, not after max_iterations."""
+    result = solve(TWO, Scripted(points=((2.0, 0.5),)))
+    assert result.status is Status.STALLED
+    assert result.iterations == 200
+
+
+def test_rounding_level_is_a_precision_limit() -> None:
+    """A tolerance below rounding ends as PRECISION_LIMIT, soon, at an answer good to all digits."""
+    for name in ("npgs", "pgs", "mgs"):
+        result = solve(EXAMPLE.problem, name, tolerance=0.0)
+        assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
+        assert result.iterations < 200
+        np.testing.assert_allclose(result.z, EXAMPLE.exact, rtol=1e-14)
+
+
+def test_zero_start_that_solves_is_returned_at_once() -> None:
+    """Where z° solves the problem, it is the answer after 0 iterations."""
+    for q in ([0.0, 0.0], [1.0, 2.0]):
+        result = solve(LCP([[2.0, 1.0], [1.0, 2.0]], q))
+        assert (result.status, result.iterations) == (Status.SOLVED, 0)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_empty_problem_is_solved(name: str) -> None:
+    """n = 0 is SOLVED by every algorithm with an empty z."""
+    result = solve(LCP(np.zeros((0, 0)), []), name)
+    assert result.status is Status.SOLVED
+    assert result.z.shape == result.w.shape == (0,)
+
+
+def test_warm_start_is_used_and_left_alone() -> None:
+    """A start at the answer needs no iteration; the caller's z0 is not modified; a start outside is projected."""
+    answer = np.array(EXAMPLE.exact)
+    assert solve(EXAMPLE.problem, "npsor", z0=answer).iterations == 0
+    start = np.full(EXAMPLE.n, -5.0)
+    solve(EXAMPLE.problem, "pgs", z0=start)
+    assert (start == -5.0).all()
+    seen: list[np.ndarray] = []
+    solve(EXAMPLE.problem, "pgs", z0=start, callback=lambda sample, z: seen.append(z.copy()))
+    assert (seen[0] == 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_nothing_given_is_modified(name: str) -> None:
+    """M, q and the bounds are bit for bit what they were."""
+    problem = EXAMPLE.problem
+    before = [problem.csr.data.copy(), problem.csr.indices.copy(), problem.q.copy(), problem.lower.copy()]
+    solve(problem, name)
+    for old, new in zip(before, (problem.csr.data, problem.csr.indices, problem.q, problem.lower), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
+class FakeClock:
+    """A clock that moves only when told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        monkeypatch.setattr("lcp_plugin.driver.time.perf_counter", lambda: self.now)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ticking(Algorithm):
+    """Halves the distance to (2.5, 0); the set-up takes 3 s and a step 1 s of a fake clock."""
+
+    name: ClassVar[str] = "ticking"
+    clock: FakeClock
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        self.clock.now += 3.0
+        z = z0
+        while True:
+            yield Step(z)
+            self.clock.now += 1.0
+            z = 0.5 * (z + (2.5, 0.0))
+
+
+def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """max_seconds covers set-up and steps and ends with the step in which it passes."""
+    clock = FakeClock(monkeypatch)
+    result = solve(TWO, Ticking(clock=clock), max_seconds=7.5)
+    assert (result.status, result.iterations) == (Status.MAX_SECONDS, 5)
+    assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
+
+
+def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a callback takes is not the algorithm's time, but it counts against max_seconds."""
+    clock = FakeClock(monkeypatch)
+    samples: list[Sample] = []
+
+    def slow_callback(sample: Sample, z: np.ndarray) -> None:
+        samples.append(sample)
+        clock.now += 50.0
+
+    result = solve(TWO, Ticking(clock=clock), callback=slow_callback, max_iterations=4)
+    assert [sample.seconds for sample in samples] == [3.0, 4.0, 5.0, 6.0, 7.0]
+    assert result.seconds == 7.0
+    assert solve(TWO, Ticking(clock=clock), callback=slow_callback, max_seconds=60.0).iterations == 2
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "auto"])
+def test_recording_changes_nothing(name: str) -> None:
+    """With and without record, with and without callback: the same z, iterations and work, bit for bit."""
+    problem = EXAMPLE.problem if name == "mgs" else OBSTACLE.problem
+    plain = solve(problem, name, max_iterations=300)
+    watched = solve(problem, name, max_iterations=300, record=True, callback=lambda sample, z: False)
+    np.testing.assert_array_equal(plain.z, watched.z)
+    assert (plain.iterations, plain.work, plain.history) == (watched.iterations, watched.work, ())
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "auto"])
+def test_history_is_geometric_and_complete(name: str) -> None:
+    """History begins at sample 0, ends with the last iterate, has a residual everywhere, and grows like a logarithm."""
+    result = solve(OBSTACLE.problem, name, record=True, tolerance=1e-10)
+    samples = result.history
+    assert [samples[0].iteration, samples[-1].iteration] == [0, result.iterations]
+    iterations = [sample.iteration for sample in samples]
+    assert iterations == sorted(set(iterations))
+    assert all(later <= earlier + max(1, 0.05 * earlier + 1) for earlier, later in zip(iterations, iterations[1:], strict=False))
+    assert len(samples) < result.iterations
+    assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
+    assert samples[0].seconds == result.setup_seconds
+    assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in zip(samples, samples[1:], strict=False))
+
+
+def test_recorded_residuals_are_those_of_the_certificate() -> None:
+    """The residual of a sample is the relative residual of that z."""
+    from lcp_plugin import Certificate
+
+    for name in ("npsor", "psor"):
+        seen: list[tuple[float | None, float]] = []
+        solve(
+            OBSTACLE.problem, name, max_iterations=30,
+            callback=lambda s, z: seen.append((s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)),  # noqa: B023
+        )
+        known = [(a, b) for a, b in seen if a is not None]
+        assert len(known) >= 3
+        np.testing.assert_allclose([a for a, _ in known], [b for _, b in known], rtol=1e-12)
+
+
+def test_callback_stops_the_run_and_cannot_write() -> None:
+    """A truthy return value ends with INTERRUPTED at that iterate; the view is read-only; its exceptions propagate."""
+    result = solve(OBSTACLE.problem, "npgs", callback=lambda sample, z: sample.iteration == 5)
+    assert (result.status, result.iterations) == (Status.INTERRUPTED, 5)
+
+    def writes(sample: Sample, z: np.ndarray) -> None:
+        z[0] = 1.0
+
+    with pytest.raises(ValueError, match="read-only"):
+        solve(OBSTACLE.problem, "npgs", callback=writes)
+
+
+def test_ctrl_c_returns_the_best_iterate() -> None:
+    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step, the start."""
+    points = ((0.0, 0.0), (2.4, 0.0), (1.0, 1.0))
+    result = solve(TWO, Scripted(points=points, interrupt_at=2))
+    assert result.status is Status.INTERRUPTED
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+    assert solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0]).z.tolist() == [1.0, 7.0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BadFinish(Scripted):
+    """Ends with a clean-up that spoils the answer."""
+
+    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
+        return z + 1.0
+
+
+def test_a_spoiling_clean_up_is_discarded() -> None:
+    """finish() is kept only where the certificate is no worse."""
+    result = solve(TWO, BadFinish(points=((2.5, 0.0),)))
+    assert result.status is Status.SOLVED
+    np.testing.assert_array_equal(result.z, (2.5, 0.0))
+
+
+def test_clean_up_puts_active_components_on_their_bound() -> None:
+    """After an NP run the active components are exactly zero, although the iteration never reaches zero itself."""
+    scene = gallery.build("half_active", n=400, degenerate=False)
+    result = solve(scene.problem, "npgs")
+    assert result.status is Status.SOLVED
+    np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
+    raw = solve(scene.problem, "npgs", tolerance=1e-6, measure="euclidean")
+    assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
+
+
+def test_many_threads_give_the_serial_answer() -> None:
+    """Eight solves of the same problem at once give the serial z bit for bit."""
+    serial = solve(OBSTACLE.problem, "psor").z
+    problem = gallery.build("obstacle_2d", size=20).problem
+    answers: list[np.ndarray] = []
+    threads = [threading.Thread(target=lambda: answers.append(solve(problem, "psor").z)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(answers) == 8
+    for z in answers:
+        np.testing.assert_array_equal(z, serial)
+
+
+def test_auto_hands_over_where_npsor_is_slow() -> None:
+    """auto stays with npsor where that arrives soon, goes on with psor otherwise, and tells the shares."""
+    slow = solve(OBSTACLE.problem)
+    assert slow.algorithm == "auto: npsor, psor"
+    assert "share of the work: npsor" in slow.explain()
+    quick = solve(LCP(np.diag([1.0, 2.0, 3.0]), [-1.0, 1.0, -2.0]))
+    assert quick.algorithm == "auto: npsor"
+    assert slow.is_solved
+    assert quick.is_solved
+
+
+def test_auto_needs_no_positive_diagonal_to_try() -> None:
+    """With a zero on the diagonal auto runs npsor alone and tells the truth about the outcome."""
+    result = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), max_iterations=2000)
+    assert result.algorithm == "auto: npsor"
+    assert result.is_solved == (result.certificate.relative_residual <= 1e-8)
+
+
+def test_auto_returns_to_npsor_where_psor_fails() -> None:
+    """Where Gauss–Seidel diverges, auto comes back to npsor with the best iterate."""
+    M = np.array([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]])
+    result = solve(LCP(M, -M @ [1.0, 1.0, 1.0]))
+    assert result.algorithm == "auto: npsor, psor, npsor"
+    assert not result.is_solved
+
+
+def test_same_call_same_answer() -> None:
+    """auto is deterministic bit for bit, history included except for the seconds."""
+    first, second = (solve(OBSTACLE.problem, record=True) for _ in range(2))
+    np.testing.assert_array_equal(first.z, second.z)
+    assert [(s.iteration, s.work, s.residual) for s in first.history] == [
+        (s.iteration, s.work, s.residual) for s in second.history
+    ]
+
+
+def test_options_reach_the_algorithm() -> None:
+    """Options given to solve are those of the dataclass; a name and an object mean the same."""
+    by_name = solve(OBSTACLE.problem, "psor", relaxation=1.6, sweep="symmetric")
+    by_object = solve(OBSTACLE.problem, create("psor", {"relaxation": 1.6, "sweep": "symmetric"}))
+    np.testing.assert_array_equal(by_name.z, by_object.z)
+    assert by_name.iterations != solve(OBSTACLE.problem, "psor", relaxation=1.2).iterations
+
+
+def test_require_solved_raises_with_the_advice() -> None:
+    """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
+    good = solve(TWO, "pgs")
+    assert good.require_solved() is good
+    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: relative residual .* max_iterations"):
+        solve(OBSTACLE.problem, "npsor", max_iterations=2).require_solved()
+
+
+def test_result_tells_its_story() -> None:
+    """explain(), str() and JSON carry status, residual, counts; JSON has null for what is not finite."""
+    result: Result = solve(OBSTACLE.problem, "psor")
+    assert str(result) == result.explain()
+    assert "SOLVED" in result.explain()
+    content = json.loads(result.to_json())
+    assert content["status"] == "SOLVED"
+    assert content["iterations"] == result.iterations
+    diverged = solve(LCP([[1e-300]], [1.0], lower=-np.inf), "npgs", max_iterations=3)
+    assert json.loads(diverged.to_json())["n"] == 1
+
+
+def test_every_status_is_an_advice() -> None:
+    """The value of each status is a sentence that no other status has."""
+    advice = [status.value for status in Status]
+    assert len(set(advice)) == len(advice)
+    assert all(len(text.split()) > 5 for text in advice)

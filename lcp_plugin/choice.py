@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from .algorithms import Algorithm, create
+from .algorithms.base import has_positive_diagonal
 from .algorithms.projected_relaxation import PSOR
 from .algorithms.projected_type import NPSOR
 from .errors import InvalidOption, UnknownAlgorithm
@@ -114,7 +115,7 @@ class Auto:
         now = stages[-1]
         is_asked = now.iterations >= TRIAL_SWEEPS and (now.iterations - TRIAL_SWEEPS) % NEAR_ENOUGH == 0
         if len(stages) == 1 and (failed or is_asked):
-            usable = problem.n > 0 and float(problem.diagonal.min()) > 0.0
+            usable = bool(has_positive_diagonal(problem).all())
             return PSOR() if usable and (failed or _sweeps_to_go(now, target) > NEAR_ENOUGH) else None
         if len(stages) == 2:
             grown = now.iterations == COMPARISON_SWEEPS and not now.residuals[-1][1] < stages[0].residuals[-1][1]
@@ -129,7 +130,7 @@ def _sweeps_to_go(stage: Stage, target: float) -> float:
     return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
 
 
-def policy_for(algorithm: str | Algorithm, options: dict[str, Any]) -> Policy:
+def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:
     """Return the policy that the caller's `algorithm` and options mean.
 
     Raises
@@ -148,6 +149,9 @@ def policy_for(algorithm: str | Algorithm, options: dict[str, Any]) -> Policy:
         if options:
             raise InvalidOption(f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well')
         return Auto()
+    if isinstance(algorithm, type):
+        name = algorithm.__name__
+        raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
     if not isinstance(algorithm, str):
         raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
     return Single(create(algorithm, options))

@@ -97,11 +97,11 @@ def solve(
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Solve a file or a scene; print status, residuals and counts."""
-    _check_outputs(plot, out)
+    _check_outputs(target, plot, out)
     problem, scene = _read_target(target)
     settings = dict(
-        algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
-        max_seconds=max_seconds, record=plot is not None, **_options(relaxation, option or []),
+        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance, measure=measure,
+        max_iterations=max_iterations, max_seconds=max_seconds, record=plot is not None,
     )
     with _Progress() as progress:
         results = _solve_all(problem, scene, settings, progress)
@@ -195,7 +195,7 @@ def bench(
         typer.echo(line)
 
 
-def _check_outputs(plot: Path | None, out: Path | None) -> None:
+def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
     """Refuse before the run what could not be written after it."""
     if plot is not None:
         from .evidence.pictures import check_format, require_matplotlib
@@ -207,6 +207,10 @@ def _check_outputs(plot: Path | None, out: Path | None) -> None:
     for path in filter(None, (plot, out)):
         if not path.absolute().parent.is_dir():
             raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
+        if path.is_dir():
+            raise UnreadableFile(f"cannot write {path}: it is a folder")
+        if path.exists() and Path(target).exists() and path.samefile(target):
+            raise UnreadableFile(f"cannot write {path}: it is the problem itself; choose another name")
 
 
 def _read_target(target: str) -> tuple[LCP, Any]:
@@ -233,11 +237,23 @@ def _options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
         key, equals, text = pair.partition("=")
         if not equals or not key:
             raise InvalidOption(f"--option wants name=value, got {pair!r}")
+        if key in options:
+            raise InvalidOption(f"the option {key} is given twice; once is enough")
         try:
             options[key] = float(text)
         except ValueError:
             options[key] = words.get(text.lower(), text)
     return options
+
+
+def _chosen(algorithm: str, options: dict[str, Any]) -> Any:
+    """Return the algorithm with its options, or "auto"."""
+    from .algorithms import create
+    from .choice import policy_for
+
+    if algorithm == "auto":
+        return policy_for(algorithm, options).name
+    return create(algorithm, options)
 
 
 def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: _Progress) -> list[Result]:
@@ -260,7 +276,7 @@ def _save_answer(result: Result, path: Path) -> None:
     from .problem_files import write_whole
 
     status = np.array(result.status.name)
-    write_whole(path, lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status))
+    write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
 
 
 def _story(results: list[Result], scene: Any) -> str:

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .algorithms import Algorithm, Step
+from .algorithms.base import is_number
 from .certificates.residuals import MEASURES, Certificate, ratio, reference_residual, scaled_residual
 from .choice import Policy, Stage, policy_for
-from .errors import InvalidOption, did_you_mean
+from .errors import InvalidOption, InvalidProblem, did_you_mean
 from .pacing import CheckSchedule, Progress
-from .problem import LCP, FloatVector
+from .problem import LCP, FloatVector, real_vector
 from .result import Result, Sample, Status
 
 Callback = Callable[[Sample, FloatVector], Any]
@@ -25,6 +26,7 @@ Callback = Callable[[Sample, FloatVector], Any]
 DEFAULT_MAX_ITERATIONS = 100_000
 DIVERGED_BEYOND = 1e8
 SAMPLE_GROWTH = 1.05
+SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
 
 def solve(
@@ -106,6 +108,8 @@ class _Run:
         max_seconds: float | None, record: bool, callback: Callback | None,
     ) -> None:
         self.problem, self.policy, self.callback = problem, policy, callback
+        if callback is not None and not callable(callback):
+            raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
         self.tolerance = _checked_number(tolerance, "tolerance", zero=True)
         if measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
@@ -121,9 +125,12 @@ class _Run:
         self.best_z: FloatVector | None = None
         self.best = math.inf
         self.start_residual = math.inf
-        self.checks = CheckSchedule()
+        # Near the answer an increment is about as large as the scaled residual.
+        per_increment = ratio(1.0, self.reference) if measure == "relative" else 1.0
+        self.checks = CheckSchedule(per_increment, self.tolerance)
         self.progress = Progress(problem.n, self.max_iterations)
         self._last_certificate: Certificate | None = None
+        self._unmeasured: FloatVector | None = None
         self._next_sample = 0
         self._began = self._now = time.perf_counter()
         self._stopped = self._compiling = 0.0
@@ -133,6 +140,8 @@ class _Run:
     def drive(self, start: FloatVector) -> Status:
         """Run the chain of algorithms; return why it ended."""
         algorithm: Algorithm | None = self.policy.first(self.problem)
+        if self.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
+            start = self.problem.nearest_to_zero
         while algorithm is not None:
             with _Paused(self) as pause:
                 _rehearse(algorithm, self.problem)
@@ -150,6 +159,7 @@ class _Run:
         for step in steps:
             self._now = time.perf_counter()
             self.seconds = self._now - self._began - self._stopped
+            self._unmeasured = step.z
             self.work += step.work
             stage.work += step.work
             # A later stage begins with the iterate that the one before ended with.
@@ -172,12 +182,12 @@ class _Run:
         """Take note of one step; return the reason to end, if there is one."""
         if self.iteration == 0:
             self.setup_seconds = self.seconds
-        wanted = is_first_step or self.checks.is_due(self.iteration, step.increment, self._target)
+        wanted = is_first_step or self.checks.is_due(self.iteration, step.increment)
         residual = self._residual(step, wanted or self.policy.wants_residual(self.stages))
         if residual is not None:
             if step.residual is None and step.increment is not None:
                 self.checks.learn(self.iteration, step.increment, residual)
-            self._keep_if_better(step, residual)
+            self._keep_if_better(step.z, residual)
             self.stages[-1].note(residual)
             if self.iteration == 0:
                 self.start_residual = residual
@@ -210,7 +220,7 @@ class _Run:
         if self.measure == "relative":
             if step.residual is not None:
                 return ratio(step.residual, self.reference)
-        elif step.euclidean is not None and math.isfinite(step.euclidean):
+        elif step.euclidean is not None and SAFE_TO_SQUARE[0] < step.euclidean < SAFE_TO_SQUARE[1]:
             return step.euclidean
         if not wanted:
             return None
@@ -239,17 +249,18 @@ class _Run:
         """The size of a residual that is nothing to worry about: that of z°."""
         return 1.0 if self.measure == "relative" else self._measure(self.problem.nearest_to_zero)
 
-    @property
-    def _target(self) -> float:
-        """The tolerance in the unit of an increment."""
-        return self.tolerance * self.reference if self.measure == "relative" else self.tolerance
-
-    def _keep_if_better(self, step: Step, residual: float | None) -> None:
+    def _keep_if_better(self, z: FloatVector | None, residual: float | None = None) -> None:
+        """Keep a copy of the best iterate; measure z where its residual is not given."""
+        if z is None:
+            return
+        self._unmeasured = None
+        if residual is None:
+            residual = self._measure(z)
         if self.best_z is None:
-            self.best_z = step.z.copy()
-            self.best = math.inf if residual is None or math.isnan(residual) else residual
-        elif residual is not None and residual < self.best:
-            np.copyto(self.best_z, step.z)
+            self.best_z = z.copy()
+            self.best = math.inf if math.isnan(residual) else residual
+        elif residual < self.best:
+            np.copyto(self.best_z, z)
             self.best = residual
 
     # --- telling ----------------------------------------------------------------------------------------
@@ -275,6 +286,7 @@ class _Run:
     def judged(self, start: FloatVector, reason: Status) -> Result:
         """Return the result: finish, certify, and let the certificate name the status."""
         problem = self.problem
+        self._keep_if_better(self._unmeasured)
         z = start if self.best_z is None else self.best_z
         certificate = self._last_certificate
         if certificate is None or not np.array_equal(certificate.z, z):
@@ -342,18 +354,17 @@ def _checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
     if z0 is None:
         return problem.nearest_to_zero
     try:
-        start = np.array(z0, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.n} ({error})") from error
-    if start.shape != (problem.n,) or not np.isfinite(start).all():
-        what = f"shape {start.shape}" if start.shape != (problem.n,) else "NaN or infinite entries"
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got {what}")
+        start = real_vector(z0, "z0", problem.n)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+    if not np.isfinite(start).all():
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got NaN or infinite entries")
     return np.clip(start, problem.lower, problem.upper)
 
 
 def _checked_number(value: Any, name: str, *, zero: bool) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise InvalidOption(f"{name} must be a number, got {value!r}")
+    if not is_number(value):
+        raise InvalidOption(f"{name} must be a finite number, got {value!r}")
     if not (value > 0 or (zero and value == 0)) or not math.isfinite(value):
         raise InvalidOption(f"{name} must be finite and {'not negative' if zero else 'positive'}, got {value!r}")
     return float(value)

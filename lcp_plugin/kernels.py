@@ -64,7 +64,8 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
                     where r_i = z_i − mid(l_i, u_i, z_i − step_i w_i)
         otherwise:  new_i = mid(l_i, u_i, z_i − step_i (w_i + coupling c_i) inverse_pivot_i)
 
-    Returns max_i |z_i − mid(l_i, u_i, z_i − w_i inverse_scale_i)| and Σ_i r_i².
+    r_i is computed as mid(z_i − u_i, z_i − l_i, step_i w_i), the same number without cancelling a small w
+    against a large z. Returns max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)| and Σ_i r_i².
     """
     n = uintp(rows.shape[0])
     one = uintp(1)
@@ -109,11 +110,12 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         zi = z[i]
         low = rows[i, 1]
         high = rows[i, 2]
-        r = abs(zi - _clamp(zi - w * rows[i, 3], low, high))
-        if r > largest or r != r:
-            largest = r
-        r = zi - _clamp(zi - w * s, low, high)
-        squares += r * r
+        above, below = zi - low, zi - high
+        r = abs(_clamp(w * rows[i, 3], below, above))
+        if r > largest or r != r or zi != zi:
+            largest = r + zi if zi != zi else r
+        r = _clamp(w * s, below, above)
+        squares += r * r if zi == zi else zi
         drive = 2.0 * r if projected else w * s
         value = _clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
         new[i] = value

@@ -13,20 +13,22 @@ PROGRESS = 0.99
 class CheckSchedule:
     """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
 
-    def __init__(self) -> None:
+    def __init__(self, residual_per_increment: float, tolerance: float) -> None:
         self.next_check = FIRST_CHECK
-        self.residual_per_increment = 1.0
+        self.residual_per_increment = residual_per_increment
+        self.tolerance = tolerance
 
-    def is_due(self, iteration: int, increment: float | None, target: float) -> bool:
+    def is_due(self, iteration: int, increment: float | None) -> bool:
         """Return whether this step's residual is worth measuring."""
         if iteration >= self.next_check or increment is None:
             return True
-        return increment * self.residual_per_increment <= target
+        return increment * self.residual_per_increment <= self.tolerance
 
     def learn(self, iteration: int, increment: float, residual: float) -> None:
         """Take note of a measured residual: the next is due half as far again."""
         self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * CHECK_GROWTH))
-        self.residual_per_increment = residual / increment if increment > 0.0 else 1.0
+        if increment > 0.0:
+            self.residual_per_increment = residual / increment
 
 
 class Progress:

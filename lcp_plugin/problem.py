@@ -66,7 +66,7 @@ class LCP:
         self._shared = _Shared()
 
     def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
-        self.q: FloatVector = _checked_vector(q, "q", self.n)
+        self.q: FloatVector = _finite_vector(q, "q", self.n)
         self.lower: FloatVector = _checked_bound(lower, "lower", self.n)
         self.upper: FloatVector = _checked_bound(upper, "upper", self.n)
         _check_order(self.lower, self.upper)
@@ -113,7 +113,9 @@ class LCP:
 
     def slack(self, z: ArrayLike) -> FloatVector:
         """Return w = M z + q, shape (n,)."""
-        w: FloatVector = self.M @ np.asarray(z, dtype=np.float64)
+        if not isinstance(z, np.ndarray) or z.dtype != np.float64 or z.shape != (self.n,):
+            z = real_vector(z, "z", self.n)
+        w: FloatVector = self.M @ z
         w += self.q
         return w
 
@@ -159,8 +161,9 @@ class LCP:
         return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {_describe_bounds(self.lower, self.upper)})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the cache behind: it holds a lock, and it can be filled again."""
-        return {k: v for k, v in self.__dict__.items() if k != "_shared"}
+        """Leave behind what can be computed again, and the cache, which holds a lock."""
+        state = {k: v for k, v in self.__dict__.items() if k not in ("_shared", "nearest_to_zero")}
+        return state | ({} if self._dense is None else {"_csr": None})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -213,10 +216,15 @@ def _frozen(matrix: sp.csr_array) -> sp.csr_array:
 def _checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
     """Return (CSR, None), or (None, ndarray) where the matrix is small and dense."""
     if sp.issparse(M):
-        _check_kind(M.dtype, "M")
+        _check_kind(M.dtype, "M must hold real numbers")
         _check_square(M.shape)
-        return _canonical(M), None
-    dense = _real_array(M, "M")
+        try:
+            return _canonical(M), None
+        except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
+            if isinstance(error, InvalidProblem):
+                raise
+            raise InvalidProblem(f"M is a damaged sparse array: {error}; build it again") from error
+    dense = _real_array(M, "M must hold real numbers")
     _check_square(dense.shape)
     if not np.isfinite(dense).all():
         row, column = np.argwhere(~np.isfinite(dense))[0]
@@ -233,13 +241,14 @@ def _canonical(M: Any) -> sp.csr_array:
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
         matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
     else:
+        _check_before_conversion(M)
         matrix = sp.csr_array(M)
-    try:
-        matrix.check_format(full_check=True)
-    except ValueError as error:
-        raise InvalidProblem(f"M is a damaged sparse array: {error}; build it again") from error
+    matrix.check_format(full_check=True)
+    if (np.diff(matrix.indptr) < 0).any():
+        raise ValueError("index pointer values must form a non-decreasing sequence")
     if matrix.dtype != np.float64:
-        matrix = matrix.astype(np.float64)
+        with np.errstate(over="ignore"):
+            matrix = matrix.astype(np.float64)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
         matrix.sum_duplicates()
@@ -255,18 +264,33 @@ def _canonical(M: Any) -> sp.csr_array:
     return _frozen(matrix)
 
 
+def _check_before_conversion(M: Any) -> None:
+    """Raise where scipy's conversion to CSR would read or write outside its arrays."""
+    if M.format in ("csc", "bsr"):
+        M.check_format(full_check=True)
+        if (np.diff(M.indptr) < 0).any():
+            raise ValueError("index pointer values must form a non-decreasing sequence")
+    elif M.format == "coo":
+        if not M.row.size == M.col.size == M.data.size:
+            raise ValueError("row, column and data arrays must have the same length")
+        for index in (M.row, M.col):
+            if index.size and not 0 <= index.min() <= index.max() < M.shape[0]:
+                raise ValueError(f"indices must lie in 0 … {M.shape[0] - 1}")
+    elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
+        raise ValueError("each row must have as many values as columns")
+
+
 def _all_finite(values: FloatVector) -> bool:
     """Return whether all are finite; one pass and no temporary in the usual case."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(values.sum())) or bool(np.isfinite(values).all())
 
 
-def _check_kind(dtype: np.dtype[Any], name: str) -> None:
+def _check_kind(dtype: np.dtype[Any], need: str) -> None:
     if dtype.kind not in "fiub":
         what = {"c": "complex", "O": "object", "U": "text", "S": "bytes", "M": "dates", "m": "durations"}
         raise InvalidProblem(
-            f"{name} must hold real numbers, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); "
-            f"convert them first"
+            f"{need}, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); convert them first"
         )
 
 
@@ -275,36 +299,51 @@ def _check_square(shape: tuple[int, ...]) -> None:
         raise InvalidProblem(f"M must be a square matrix (n×n), got shape {shape}")
 
 
-def _real_array(values: Any, name: str) -> NDArray[np.float64]:
-    """Return the values as float64; refuse what is not an array of real numbers."""
+def _real_array(values: Any, need: str) -> NDArray[np.float64]:
+    """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
     if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(f"{name} is a masked array; fill it first, for instance {name}.filled(0.0)")
+        raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
+    if sp.issparse(values):
+        raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise InvalidProblem(f"{name} is no rectangular array of numbers ({error}); check its rows") from error
-    _check_kind(array.dtype, name)
-    return array.astype(np.float64, copy=False)
+        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check its rows") from error
+    _check_kind(array.dtype, need)
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+        return array.astype(np.float64, copy=False)
 
 
-def _checked_vector(values: Any, name: str, n: int) -> FloatVector:
-    if sp.issparse(values):
-        raise InvalidProblem(f"{name} must be a vector of length {n}, got a sparse array; use {name}.toarray().ravel()")
-    array = _real_array(values, name)
+def real_vector(values: Any, name: str, n: int) -> FloatVector:
+    """Return a read-only copy of a real vector of length n; NaN and infinities pass.
+
+    Raises
+    ------
+    InvalidProblem
+        Where it is no array of real numbers, or has another shape.
+    """
+    need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
+    array = _real_array(values, need)
     if array.shape != (n,):
-        raise InvalidProblem(f"{name} must be a finite vector of length {n} (M is {n}×{n}), got shape {array.shape}")
-    if not _all_finite(array):
-        where = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
     return _read_only(array.copy())
 
 
+def _finite_vector(values: Any, name: str, n: int) -> FloatVector:
+    array = real_vector(values, name, n)
+    if not _all_finite(array):
+        where = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
+    return array
+
+
 def _checked_bound(values: Any, name: str, n: int) -> FloatVector:
-    array = _real_array(values, name)
+    need = f"{name} must be a number or a vector of length {n}"
+    array = _real_array(values, need)
     if array.shape == ():
         array = np.full(n, float(array))
     if array.shape != (n,):
-        raise InvalidProblem(f"{name} must be a number or a vector of length {n}, got shape {array.shape}")
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
     if np.isnan(array).any():
         where = int(np.flatnonzero(np.isnan(array))[0])
         raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
@@ -326,10 +365,12 @@ def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     if entries.size == 0:
         return np.ones(M.shape[0])
     largest = max(float(entries.max()), -float(entries.min()))
-    if diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest and diagonal.min() > 0.0:
+    if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
     row_largest = np.asarray(abs(M).max(axis=1).toarray() if sp.issparse(M) else abs(M).max(axis=1)).ravel()
-    scale = np.where(diagonal >= NEGLIGIBLE_DIAGONAL * row_largest, diagonal, row_largest)
+    # The product may underflow to 0, which no diagonal of 0 may pass.
+    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
+    scale = np.where(is_usable, diagonal, row_largest)
     return np.where(row_largest == 0.0, 1.0, scale)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .errors import InvalidProblem, UnreadableFile
+from .matrix_market import read_matrix_market
 from .problem import LCP, FloatVector
 
 INFINITE_BOUND = 1e20
@@ -27,13 +27,9 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     _refuse_huge_bounds(problem)
     if target.suffix == ".npz":
         M = problem.csr
-        write_whole(
-            target,
-            lambda temporary: np.savez_compressed(
-                temporary, data=M.data, indices=M.indices, indptr=M.indptr, shape=np.array(M.shape),
-                q=problem.q, lower=problem.lower, upper=problem.upper,
-            ),
-        )
+        arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
+        arrays |= {name: getattr(problem, name) for name in VECTORS}
+        write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
     else:
         _save_folder(problem, target)
 
@@ -44,7 +40,7 @@ def load(path: str | PathLike[str]) -> LCP:
     if source.suffix == ".npz":
         return _load_npz(source)
     prefix = _matrix_market_prefix(source)
-    M = _read_matrix_market(Path(prefix + "M.mtx"))
+    M = read_matrix_market(Path(prefix + "M.mtx"))
     if not Path(prefix + "q.mtx").exists():
         raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q beside it")
     q = _read_vector(Path(prefix + "q.mtx"))
@@ -55,31 +51,36 @@ def load(path: str | PathLike[str]) -> LCP:
     return _problem(prefix + "M.mtx", M, q, bounds)
 
 
-def write_whole(target: Path, write: Callable[[Any], object]) -> None:
-    """Let `write` fill a temporary file beside the target, then rename it: whole or not at all.
+def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
+    """Let each writer fill a temporary file beside its target, then rename them all: all whole, or nothing.
 
     Raises
     ------
     UnreadableFile
-        Where the folder does not exist or cannot be written to.
+        Where a folder does not exist or cannot be written to.
     """
+    finished: dict[Path, Path] = {}
     try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+        for target, write in contents.items():
+            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+            finished[target] = Path(name)
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+            finished[target].chmod(_usual_mode())
+        for target, temporary in finished.items():
+            temporary.replace(target)
     except OSError as error:
-        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose another folder") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)
-        Path(temporary).replace(target)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
-        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}") from error
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+    finally:
+        for temporary in finished.values():
+            temporary.unlink(missing_ok=True)
+
+
+def _usual_mode() -> int:
+    """Return the permissions a new file would have had without the detour."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask
 
 
 def _save_folder(problem: LCP, folder: Path) -> None:
@@ -91,12 +92,16 @@ def _save_folder(problem: LCP, folder: Path) -> None:
         raise UnreadableFile(f"cannot make the folder {folder}: {error.strerror or error}") from error
 
     def writer(content: Any) -> Callable[[Any], object]:
+        if 0 in content.shape:  # scipy divides by the number of columns
+            kind = "coordinate real general\n0 0 0" if sp.issparse(content) else "array real general\n0 1"
+            return lambda file: file.write(f"%%MatrixMarket matrix {kind}\n".encode())
         return lambda file: mmwrite(file, content, precision=17, symmetry="general")
 
-    write_whole(folder / "M.mtx", writer(sp.coo_array(problem.csr)))
-    for name in VECTORS:
-        values = np.clip(getattr(problem, name), -INFINITE_BOUND, INFINITE_BOUND) if name != "q" else problem.q
-        write_whole(folder / f"{name}.mtx", writer(values.reshape(-1, 1)))
+    contents = {folder / "M.mtx": writer(sp.coo_array(problem.csr)), folder / "q.mtx": writer(problem.q.reshape(-1, 1))}
+    for name in ("lower", "upper"):
+        bound = np.clip(getattr(problem, name), -INFINITE_BOUND, INFINITE_BOUND)
+        contents[folder / f"{name}.mtx"] = writer(bound.reshape(-1, 1))
+    write_whole(contents)
 
 
 def _refuse_huge_bounds(problem: LCP) -> None:
@@ -118,6 +123,9 @@ def _load_npz(source: Path) -> LCP:
     if missing:
         wanted = ", ".join((*MATRIX_KEYS, *VECTORS))
         raise UnreadableFile(f"{source} lacks the keys {missing}; an LCP file holds {wanted}")
+    for key in ("indices", "indptr", "shape"):
+        if content[key].dtype.kind not in "iu":
+            raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
     try:
         shape = tuple(int(k) for k in content["shape"])
         M = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
@@ -128,20 +136,22 @@ def _load_npz(source: Path) -> LCP:
 
 
 def _read_npz(source: Path) -> Mapping[str, Any]:
+    wanted = {*MATRIX_KEYS, *VECTORS, "P_data"}
     try:
-        with np.load(source, allow_pickle=False) as archive:
-            if not hasattr(archive, "files"):
-                raise UnreadableFile(f"{source} is a single array, not an archive; write it with LCP.save")
-            wanted = {*MATRIX_KEYS, *VECTORS, "P_data"}
-            return {key: archive[key] for key in archive.files if key in wanted}
+        with source.open("rb") as file:
+            if file.read(2) != b"PK":
+                raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return {key: archive[key] for key in archive.files if key in wanted}
     except FileNotFoundError as error:
         raise UnreadableFile(f"no such file: {source}") from error
     except UnreadableFile:
         raise
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, MemoryError) as error:
-        is_pickled = "allow_pickle" in str(error)
-        hint = "it holds pickled objects, which are never read" if is_pickled else "it is damaged or no .npz file"
-        raise UnreadableFile(f"cannot read {source}: {hint} ({error})") from error
+    except Exception as error:  # a damaged archive raises whatever its decoders raise
+        if "allow_pickle" in str(error):
+            raise UnreadableFile(f"cannot read {source}: it holds pickled objects, which are never read") from error
+        raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive ({error})") from error
 
 
 def _matrix_market_prefix(source: Path) -> str:
@@ -158,21 +168,10 @@ def _matrix_market_prefix(source: Path) -> str:
     return prefix
 
 
-def _read_matrix_market(source: Path) -> Any:
-    from scipy.io import mmread
-
-    try:
-        return mmread(source)
-    except (OSError, ValueError, TypeError, OverflowError, StopIteration, MemoryError) as error:
-        raise UnreadableFile(f"cannot read {source}: it is damaged or no Matrix Market file ({error})") from error
-
-
 def _read_vector(source: Path) -> FloatVector:
-    values = _read_matrix_market(source)
+    values = read_matrix_market(source)
     dense = np.asarray(values.toarray() if sp.issparse(values) else values)
-    if dense.ndim == 2 and 1 in dense.shape:
-        dense = dense.reshape(-1)
-    return dense
+    return dense.reshape(-1) if 1 in dense.shape else dense
 
 
 def _with_infinities(bound: Any) -> Any:
@@ -191,3 +190,5 @@ def _problem(source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:
         return LCP(M, q, **bounds)
     except InvalidProblem as error:
         raise UnreadableFile(f"{source} states no linear complementarity problem: {error}") from error
+    except MemoryError as error:
+        raise UnreadableFile(f"{source} states a problem too large for the memory ({error})") from error

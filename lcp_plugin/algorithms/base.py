@@ -89,7 +89,7 @@ class Algorithm(ABC):
 def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf) -> None:
     """Raise unless the option is a number in (0, below)."""
     value = getattr(algorithm, option)
-    if not _is_number(value) or not 0.0 < value < below:
+    if not is_number(value) or not 0.0 < value < below:
         limit = "" if below == math.inf else f" and below {below:g}"
         raise InvalidOption(f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}")
 
@@ -97,7 +97,7 @@ def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf
 def check_number(algorithm: Algorithm, option: str) -> None:
     """Raise unless the option is a finite number."""
     value = getattr(algorithm, option)
-    if not _is_number(value) or not math.isfinite(value):
+    if not is_number(value) or not math.isfinite(value):
         raise InvalidOption(f"{algorithm.name}: {option} must be a finite number, got {value!r}")
 
 
@@ -110,15 +110,27 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
         )
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+def is_number(value: Any) -> bool:
+    """Return whether the value is a real number that fits a double."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
+def has_positive_diagonal(problem: LCP) -> NDArray[np.bool_]:
+    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
+    with np.errstate(over="ignore", divide="ignore"):
+        usable: NDArray[np.bool_] = (problem.diagonal > 0.0) & np.isfinite(1.0 / problem.diagonal)
+    return usable
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
-    diagonal = problem.diagonal
-    with np.errstate(over="ignore", divide="ignore"):
-        usable = (diagonal > 0.0) & np.isfinite(1.0 / diagonal)
+    diagonal, usable = problem.diagonal, has_positive_diagonal(problem)
     if not usable.all():
         i = int(np.flatnonzero(~usable)[0])
         raise UnsuitableMatrix(

@@ -16,8 +16,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InvalidOption, UnsuitableProblem
-from ..problem import LCP, FloatVector
+from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ..problem import LCP, FloatVector, real_vector
 from .base import (
     SWEEPS,
     Algorithm,
@@ -27,6 +27,7 @@ from .base import (
     check_positive,
     directions,
     inverse_residual_scale,
+    is_number,
     require_positive_diagonal,
     row_splits,
 )
@@ -64,7 +65,7 @@ class ModulusBased(Algorithm):
 
     def __post_init__(self) -> None:
         check_choice(self, "sweep", SWEEPS)
-        if np.ndim(self.omega) == 0:
+        if self._has_one_omega:
             check_positive(self, "omega")
 
     def splitting(self) -> tuple[float, float]:
@@ -105,18 +106,22 @@ class ModulusBased(Algorithm):
             work = float(len(passes))
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
-        if np.ndim(self.omega) == 0:
+        if self._has_one_omega:
             return float(self.omega) * diagonal  # type: ignore[arg-type]
         try:
-            omega = np.array(self.omega, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InvalidOption(f"{self.name}: omega must be a number or a real vector ({error})") from error
-        if omega.shape != (problem.n,) or not np.isfinite(omega).all() or not (omega > 0.0).all():
-            raise InvalidOption(
-                f"{self.name}: omega must be a positive number or a positive finite vector of length {problem.n}, "
-                f"got shape {omega.shape}, smallest entry {np.min(omega, initial=np.inf)}"
-            )
+            omega = real_vector(self.omega, "omega", problem.n)
+        except InvalidProblem as error:
+            raise InvalidOption(f"{self.name}: {error}, or a positive multiple of the diagonal") from error
+        wrong = ~(np.isfinite(omega) & (omega > 0.0))
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise InvalidOption(f"{self.name}: omega must be positive and finite, but omega[{i}] = {omega[i]}")
         return omega
+
+    @property
+    def _has_one_omega(self) -> bool:
+        """Whether omega is a multiple of the diagonal (or nothing that could be a vector)."""
+        return is_number(self.omega) or isinstance(self.omega, (str, bool)) or self.omega is None
 
 
 def _require_lower_bounds_only(problem: LCP, name: str) -> None:

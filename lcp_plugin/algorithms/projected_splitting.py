@@ -21,7 +21,7 @@ NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NPSplitting(Algorithm):
-    """NP with any splitting M = 𝓜 − 𝓝: (𝓜 + 2S⁻¹ + D)(z⁺ − z) = −2 S⁻¹ r_S(z), 𝓜 factorised once.
+    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class NPSplitting(Algorithm):
     Raises
     ------
     UnsuitableMatrix
-        Where 𝓜 + 2S⁻¹ + D is singular.
+        Where S(𝓜 + D) + 2I is singular.
     """
 
     name: ClassVar[str] = "npsplitting"
@@ -62,16 +62,20 @@ class NPSplitting(Algorithm):
         """Yield z₀, z₁, …, each with its residual."""
         step = row_scaling(problem, self.scaling, self.scaling_factor)
         splitting = self._matrix(problem)
-        factor = self._factorised(problem, splitting + sp.diags_array(2.0 / step + problem.diagonal))
+        scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
+        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         z = z0
         while True:
-            w = problem.slack(z)
-            residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
-            natural = z - np.clip(z - step * w, problem.lower, problem.upper)
-            yield Step(z, residual, euclidean_norm(natural) if self.scaling is None else None, None, work)
-            z = np.clip(z - factor.solve(2.0 * natural / step), problem.lower, problem.upper)
+            with np.errstate(all="ignore"):  # what overflows is seen in the residual
+                w = problem.slack(z)
+                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
+                euclidean = euclidean_norm(natural) if self.scaling is None else None
+            yield Step(z, residual, euclidean, None, work)
+            with np.errstate(all="ignore"):
+                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
             work = (factor.nnz + problem.nonzeros) / entries
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
@@ -80,14 +84,15 @@ class NPSplitting(Algorithm):
             reach = {"diagonal": 0, "tridiagonal": 1, "lower": problem.n}[self.splitting]
             upper_reach = 0 if self.splitting == "lower" else reach
             return sp.csr_array(sp.tril(sp.triu(M, -reach), upper_reach))
+        need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
+        shape = getattr(self.splitting, "shape", None)
+        if shape is not None and shape != M.shape:
+            raise InvalidOption(f"{need}, got shape {shape}")
         try:
             # The checks of a problem's matrix are the checks of 𝓜.
-            given = LCP(self.splitting, np.zeros(np.shape(self.splitting)[0] if np.ndim(self.splitting) else 0)).csr
+            return LCP(self.splitting, np.zeros(problem.n)).csr
         except InvalidProblem as error:
-            raise InvalidOption(f"npsplitting: the splitting is no square real matrix: {error}") from error
-        if given.shape != M.shape:
-            raise InvalidOption(f"npsplitting: the splitting must have the shape {M.shape} of M, got {given.shape}")
-        return given
+            raise InvalidOption(f"{need}: {error}") from error
 
     def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
         from scipy.sparse.linalg import MatrixRankWarning, splu
@@ -99,8 +104,9 @@ class NPSplitting(Algorithm):
                 warnings.simplefilter("error", MatrixRankWarning)
                 return splu(sp.csc_array(matrix))
         except (RuntimeError, MatrixRankWarning) as error:
+            hint = ', or scaling="diagonal"' if self.scaling is None else ""
             raise UnsuitableMatrix(
-                f"npsplitting: 𝓜 + 2S⁻¹ + D is singular ({error}); choose another splitting, or scaling=\"diagonal\""
+                f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"
             ) from error
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:

@@ -39,7 +39,8 @@ def row_scaling(problem: LCP, scaling: str | None, factor: float) -> FloatVector
     """Return the diagonal of S, shape (n,): ones, or factor/d with d the scale of the residual."""
     if scaling is None:
         return np.ones(problem.n)
-    return factor * inverse_residual_scale(problem)
+    with np.errstate(over="ignore"):
+        return np.minimum(factor * inverse_residual_scale(problem), np.finfo(np.float64).max)
 
 
 def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
@@ -123,14 +124,18 @@ class ProjectedType(Algorithm):
             work = float(len(passes))
 
     def _inverse_pivot(self, problem: LCP, scaled_diagonal: FloatVector, alpha: float) -> FloatVector:
-        pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
+        with np.errstate(over="ignore", divide="ignore"):
+            pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
+            inverse: FloatVector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
+            remedy = 'scaling="diagonal"' if self.scaling is None else "npsor or npaor with a relaxation above 1"
             raise UnsuitableMatrix(
                 f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.diagonal[i]} "
-                f'gives {pivot[i]}; try scaling="diagonal"'
+                f"gives {pivot[i]}; try {remedy}"
             )
-        inverse: FloatVector = 1.0 / pivot
+        huge = np.isinf(pivot)
+        inverse[huge] = 1.0 / scaled_diagonal[huge] / (1.0 / alpha + 1.0)
         return inverse
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InvalidProblem
-from ..problem import LCP, FloatVector
+from ..problem import LCP, FloatVector, real_vector
 
 UNIT_ROUNDOFF = 2.0**-53
 MACHINE_EPSILON = 2.0**-52
@@ -63,7 +62,7 @@ class Certificate:
         InvalidProblem
             Where z is no real vector of length n. NaN and infinities are measured, not refused.
         """
-        z = _checked_point(problem, z)
+        z = real_vector(z, "z", problem.n)
         with np.errstate(all="ignore"):
             w = problem.slack(z)
             w.flags.writeable = False
@@ -81,7 +80,7 @@ class Certificate:
     def _natural(self) -> FloatVector:
         problem = self.problem
         with np.errstate(all="ignore"):
-            return self.z - np.clip(self.z - self.w, problem.lower, problem.upper)
+            return _mid_residual(problem, self.z, self.w)
 
     @cached_property
     def natural_residual(self) -> float:
@@ -106,7 +105,8 @@ class Certificate:
     def bound_violation(self) -> float:
         """max_i of lower_i − z_i, z_i − upper_i and 0."""
         problem = self.problem
-        outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
+        with np.errstate(all="ignore"):
+            outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
         return _largest(np.maximum(outside, 0.0))
 
     @cached_property
@@ -143,7 +143,8 @@ class Certificate:
         """True where no row's residual exceeds four times its rounding floor."""
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w))
-            return bool(np.all(residual <= 4.0 * self.rounding_floor)) and bool(np.isfinite(residual).all())
+            floor = 4.0 * self.rounding_floor
+            return bool(np.all(residual <= floor)) and bool(np.isfinite(floor).all())
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure: "relative" or "euclidean"."""
@@ -163,7 +164,15 @@ class Certificate:
 
 def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,)."""
-    residual: FloatVector = z - np.clip(z - w / problem.residual_scale, problem.lower, problem.upper)
+    return _mid_residual(problem, z, w / problem.residual_scale)
+
+
+def _mid_residual(problem: LCP, z: FloatVector, step: FloatVector) -> FloatVector:
+    """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,).
+
+    The same number, but a small step is not lost beside a large z.
+    """
+    residual: FloatVector = np.minimum(np.maximum(step, z - problem.upper), z - problem.lower)
     return residual
 
 
@@ -199,14 +208,3 @@ def _magnitude(problem: LCP, z: FloatVector) -> FloatVector:
 
 def _largest(values: FloatVector) -> float:
     return float(values.max()) if values.size else 0.0  # NaN is the maximum of anything with NaN in it
-
-
-def _checked_point(problem: LCP, z: ArrayLike) -> FloatVector:
-    try:
-        point = np.array(z, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidProblem(f"z must be a real vector of length {problem.n} ({error})") from error
-    if point.shape != (problem.n,):
-        raise InvalidProblem(f"z must be a vector of length {problem.n}, got shape {point.shape}")
-    point.flags.writeable = False
-    return point

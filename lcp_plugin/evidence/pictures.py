@@ -44,7 +44,7 @@ def draw(result: Result, path: Path, scene: Scene | None = None) -> None:
     title = scene.description if scene is not None else f"n = {result.z.size}"
     run = f"{result.status.name} by {result.algorithm} in {result.iterations} iterations"
     figure.suptitle(f"{title}  n = {result.z.size}\n{run}" if scene is not None else f"{title}: {run}", fontsize=11)
-    write_whole(path, lambda file: figure.savefig(file, dpi=130, format=path.suffix[1:]))
+    write_whole({path: lambda file: figure.savefig(file, dpi=130, format=path.suffix[1:])})
 
 
 def _active(result: Result) -> Any:

@@ -1,0 +1,723 @@
+"""Files: what is saved comes back bit for bit, what is damaged is refused, and a failed write leaves no trace."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import io
+import math
+import pickle
+import random
+import re
+import stat
+import struct
+import subprocess
+import sys
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, InvalidProblem, LCPError, UnreadableFile
+
+INF = math.inf
+M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 1 / 3]])
+PROBLEM = LCP(M, [1e-320, 0.1, -3e300], lower=[-INF, 0.0, -1.0], upper=[INF, INF, 1.0])
+EMPTY = LCP(np.zeros((0, 0)), [])
+VECTOR = "%%MatrixMarket matrix array real general\n3 1\n{}\n{}\n{}\n"
+
+
+def assert_same(one: LCP, other: LCP) -> None:
+    """The same bits in every array."""
+    for mine, theirs in zip(bits(one), bits(other), strict=True):
+        assert mine == theirs
+    assert (other.n, repr(other)) == (one.n, repr(one))
+
+
+def bits(p: LCP) -> list[bytes]:
+    return [a.tobytes() for a in (p.csr.data, p.csr.indices, p.csr.indptr, p.q, p.lower, p.upper)]
+
+
+def keys(p: LCP) -> dict[str, Any]:
+    """The documented layout: CSR of M, then q and the bounds."""
+    return {
+        "data": p.csr.data, "indices": p.csr.indices, "indptr": p.csr.indptr, "shape": np.array(p.csr.shape),
+        "q": p.q, "lower": p.lower, "upper": p.upper,
+    }
+
+
+def npz(path: Path, **changes: Any) -> Path:
+    """Write PROBLEM in the documented layout; a change of None leaves a key out."""
+    content = {**keys(PROBLEM), **changes}
+    np.savez(path, **{key: value for key, value in content.items() if value is not None})
+    return path
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+# --- round trips -----------------------------------------------------------------------------------------------
+
+ROUND_TRIPS = {
+    "bounds of every kind": PROBLEM,
+    "plain": LCP(M, [1.0, 2.0, 3.0]),
+    "free rows": LCP(M, [1.0, 2.0, 3.0], lower=-INF),
+    "box": LCP(M, [1.0, 2.0, 3.0], lower=-1.0, upper=[1.0, 1.0, -1.0]),
+    "one unknown": LCP([[2.0]], [-1.0]),
+    "one unknown, no entry": LCP([[0.0]], [1.0]),
+    "no entries": LCP(sp.csr_array((3, 3)), [1.0, 2.0, 3.0]),
+    "ends of the doubles": LCP(
+        [[5e-324, 1.0], [-5e-324, 1.7976931348623157e308]], [2.2250738585072014e-308, -1.7976931348623157e308],
+        lower=[-9.99e19, -5e-324], upper=[5e-324, 9.999999999999998e19],
+    ),
+    "17 digits": LCP(np.random.default_rng(1).standard_normal((7, 7)), np.random.default_rng(2).standard_normal(7)),
+    "empty": EMPTY,
+}
+
+
+@pytest.mark.parametrize("p", [pytest.param(p, id=name) for name, p in ROUND_TRIPS.items()])
+def test_npz_round_trip(p: LCP, tmp_path: Path) -> None:
+    """A problem saved as .npz and loaded again has the same bits, infinities and subnormal numbers included."""
+    p.save(tmp_path / "p.npz")
+    assert_same(p, LCP.load(tmp_path / "p.npz"))
+    assert list(files_in(tmp_path)) == ["p.npz"]
+
+
+@pytest.mark.parametrize("p", [pytest.param(p, id=name) for name, p in ROUND_TRIPS.items() if p.n])
+def test_folder_round_trip(p: LCP, tmp_path: Path) -> None:
+    """A problem saved as Matrix Market files and loaded again has the same bits."""
+    p.save(tmp_path / "deep" / "folder")
+    assert_same(p, LCP.load(tmp_path / "deep" / "folder"))
+    assert sorted(files_in(tmp_path / "deep" / "folder")) == ["M.mtx", "lower.mtx", "q.mtx", "upper.mtx"]
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+BELOW_1E20 = st.floats(-9e19, 9e19)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), n=st.integers(1, 4), suffix=st.sampled_from([".npz", ""]))
+def test_round_trip_of_any_numbers(data: st.DataObject, n: int, suffix: str, tmp_path: Path) -> None:
+    """Whatever doubles a problem holds, both forms give them back; only the sign of a zero may be lost in text."""
+    entries = data.draw(st.lists(FINITE, min_size=n * n, max_size=n * n))
+    q = data.draw(st.lists(FINITE, min_size=n, max_size=n))
+    low = data.draw(st.lists(st.one_of(st.just(-INF), BELOW_1E20), min_size=n, max_size=n))
+    width = data.draw(st.lists(st.one_of(st.just(INF), st.floats(0.0, 1e10)), min_size=n, max_size=n))
+    with np.errstate(invalid="ignore"):
+        upper = np.maximum(np.nan_to_num(np.add(low, width), nan=INF, posinf=INF, neginf=INF), low)
+    p = LCP(np.array(entries).reshape(n, n), q, lower=low, upper=upper)
+    path = tmp_path / f"p{suffix}"
+    p.save(path)
+    loaded = LCP.load(path)
+    for mine, theirs in zip((p.q, p.lower, p.upper), (loaded.q, loaded.lower, loaded.upper), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    np.testing.assert_array_equal(p.csr.toarray(), loaded.csr.toarray())
+
+
+def test_paths_are_strings_or_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A str, a Path, and a path relative to the current folder name the same file."""
+    monkeypatch.chdir(tmp_path)
+    PROBLEM.save("p.npz")
+    PROBLEM.save("folder/")
+    for path in ("p.npz", Path("p.npz"), str(tmp_path / "p.npz"), "folder", "folder/", Path("folder"), "folder/M.mtx"):
+        assert_same(PROBLEM, LCP.load(path))
+    monkeypatch.chdir(tmp_path / "folder")
+    for path in (".", "M.mtx", "./M.mtx"):
+        assert_same(PROBLEM, LCP.load(path))
+
+
+def test_saved_files_have_ordinary_permissions(tmp_path: Path) -> None:
+    """What is saved can be read by whoever may read a new file, not only by its owner."""
+    (tmp_path / "ordinary").touch()
+    PROBLEM.save(tmp_path / "p.npz")
+    PROBLEM.save(tmp_path / "folder")
+    for name in ("p.npz", "folder/M.mtx", "folder/q.mtx"):
+        modes = [stat.S_IMODE((tmp_path / file).stat().st_mode) for file in (name, "ordinary")]
+        assert modes[0] == modes[1]
+
+
+def test_empty_problem_comes_back_from_a_folder(tmp_path: Path) -> None:
+    """The problem without unknowns survives the round trip through Matrix Market files; in a process of its own."""
+    EMPTY.save(tmp_path / "folder")
+    assert load_elsewhere(tmp_path / "folder") == "LCP(n=0, nonzeros=0, bounds 0 ≤ z)"
+
+
+def load_elsewhere(path: Path) -> str:
+    """The repr of the problem, or the refusal, from another process: damaged text files have crashed this one."""
+    script = (
+        "import sys\n"
+        "from lcp_plugin import LCP, LCPError\n"
+        "sys.stdout.reconfigure(encoding='utf-8')\n"
+        "try: print(repr(LCP.load(sys.argv[1])))\n"
+        "except LCPError as error: print(type(error).__name__, error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, f"the process died with {done.returncode}: {done.stderr[-500:]}"
+    return done.stdout.strip()
+
+
+# --- the layouts of others ---------------------------------------------------------------------------------------
+
+
+def test_documented_keys_are_enough(tmp_path: Path) -> None:
+    """A file with the documented keys, in any dtype that fits, is read; other keys are ignored, pickled ones too."""
+    small = {"indices": PROBLEM.csr.indices.astype(np.uint8), "indptr": PROBLEM.csr.indptr.astype(np.int64)}
+    unknown = {"z_reference": np.zeros(3), "comment": np.array("contact"), "pickled": np.array([{}], dtype=object)}
+    assert_same(PROBLEM, LCP.load(npz(tmp_path / "p.npz", **small, **unknown)))
+    whole = LCP([[2.0, 1.0], [0.0, 2.0]], [1.0, 2.0])
+    np.savez(tmp_path / "w.npz", **{key: value.astype(int) for key, value in keys(whole).items() if key[-3:] != "per"})
+    assert_same(whole, LCP.load(tmp_path / "w.npz"))
+
+
+def test_unsorted_duplicates_in_a_file_are_put_in_order(tmp_path: Path) -> None:
+    """The CSR of a file need not be canonical."""
+    rows = {"data": [1.0, 2.0, 3.0, 0.0], "indices": [1, 0, 0, 1], "indptr": [0, 3, 4]}
+    np.savez(tmp_path / "p.npz", **rows, shape=[2, 2], q=[1.0, 2.0])
+    np.testing.assert_array_equal(LCP.load(tmp_path / "p.npz").csr.toarray(), [[5.0, 1.0], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("left_out", [("lower",), ("upper",), ("lower", "upper")])
+def test_missing_bounds_are_zero_and_infinity(left_out: tuple[str, ...], tmp_path: Path) -> None:
+    """A file without lower or upper means 0 and ∞, in both forms."""
+    expected = {name: getattr(PROBLEM, name) for name in ("lower", "upper") if name not in left_out}
+    p = LCP(M, PROBLEM.q, **expected)
+    assert_same(p, LCP.load(npz(tmp_path / "p.npz", **dict.fromkeys(left_out))))
+    PROBLEM.save(tmp_path / "folder")
+    for name in left_out:
+        (tmp_path / "folder" / f"{name}.mtx").unlink()
+    assert_same(p, LCP.load(tmp_path / "folder"))
+
+
+def test_a_bound_may_be_one_number(tmp_path: Path) -> None:
+    """A bound stored as a single number holds for every row."""
+    p = LCP.load(npz(tmp_path / "p.npz", lower=np.array(-2), upper=np.array(1e20)))
+    assert (p.lower.tolist(), p.upper.tolist()) == ([-2.0] * 3, [INF] * 3)
+
+
+@pytest.mark.parametrize("huge", [1e20, 1.0000001e20, 1e21, 1.7e308, INF])
+def test_huge_bounds_in_files_mean_infinity(huge: float, tmp_path: Path) -> None:
+    """A bound of 1e20 or more in absolute value is read as infinite, in both forms; the next smaller one is not."""
+    below = np.nextafter(1e20, 0.0)
+    lower, upper = [-huge, 0.0, -below], [huge, huge, below]
+    p = LCP(M, PROBLEM.q, lower=[-INF, 0.0, -below], upper=[INF, INF, below])
+    assert_same(p, LCP.load(npz(tmp_path / "p.npz", lower=lower, upper=upper)))
+    if huge < INF:
+        p.save(tmp_path / "folder")
+        for name, bound in (("lower", lower), ("upper", upper)):
+            text = VECTOR.format(*map(repr, map(float, bound)))
+            (tmp_path / "folder" / f"{name}.mtx").write_text(text)
+        assert_same(p, LCP.load(tmp_path / "folder"))
+
+
+@pytest.mark.parametrize("path", ["p.npz", "folder"])
+@pytest.mark.parametrize("bounds", [{"upper": [1.0, 1e20, 1.0]}, {"lower": [0.0, -1e200, 0.0]}])
+def test_finite_huge_bounds_are_not_saved(path: str, bounds: dict[str, Any], tmp_path: Path) -> None:
+    """A finite bound that would come back as infinite is refused, with row and value, and nothing is written."""
+    (name,) = bounds
+    with pytest.raises(InvalidProblem, match=rf"{name}\[1\] = .*e\+2.*infinite.*inf or rescale"):
+        LCP(M, PROBLEM.q, **bounds).save(tmp_path / path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
+def test_prefix(given_path: str, tmp_path: Path) -> None:
+    """Several problems may lie in one folder behind prefixes; the prefix, or the matrix file, names one of them."""
+    PROBLEM.save(tmp_path)
+    for file in tmp_path.glob("*.mtx"):
+        file.rename(tmp_path / f"run1_{file.name}")
+    LCP([[1.0]], [1.0]).save(tmp_path)
+    assert_same(PROBLEM, LCP.load(tmp_path / given_path))
+    assert LCP.load(tmp_path).n == 1
+
+
+def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
+    """Symmetric, integer, dense and coordinate files, comments, and vectors as rows or with gaps are read."""
+    entries = "% by hand\n3 3 3\n1 1 2\n2 1 -1\n3 3 5\n"
+    (tmp_path / "M.mtx").write_text("%%MatrixMarket matrix coordinate integer symmetric\n" + entries)
+    (tmp_path / "q.mtx").write_text("%%MatrixMarket matrix coordinate real general\n3 1 2\n3 1 -7.5\n1 1 1e-320\n")
+    (tmp_path / "lower.mtx").write_text("%%MatrixMarket matrix array real general\n1 3\n-1\n-1e30\n0\n")
+    p = LCP.load(tmp_path)
+    np.testing.assert_array_equal(p.csr.toarray(), [[2.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+    assert (p.q.tolist(), p.lower.tolist()) == ([1e-320, 0.0, -7.5], [-1.0, -INF, 0.0])
+    (tmp_path / "M.mtx").write_text("%%MatrixMarket matrix array real general\n3 3\n1\n2\n3\n4\n5\n6\n7\n8\n9\n")
+    np.testing.assert_array_equal(LCP.load(tmp_path).M, [[1.0, 4.0, 7.0], [2.0, 5.0, 8.0], [3.0, 6.0, 9.0]])
+
+
+SCIPY_WRITES = {
+    "symmetric": np.array([[2, -1, 0], [-1, 2, -1], [0, -1, 2]]),
+    "skew-symmetric": np.array([[0, 1, 0], [-1, 0, 2], [0, -2, 0]]),
+    "general": np.array([[2, -1, 0], [0, 2, -1], [1, 0, 2]]),
+    "triangular": np.array([[2, 0, 0], [5, 2, 0], [1, 0, 2]]),
+    "one unknown": np.array([[3]]),
+    "zero": np.zeros((3, 3), dtype=int),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64, np.uint8])
+@pytest.mark.parametrize("is_sparse", [True, False], ids=["sparse", "dense"])
+@pytest.mark.parametrize("matrix", SCIPY_WRITES.values(), ids=SCIPY_WRITES.keys())
+def test_what_scipy_writes_is_read(matrix: np.ndarray, is_sparse: bool, dtype: type, tmp_path: Path) -> None:
+    """Every real matrix and vector written by scipy.io.mmwrite, which picks field and symmetry itself, is read."""
+    kind = np.dtype(dtype).kind
+    values = (np.abs(matrix) if kind == "u" else matrix).astype(dtype)
+    q = np.arange(len(values)).reshape(-1, 1).astype(dtype)
+    scipy.io.mmwrite(tmp_path / "M.mtx", sp.coo_array(values) if is_sparse else values)
+    scipy.io.mmwrite(tmp_path / "q.mtx", sp.coo_array(q) if is_sparse else q)
+    p = LCP.load(tmp_path)
+    np.testing.assert_array_equal(p.csr.toarray(), values.astype(float))
+    np.testing.assert_array_equal(p.q, q.ravel().astype(float))
+
+
+# --- refused files -----------------------------------------------------------------------------------------------
+
+NO_CSR = "no valid CSR matrix|damaged sparse array|must hold whole numbers"
+WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
+    "no matrix": ({"data": None, "indptr": None}, r"lacks the keys \['data', 'indptr'\].*indices, indptr, shape, q"),
+    "no q": ({"q": None}, r"lacks the keys \['q'\]"),
+    "quadratic program": ({"P_data": np.ones(2), "A_data": np.ones(2)}, r"quadratic program.*not an LCP"),
+    "q too short": ({"q": np.ones(2)}, r"q must be a finite vector of length 3.*\(2,\)"),
+    "q a column": ({"q": np.ones((3, 1))}, r"q must be a finite vector of length 3.*\(3, 1\)"),
+    "q NaN": ({"q": np.full(3, np.nan)}, r"q\[0\] = nan"),
+    "q texts": ({"q": np.array(["1", "2", "3"])}, r"q must .*got (text|complex)"),
+    "q pickled": ({"q": np.array([1.0, 2.0, 3.0], dtype=object)}, r"pickled objects, which are never read"),
+    "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
+    "M complex": ({"data": np.ones(7, dtype=complex)}, r"M must hold real numbers"),
+    "M texts": ({"data": np.array(["1"] * 7)}, r"M must hold real numbers"),
+    "M not square": ({"shape": [3, 4]}, r"square.*\(3, 4\)"),
+    "shape too large": ({"shape": [4, 4]}, NO_CSR),
+    "shape enormous": ({"shape": [10**15, 10**15]}, NO_CSR),
+    "shape beyond 64 bits": ({"shape": np.array([2**63, 2**63], np.uint64)}, NO_CSR),
+    "shape negative": ({"shape": [-3, -3]}, NO_CSR),
+    "shape NaN": ({"shape": [np.nan, 3]}, NO_CSR),
+    "shape fractional": ({"shape": [3.7, 3.7]}, NO_CSR),
+    "shape a number": ({"shape": 3}, NO_CSR),
+    "shape of three": ({"shape": [3, 3, 3]}, NO_CSR),
+    "shape as texts": ({"shape": np.array(["3", "3"])}, NO_CSR),
+    "data too short": ({"data": np.ones(6)}, NO_CSR),
+    "data in two dimensions": ({"data": np.ones((1, 7))}, NO_CSR),
+    "indptr too short": ({"indptr": [0, 2, 7]}, NO_CSR),
+    "indptr not monotone": ({"indptr": [0, 5, 2, 7]}, NO_CSR),
+    "indptr negative": ({"indptr": [0, -2, -5, -7]}, NO_CSR),
+    "indices beyond n": ({"indices": np.full(7, 3)}, NO_CSR),
+    "indices negative": ({"indices": np.full(7, -1)}, NO_CSR),
+    "indices fractional": ({"indices": np.full(7, 0.5)}, NO_CSR),
+    "indices NaN": ({"indices": np.full(7, np.nan)}, NO_CSR),
+    "indices complex": ({"indices": np.ones(7, dtype=complex)}, NO_CSR),
+    "indices as texts": ({"indices": np.array(["1"] * 7)}, NO_CSR),
+    "lower texts": ({"lower": np.array(["a", "b", "c"])}, r"lower must .*got (text|complex)"),
+    "lower NaN": ({"lower": np.full(3, np.nan)}, r"lower must not hold NaN"),
+    "lower too short": ({"lower": np.zeros(2)}, r"lower must be .*length 3.*\(2,\)"),
+    "lower 1e20": ({"lower": np.full(3, 1e20)}, r"lower ≤ upper.*lower\[0\] = inf"),
+    "bounds crossing": ({"lower": np.full(3, 2.0)}, r"lower ≤ upper.*lower\[2\] = 2.0 and upper\[2\] = 1.0"),
+    "upper complex": ({"upper": np.ones(3, dtype=complex)}, r"upper must .*got (text|complex)"),
+}
+
+
+@pytest.mark.parametrize(("changes", "pattern"), WRONG_KEYS.values(), ids=WRONG_KEYS.keys())
+def test_wrong_content_is_refused(changes: dict[str, Any], pattern: str, tmp_path: Path) -> None:
+    """A file whose arrays state no problem is UnreadableFile, with the name of the file and what is wrong in it."""
+    path = npz(tmp_path / "wrong.npz", **changes)
+    with pytest.raises(UnreadableFile, match=pattern) as caught:
+        LCP.load(path)
+    assert str(path) in str(caught.value)
+    assert isinstance(caught.value, OSError)
+
+
+def array_bytes(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
+    "empty": (b"", "damaged or no .npz"),
+    "one byte": (b"P", "damaged or no .npz"),
+    "text": (b"M = [[4, 1], [1, 4]]\n", "damaged or no .npz"),
+    "zeros": (bytes(1000), "damaged or no .npz"),
+    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "damaged or no .npz"),
+    "zip of nothing": (b"PK\x05\x06" + bytes(18), r"lacks the keys \['data', .*'q'\]"),
+    "single array": (array_bytes(np.ones(3)), r"single array|no .npz"),
+    "single pickled array": (array_bytes(np.array([{}], dtype=object)), "never read|no .npz"),
+    "pickle": (pickle.dumps({"data": 1}), "never read|no .npz"),
+}
+
+
+@pytest.mark.parametrize(("content", "pattern"), NO_ARCHIVES.values(), ids=NO_ARCHIVES.keys())
+def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> None:
+    """A file that is no .npz archive, whatever it is, is UnreadableFile; nobody is advised to load it unsafely."""
+    (tmp_path / "p.npz").write_bytes(content)
+    with pytest.raises(UnreadableFile, match=pattern) as caught:
+        LCP.load(tmp_path / "p.npz")
+    assert "unsafe" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("missing.npz", r"no such file: .*missing\.npz$"),
+        ("missing", r"no such file: .*missing"),
+        ("missing.mtx", r"no such file: .*missing\.mtx$"),
+        ("missing_M.mtx", r"no such file: .*missing_M\.mtx$"),
+        ("no/such/folder/p.npz", r"no such file: .*p\.npz$"),
+        ("folder", r"no such file: .*folder.M\.mtx$"),
+        ("folder.npz", r"cannot read .*folder\.npz"),
+        ("notes.txt", r"cannot read .*notes\.txt: expected a \.npz file, or M\.mtx with q\.mtx"),
+        ("half", r"M\.mtx has no companion .*q\.mtx"),
+        ("half/M.mtx", r"M\.mtx has no companion .*q\.mtx"),
+        ("half/M.mtx/M.mtx", r"no such file"),
+    ],
+)
+def test_what_is_not_there_is_named(name: str, pattern: str, tmp_path: Path) -> None:
+    """A missing file, a folder without a problem, a problem without q: UnreadableFile with the path."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "notes.txt").write_text("M = 3")
+    PROBLEM.save(tmp_path / "half")
+    (tmp_path / "half" / "q.mtx").unlink()
+    with pytest.raises(UnreadableFile, match=pattern):
+        LCP.load(tmp_path / name)
+
+
+class Trap:
+    """An object that leaves a mark where its pickle is read."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, str]]:
+        return open, (str(self.mark), "w")  # the file it opens is the mark
+
+
+@pytest.mark.parametrize("key", ["q", "data", "shape", "lower", "P_data", "unknown"])
+def test_pickles_are_never_read(key: str, tmp_path: Path) -> None:
+    """A file whose pickled array would run code when read is refused, or read around; the code never runs."""
+    mark = tmp_path / "mark"
+    path = npz(tmp_path / "p.npz", **{key: np.array([Trap(mark)], dtype=object)})
+    assert b"mark" in path.read_bytes()
+    if key == "unknown":
+        assert_same(PROBLEM, LCP.load(path))
+    else:
+        with pytest.raises(UnreadableFile):
+            LCP.load(path)
+    assert not mark.exists()
+
+
+# --- damaged files -----------------------------------------------------------------------------------------------
+
+
+def load_damaged(path: Path, content: bytes) -> LCP | None:
+    """The problem, or None where the file is refused; any other exception, and any warning but a leak's, passes."""
+    path.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # test_refused_archive_is_closed looks after those
+        try:
+            return LCP.load(path)
+        except (UnreadableFile, InvalidProblem):
+            return None
+
+
+def assert_valid(p: LCP) -> None:
+    assert p.csr.has_canonical_format
+    assert np.isfinite(p.csr.data).all()
+    assert np.isfinite(p.q).all()
+    assert p.q.shape == p.lower.shape == p.upper.shape == (p.n,) == (p.csr.shape[0],)
+    assert (p.lower <= p.upper).all()
+
+
+def archive(is_compressed: bool) -> bytes:
+    buffer = io.BytesIO()
+    (np.savez_compressed if is_compressed else np.savez)(buffer, **keys(PROBLEM))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("is_compressed", [True, False])
+def test_truncated_archive_is_refused(is_compressed: bool, tmp_path: Path) -> None:
+    """An .npz cut off at any tenth byte is UnreadableFile."""
+    whole = archive(is_compressed)
+    for end in range(0, len(whole), 10):
+        assert load_damaged(tmp_path / "p.npz", whole[:end]) is None
+    assert_same(PROBLEM, load_damaged(tmp_path / "p.npz", whole))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("is_compressed", [True, False])
+def test_flipped_bytes_are_refused_or_harmless(is_compressed: bool, seed: int, tmp_path: Path) -> None:
+    """Random wrong bytes in an .npz give UnreadableFile, InvalidProblem or a valid problem, never anything else."""
+    chance = random.Random(seed)
+    whole = archive(is_compressed)
+    refused = 0
+    for _ in range(50):
+        damaged = bytearray(whole)
+        for _ in range(chance.choice([1, 1, 3])):
+            damaged[chance.randrange(len(damaged))] = chance.randrange(256)
+        p = load_damaged(tmp_path / "p.npz", bytes(damaged))
+        refused += p is None
+        if p is not None:
+            assert_valid(p)
+    assert refused > 20
+
+
+def entries_of(whole: bytes) -> list[int]:
+    """Where the central directory of an archive describes its members."""
+    return [k for k in range(len(whole)) if whole[k : k + 4] == b"PK\x01\x02"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(8, 1), (10, 99), (10, 12), (10, 14), (24, 5), (24, 2**31 - 1), (20, 3), (42, 7)],
+    ids=["encrypted", "unknown method", "bzip2", "lzma", "size too small", "size too large", "compressed size",
+         "position"],
+)
+def test_damaged_directory_is_refused(field: int, value: int, tmp_path: Path) -> None:
+    """Each field of an archive's directory, set wrong for each member, makes the file unreadable and nothing worse."""
+    whole = archive(is_compressed=True)
+    assert len(entries_of(whole)) == 7
+    for entry in entries_of(whole):
+        damaged = bytearray(whole)
+        width = 2 if field < 20 else 4
+        damaged[entry + field : entry + field + width] = struct.pack("<H" if width == 2 else "<I", value)
+        p = load_damaged(tmp_path / "p.npz", bytes(damaged))
+        if p is not None:
+            assert_same(PROBLEM, p)
+
+
+def test_damaged_stream_is_refused(tmp_path: Path) -> None:
+    """A wrong byte in the compressed data of each member is UnreadableFile."""
+    whole = archive(is_compressed=True)
+    with zipfile.ZipFile(io.BytesIO(whole)) as members:
+        headers = [member.header_offset for member in members.infolist()]
+    for header in headers:
+        name_length, extra_length = struct.unpack("<HH", whole[header + 26 : header + 30])
+        first = header + 30 + name_length + extra_length
+        damaged = bytearray(whole)
+        damaged[first] |= 0b110  # a block type that no compressor writes
+        assert load_damaged(tmp_path / "p.npz", bytes(damaged)) is None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"PK\x03\x04" + bytes(50), b"no archive at all", array_bytes(np.ones(3)), archive(True)[:-1]],
+    ids=["empty", "head of an archive", "text", "single array", "truncated"],
+)
+def test_refused_archive_is_closed(content: bytes, tmp_path: Path) -> None:
+    """A refused file is closed again, not left to the garbage collector."""
+    (tmp_path / "p.npz").write_bytes(content)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with pytest.raises(LCPError):
+            LCP.load(tmp_path / "p.npz")
+        gc.collect()
+    assert [str(warning.message) for warning in caught] == []
+
+
+MATRIX_MARKET_SCRIPT = """
+import pathlib, random, sys
+from lcp_plugin import LCP, InvalidProblem, UnreadableFile
+folder, outcomes = pathlib.Path(sys.argv[1]), []
+def load(kind):
+    print(kind, flush=True)
+    try:
+        p = LCP.load(folder)
+        outcomes.append(p.n)
+    except (UnreadableFile, InvalidProblem):
+        outcomes.append(None)
+chance = random.Random(0)
+for name in ("M", "q", "lower", "upper"):
+    path = folder / f"{name}.mtx"
+    whole = path.read_bytes()
+    for end in range(len(whole)):
+        path.write_bytes(whole[:end])
+        load(f"{name}.mtx cut off after {whole[:end][-30:]!r}")
+    for _ in range(100):
+        damaged = bytearray(whole)
+        for _ in range(chance.choice([1, 1, 3])):
+            damaged[chance.randrange(len(damaged))] = chance.choice([chance.randrange(256), *b"0123456789 -.\\n%e"])
+        path.write_bytes(damaged)
+        load(f"{name}.mtx damaged: {bytes(damaged)!r}")
+    path.write_bytes(whole)
+assert outcomes.count(None) > 600, outcomes
+assert set(outcomes) <= {None, 3}, outcomes
+print("finished")
+"""
+
+
+def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
+    """Text files cut off anywhere or with wrong bytes are refused or read, and the process survives each of them."""
+    PROBLEM.save(tmp_path / "folder")
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", MATRIX_MARKET_SCRIPT, tmp_path / "folder"],
+        capture_output=True, encoding="utf-8", check=False,
+    )
+    last = done.stdout.splitlines()[-1]
+    assert (done.returncode, last) == (0, "finished"), f"{done.returncode} at {last}: {done.stderr[-500:]}"
+
+
+@pytest.mark.parametrize("number", ["4.0e", "4.0e+", "e", "-", "4..0", "0x4", "nan", "inf", "1e999", "four", "4,0", ""])
+def test_damaged_number_in_text_is_refused(number: str, tmp_path: Path) -> None:
+    """What is no finite number in q.mtx makes the file unreadable; in a process of its own."""
+    PROBLEM.save(tmp_path / "folder")
+    (tmp_path / "folder" / "q.mtx").write_text(VECTOR.format("1.0", "2.0", number))
+    assert load_elsewhere(tmp_path / "folder").startswith("UnreadableFile ")
+
+
+COORDINATES = "%%MatrixMarket matrix coordinate real general\n"
+WRONG_MATRIX_MARKET = {
+    "empty": ("", "Matrix Market"),
+    "no header": ("3 3 1\n1 1 2.0\n", "Matrix Market"),
+    "complex": (COORDINATES.replace("real", "complex") + "3 3 1\n1 1 2.0 0.0\n", "complex"),
+    "hermitian": (COORDINATES.replace("general", "hermitian") + "3 3 1\n1 1 2.0\n", "hermitian"),
+    "no size": (COORDINATES, "size"),
+    "two sizes": (COORDINATES + "3 3\n1 1 2.0\n", "size"),
+    "negative size": (COORDINATES + "-3 -3 0\n", "size|shape|negative"),
+    "fractional size": (COORDINATES + "3.5 3.5 1\n1 1 2.0\n", "3.5"),
+    "enormous size": (COORDINATES + "1000000000000 1000000000000 1\n1 1 2.0\n", r"M\.mtx"),
+    "enormous count": (COORDINATES + "3 3 1000000000000\n1 1 2.0\n", "1000000000000"),
+    "too few entries": (COORDINATES + "3 3 2\n1 1 2.0\n", "2"),
+    "too many entries": (COORDINATES + "3 3 1\n1 1 2.0\n2 2 2.0\n", "1"),
+    "an entry without value": (COORDINATES + "3 3 2\n1 1 2.0\n2 2\n", r"M\.mtx"),
+    "index 0": (COORDINATES + "3 3 1\n0 1 2.0\n", "index"),
+    "index beyond n": (COORDINATES + "3 3 1\n1 4 2.0\n", "index"),
+    "fractional index": (COORDINATES + "3 3 1\n1.5 1 2.0\n", "index"),
+    "not square": (COORDINATES + "3 4 1\n1 1 2.0\n", "square"),
+    "NaN": (COORDINATES + "3 3 1\n2 1 nan\n", r"M\[1, 0\] = nan"),
+    "decimal comma": (COORDINATES + "3 3 1\n1 1 2,5\n", "2,5"),
+}
+
+
+@pytest.mark.parametrize(("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys())
+def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_path: Path) -> None:
+    """A text that states no matrix is UnreadableFile with the file's name, in words and not in Python's."""
+    PROBLEM.save(tmp_path)
+    (tmp_path / "M.mtx").write_text(content)
+    with pytest.raises(UnreadableFile, match=pattern) as caught:
+        LCP.load(tmp_path)
+    assert str(tmp_path / "M.mtx") in str(caught.value)
+    assert not re.search("unpack|codec|NoneType|index out of|invalid literal|object", str(caught.value))
+
+
+# --- failing writes ----------------------------------------------------------------------------------------------
+
+
+def no_space(file: Any, *_: object, **__: object) -> None:
+    """Write a little, then fail as a full disk does."""
+    file.write(b"PK\x03\x04 the first half")
+    file.flush()
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_failed_archive_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A write that fails half way is UnreadableFile with the reason; no file and no temporary file remains."""
+    monkeypatch.setattr(np, "savez_compressed", no_space)
+    with pytest.raises(UnreadableFile, match=r"cannot write .*p\.npz: No space left on device"):
+        PROBLEM.save(tmp_path / "p.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failed_archive_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where overwriting fails, the file that was there is still there, bit for bit."""
+    PROBLEM.save(tmp_path / "p.npz")
+    before = files_in(tmp_path)
+    monkeypatch.setattr(np, "savez_compressed", no_space)
+    with pytest.raises(UnreadableFile):
+        LCP([[1.0]], [1.0]).save(tmp_path / "p.npz")
+    assert files_in(tmp_path) == before
+
+
+def test_successful_archive_replaces_the_old_one(tmp_path: Path) -> None:
+    """Saving over a file replaces it and leaves nothing beside it."""
+    LCP([[1.0]], [1.0]).save(tmp_path / "p.npz")
+    PROBLEM.save(tmp_path / "p.npz")
+    assert_same(PROBLEM, LCP.load(tmp_path / "p.npz"))
+    assert list(files_in(tmp_path)) == ["p.npz"]
+
+
+@pytest.mark.parametrize("failing", [0, 1, 2, 3])
+def test_failed_folder_keeps_the_old_one(failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where writing any one of the four files fails, all four old ones remain: never a new M with an old q."""
+    PROBLEM.save(tmp_path / "folder")
+    before = files_in(tmp_path)
+    write, calls = scipy.io.mmwrite, []
+
+    def write_or_fail(file: Any, *args: Any, **options: Any) -> None:
+        calls.append(1)
+        return no_space(file) if len(calls) == failing + 1 else write(file, *args, **options)
+
+    monkeypatch.setattr(scipy.io, "mmwrite", write_or_fail)
+    with pytest.raises(UnreadableFile, match="No space left on device"):
+        LCP(2.0 * M, [7.0, 8.0, 9.0]).save(tmp_path / "folder")
+    assert files_in(tmp_path) == before
+
+
+@pytest.mark.parametrize("path", ["p.npz", "folder"])
+def test_real_limit_keeps_the_old_one(path: str, tmp_path: Path) -> None:
+    """Where the system lets a file grow no further, here after M and within q, what was there remains."""
+    resource = pytest.importorskip("resource", reason="limits of file sizes are a thing of Unix")
+    old, new = (LCP(sp.csr_array(([x], ([0], [0])), shape=(40, 40)), np.full(40, x / 3)) for x in (1.0, 2.0))
+    old.save(tmp_path / path)
+    before = files_in(tmp_path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
+    try:
+        with pytest.raises(UnreadableFile, match=r"cannot write .*File too large"):
+            new.save(tmp_path / path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert files_in(tmp_path) == before
+    assert_same(old, LCP.load(tmp_path / path))
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, MemoryError, RuntimeError])
+def test_interrupted_write_leaves_nothing(
+    interruption: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever else ends a write passes on as it is, and the old file stays alone."""
+
+    def interrupted(file: Any, **_: object) -> None:
+        file.write(b"new")
+        raise interruption
+
+    PROBLEM.save(tmp_path / "p.npz")
+    before = files_in(tmp_path)
+    monkeypatch.setattr(np, "savez_compressed", interrupted)
+    with pytest.raises(interruption):
+        LCP([[1.0]], [1.0]).save(tmp_path / "p.npz")
+    assert files_in(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("path", "pattern"),
+    [
+        ("no/folder/p.npz", r"cannot write .*p\.npz: No such file or directory; choose"),
+        ("file/p.npz", r"cannot write .*p\.npz: Not a directory"),
+        ("taken.npz", r"cannot write .*taken\.npz: Is a directory"),
+        ("file", r"cannot make the folder .*file: "),
+        ("file/folder", r"cannot make the folder .*folder: "),
+    ],
+)
+def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -> None:
+    """A target in a missing folder, below a file or in place of a folder is refused; nothing appears."""
+    (tmp_path / "file").write_bytes(b"precious")
+    (tmp_path / "taken.npz").mkdir()
+    with pytest.raises(UnreadableFile, match=pattern):
+        PROBLEM.save(tmp_path / path)
+    assert files_in(tmp_path) == {"file": b"precious"}
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
+
+
+def test_quadratic_programs_are_refused_in_words(tmp_path: Path) -> None:
+    """A file in the layout of the convex QPs is refused as what it is, not for the keys that it lacks."""
+    P = sp.csc_array(np.eye(2))
+    content = {f"{name}_{key}": getattr(P, key) for name in "PA" for key in ("data", "indices", "indptr", "shape")}
+    vectors = {"q": [1.0, 1.0], "l": [-1e20, 0.0], "u": [1e20, 1.0], "r": 0.0, "optimal_value": -1.0}
+    np.savez(tmp_path / "qp.npz", **content, **vectors)
+    with pytest.raises(UnreadableFile, match=r"qp\.npz holds a quadratic program.*not an LCP"):
+        LCP.load(tmp_path / "qp.npz")

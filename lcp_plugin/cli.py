@@ -222,7 +222,7 @@ def _read_target(target: str) -> tuple[LCP, Any]:
         scene = gallery.parse(target)
         return scene.problem, scene
     looks_like_a_path = "/" in target or "\\" in target or "." in target
-    if looks_like_a_path or Path(target).exists():
+    if looks_like_a_path or Path(target).exists() or Path(f"{target}M.mtx").exists():
         return LCP.load(target), None
     raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
 

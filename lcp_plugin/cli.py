@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json as json_module
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from .result import Result, Sample
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
+OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
 QUIET_SECONDS = 1.0
 REFRESH_SECONDS = 0.2
 
@@ -55,7 +57,7 @@ def _speaks_plainly(command: F) -> F:
             sys.stderr.close()  # the reader has gone; nothing is left to tell
             raise typer.Exit(EXIT_UNSOLVED) from None
         except OSError as error:
-            message = f"{error.filename or 'file'}: {error.strerror or error}"
+            message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
         typer.echo(f"lcp-plugin: {message}", err=True)
         raise typer.Exit(EXIT_BAD_INPUT)
 
@@ -106,13 +108,13 @@ def solve(
     with _Progress() as progress:
         results = _solve_all(problem, scene, settings, progress)
     result = results[-1]
+    typer.echo(_json(results) if json else _story(results, scene))
     if out is not None:
         _save_answer(result, out)
     if plot is not None:
         from .evidence.pictures import draw
 
         draw(result, plot, scene)
-    typer.echo(result.to_json() if json else _story(results, scene))
     for path in filter(None, (plot, out)):
         typer.echo(f"saved {path}", err=json)
     if not result.is_solved:
@@ -237,6 +239,8 @@ def _options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
         key, equals, text = pair.partition("=")
         if not equals or not key:
             raise InvalidOption(f"--option wants name=value, got {pair!r}")
+        if key in OWN_FLAGS:
+            raise InvalidOption(f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}")
         if key in options:
             raise InvalidOption(f"the option {key} is given twice; once is enough")
         try:
@@ -277,6 +281,18 @@ def _save_answer(result: Result, path: Path) -> None:
 
     status = np.array(result.status.name)
     write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
+
+
+def _json(results: list[Result]) -> str:
+    """Return the last result as JSON, with the totals of a march."""
+    content = results[-1].to_content()
+    if len(results) > 1:
+        content["march"] = {
+            "steps": len(results),
+            "iterations": sum(result.iterations for result in results),
+            "seconds": sum(result.seconds for result in results),
+        }
+    return json_module.dumps(content, indent=2)
 
 
 def _story(results: list[Result], scene: Any) -> str:

@@ -47,6 +47,6 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     "; did you mean 'psor'? (known: npgs, psor)"
     """
     names = sorted(known)
-    close = difflib.get_close_matches(str(word), names, n=1)
+    close = difflib.get_close_matches(str(word).lower(), names, n=1)
     guess = f"; did you mean {close[0]!r}?" if close else ";"
     return f"{guess} (known: {', '.join(names)})" if close else f"{guess} known: {', '.join(names)}"

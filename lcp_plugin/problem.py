@@ -305,6 +305,8 @@ def _real_array(values: Any, need: str) -> NDArray[np.float64]:
         raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
     if sp.issparse(values):
         raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
+    if values is None:
+        raise InvalidProblem(f"{need}, got None")
     try:
         array = np.asarray(values)
     except ValueError as error:

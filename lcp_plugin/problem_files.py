@@ -25,7 +25,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
     target = Path(path)
     _refuse_huge_bounds(problem)
-    if target.suffix == ".npz":
+    if target.suffix.lower() == ".npz":
         M = problem.csr
         arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
         arrays |= {name: getattr(problem, name) for name in VECTORS}
@@ -37,7 +37,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 def load(path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
     source = Path(path)
-    if source.suffix == ".npz":
+    if source.suffix.lower() == ".npz":
         return _load_npz(source)
     prefix = _matrix_market_prefix(source)
     M = read_matrix_market(Path(prefix + "M.mtx"))
@@ -162,9 +162,12 @@ def _matrix_market_prefix(source: Path) -> str:
     else:
         prefix = str(source)
     if not Path(prefix + "M.mtx").exists():
+        if source.is_dir():
+            raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
         if source.is_file():
             raise UnreadableFile(f"cannot read {source}: expected a .npz file, or M.mtx with q.mtx beside it")
-        raise UnreadableFile(f"no such file: {source if source.suffix else prefix + 'M.mtx'}")
+        tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
+        raise UnreadableFile(f"no such file: {source}{tried}")
     return prefix
 
 

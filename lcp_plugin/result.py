@@ -137,6 +137,10 @@ class Result:
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""
+        return json.dumps(self.to_content(), indent=2)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what :meth:`to_json` writes, as a dictionary."""
         certificate = self.certificate
         numbers: dict[str, Any] = {
             "relative_residual": certificate.relative_residual,
@@ -150,7 +154,7 @@ class Result:
             "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
         }
-        content = {
+        return {
             "status": self.status.name,
             "advice": self.status.value,
             "algorithm": self.algorithm,
@@ -159,4 +163,3 @@ class Result:
             "measure": self.measure,
             **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
         }
-        return json.dumps(content, indent=2)

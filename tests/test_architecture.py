@@ -127,6 +127,6 @@ def test_readme_table_is_the_registry() -> None:
     for name, cells in rows.items():
         kind = algorithm_class(name)
         written = {option.strip() for option in cells[-1].split(",")}
-        own = {field.name for field in fields(kind)} - ({"relaxation"} if name == "pgs" else set())
+        own = {field.name for field in fields(kind)}
         assert written == own, name
         assert kind.__doc__ and kind.assumption and kind.converges_on and kind.cost and kind.reference

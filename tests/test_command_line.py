@@ -332,7 +332,7 @@ BAD_INPUT = [
     (SOLVE + "-a npsor --relaxation auto", r"npsor: relaxation must be a positive finite number.*got 'auto'"),
     (SOLVE + "-a npsor -o scaling=diag", r"npsor: scaling='diag'.*did you mean 'diagonal'\?"),
     (SOLVE + "-a npsor -o sweep=none", r"npsor: sweep=None.*forward"),
-    (SOLVE + "-a pgs --relaxation 1.5", r"pgs has no relaxation, got 1.5.*psor"),
+    (SOLVE + "-a pgs --relaxation 1.5", r"pgs has no option 'relaxation'.*sweep"),
     (SOLVE + "--relaxation 1.5", r"auto.*\['relaxation'\].*name an algorithm"),
     (SOLVE + "-a npsor -o tolerance=1e-3", r"tolerance"),
     (SOLVE + "-a npsor -o max_iterations=3", r"max.iterations"),

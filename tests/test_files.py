@@ -368,7 +368,7 @@ def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> 
         ("missing.mtx", r"no such file: .*missing\.mtx$"),
         ("missing_M.mtx", r"no such file: .*missing_M\.mtx$"),
         ("no/such/folder/p.npz", r"no such file: .*p\.npz$"),
-        ("folder", r"no such file: .*folder.M\.mtx$"),
+        ("folder", r"no such file: .*folder.M\.mtx; a folder must hold M\.mtx and q\.mtx$"),
         ("folder.npz", r"cannot read .*folder\.npz"),
         ("notes.txt", r"cannot read .*notes\.txt: expected a \.npz file, or M\.mtx with q\.mtx"),
         ("half", r"M\.mtx has no companion .*q\.mtx"),

@@ -28,7 +28,52 @@ CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF012681
 
 
 @dataclass(frozen=True, kw_only=True)
-class PSOR(Algorithm):
+class _InPlace(Algorithm):
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current."""
+
+    assumption: ClassVar[str] = "positive diagonal"
+    cost: ClassVar[str] = "1 pass"
+    reference: ClassVar[str] = CRYER
+    is_compiled: ClassVar[bool] = True
+
+    sweep: str = "forward"
+
+    def __post_init__(self) -> None:
+        check_choice(self, "sweep", SWEEPS)
+
+    def fixed_relaxation(self) -> float | None:
+        """Return ω, or None where it is to be found during the run."""
+        raise NotImplementedError
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
+        from .. import kernels
+
+        M = problem.csr
+        require_positive_diagonal(problem, self.name)
+        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
+        passes = directions(self.sweep)
+        splits = {backward: row_splits(problem, backward) for backward in passes}
+        fixed = self.fixed_relaxation()
+        adaptive = AdaptiveRelaxation() if fixed is None else None
+        relaxation = 1.0 if fixed is None else fixed
+        z = z0
+        yield Step(z, work=0.0)
+        while True:
+            largest = total = 0.0
+            for backward in passes:
+                change, change_sum = kernels.relaxation_sweep(
+                    M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
+                )
+                largest = change if not change <= largest else largest  # a NaN stays
+                total += change_sum
+            yield Step(z, increment=largest, work=float(len(passes)))
+            if adaptive:
+                relaxation = adaptive.after(total)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PSOR(_InPlace):
     """PSOR, projected successive overrelaxation: z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
 
     Parameters
@@ -46,61 +91,38 @@ class PSOR(Algorithm):
     """
 
     name: ClassVar[str] = "psor"
-    assumption: ClassVar[str] = "positive diagonal"
-    is_compiled: ClassVar[bool] = True
     converges_on: ClassVar[str] = "SPD for 0 < ω < 2; H₊ for 0 < ω < 2/(1+ρ); auto: both"
-    cost: ClassVar[str] = "1 pass"
-    reference: ClassVar[str] = CRYER
 
     relaxation: float | str = "auto"
-    sweep: str = "forward"
 
     def __post_init__(self) -> None:
-        check_choice(self, "sweep", SWEEPS)
-        if isinstance(self.relaxation, str):
-            check_choice(self, "relaxation", ("auto",))
-        else:
+        super().__post_init__()
+        if not isinstance(self.relaxation, str):
             check_positive(self, "relaxation", below=2.0)
+        elif self.relaxation != "auto":
+            raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
-        from .. import kernels
-
-        M = problem.csr
-        require_positive_diagonal(problem, self.name)
-        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-        passes = directions(self.sweep)
-        splits = {backward: row_splits(problem, backward) for backward in passes}
-        adaptive = AdaptiveRelaxation() if self.relaxation == "auto" else None
-        relaxation = 1.0 if adaptive else float(self.relaxation)
-        z = z0
-        yield Step(z, work=0.0)
-        while True:
-            largest = total = 0.0
-            for backward in passes:
-                change, change_sum = kernels.relaxation_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
-                )
-                largest = change if not change <= largest else largest  # a NaN stays
-                total += change_sum
-            yield Step(z, increment=largest, work=float(len(passes)))
-            if adaptive:
-                relaxation = adaptive.after(total)
+    def fixed_relaxation(self) -> float | None:
+        """Return ω, or None for "auto"."""
+        return None if isinstance(self.relaxation, str) else float(self.relaxation)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PGS(PSOR):
-    """PGS, projected Gauss–Seidel: PSOR with ω = 1."""
+class PGS(_InPlace):
+    """PGS, projected Gauss–Seidel: PSOR with ω = 1.
+
+    Parameters
+    ----------
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
 
     name: ClassVar[str] = "pgs"
     converges_on: ClassVar[str] = "SPD, H₊"
 
-    relaxation: float | str = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.relaxation != 1.0:
-            raise InvalidOption(f'pgs has no relaxation, got {self.relaxation!r}; use algorithm="psor"')
+    def fixed_relaxation(self) -> float | None:
+        """Return 1."""
+        return 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

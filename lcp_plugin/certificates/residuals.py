@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector, real_vector
 
 UNIT_ROUNDOFF = 2.0**-53
@@ -62,6 +63,8 @@ class Certificate:
         InvalidProblem
             Where z is no real vector of length n. NaN and infinities are measured, not refused.
         """
+        if not isinstance(problem, LCP):
+            raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
         z = real_vector(z, "z", problem.n)
         with np.errstate(all="ignore"):
             w = problem.slack(z)

@@ -26,7 +26,7 @@ def require_matplotlib() -> Any:
 
 def check_format(path: Path) -> None:
     """Raise where the file's ending names no picture format."""
-    if path.suffix not in FORMATS:
+    if path.suffix.lower() not in FORMATS:
         raise InvalidOption(f"a picture must end in {', '.join(FORMATS)}, got {path.name!r}")
 
 
@@ -44,7 +44,7 @@ def draw(result: Result, path: Path, scene: Scene | None = None) -> None:
     title = scene.description if scene is not None else f"n = {result.z.size}"
     run = f"{result.status.name} by {result.algorithm} in {result.iterations} iterations"
     figure.suptitle(f"{title}  n = {result.z.size}\n{run}" if scene is not None else f"{title}: {run}", fontsize=11)
-    write_whole({path: lambda file: figure.savefig(file, dpi=130, format=path.suffix[1:])})
+    write_whole({path: lambda file: figure.savefig(file, dpi=130, format=path.suffix[1:].lower())})
 
 
 def _active(result: Result) -> Any:

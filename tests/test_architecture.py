@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-import lcp_plugin
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parent.parent
@@ -102,7 +101,7 @@ def test_a_solve_loads_no_package_it_does_not_use() -> None:
 
 def test_public_names_resolve() -> None:
     """Every name in ``__all__`` can be had, also after the submodules were imported."""
-    import lcp_plugin.driver  # noqa: F401 - importing it first must not hide the function
+    import lcp_plugin.driver
 
     for name in lcp_plugin.__all__:
         assert getattr(lcp_plugin, name) is not None
@@ -114,8 +113,8 @@ def test_public_names_resolve() -> None:
 def table_rows() -> dict[str, list[str]]:
     """The README's algorithm table: name → cells."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("## Notation")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("| `")]
-    return {row[0].strip("`"): row[1:] for row in rows}
+    lines = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| `")]
+    return {cells[0].strip().strip("`"): [cell.strip() for cell in cells[1:]] for cells in lines}
 
 
 def test_readme_table_is_the_registry() -> None:
@@ -129,4 +128,4 @@ def test_readme_table_is_the_registry() -> None:
         written = {option.strip() for option in cells[-1].split(",")}
         own = {field.name for field in fields(kind)}
         assert written == own, name
-        assert kind.__doc__ and kind.assumption and kind.converges_on and kind.cost and kind.reference
+        assert all((kind.__doc__, kind.assumption, kind.converges_on, kind.cost, kind.reference))

@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -119,7 +120,7 @@ def test_zero_start_that_solves_is_returned_at_once() -> None:
 
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
 def test_empty_problem_is_solved(name: str) -> None:
-    """n = 0 is SOLVED by every algorithm with an empty z."""
+    """N = 0 is SOLVED by every algorithm with an empty z."""
     result = solve(LCP(np.zeros((0, 0)), []), name)
     assert result.status is Status.SOLVED
     assert result.z.shape == result.w.shape == (0,)
@@ -168,7 +169,7 @@ class Ticking(Algorithm):
         while True:
             yield Step(z)
             self.clock.now += 1.0
-            z = 0.5 * (z + (2.5, 0.0))
+            z = 0.5 * (z + np.array([2.5, 0.0]))
 
 
 def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,11 +213,11 @@ def test_history_is_geometric_and_complete(name: str) -> None:
     assert [samples[0].iteration, samples[-1].iteration] == [0, result.iterations]
     iterations = [sample.iteration for sample in samples]
     assert iterations == sorted(set(iterations))
-    assert all(later <= earlier + max(1, 0.05 * earlier + 1) for earlier, later in zip(iterations, iterations[1:], strict=False))
+    assert all(later <= max(earlier + 1, 1.05 * earlier + 1) for earlier, later in pairwise(iterations))
     assert len(samples) < result.iterations
     assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
     assert samples[0].seconds == result.setup_seconds
-    assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in zip(samples, samples[1:], strict=False))
+    assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
 
 
 def test_recorded_residuals_are_those_of_the_certificate() -> None:
@@ -296,7 +297,7 @@ def test_many_threads_give_the_serial_answer() -> None:
 
 
 def test_auto_hands_over_where_npsor_is_slow() -> None:
-    """auto stays with npsor where that arrives soon, goes on with psor otherwise, and tells the shares."""
+    """Auto stays with npsor where that arrives soon, goes on with psor otherwise, and tells the shares."""
     slow = solve(OBSTACLE.problem)
     assert slow.algorithm == "auto: npsor, psor"
     assert "share of the work: npsor" in slow.explain()
@@ -322,7 +323,7 @@ def test_auto_returns_to_npsor_where_psor_fails() -> None:
 
 
 def test_same_call_same_answer() -> None:
-    """auto is deterministic bit for bit, history included except for the seconds."""
+    """Auto is deterministic bit for bit, history included except for the seconds."""
     first, second = (solve(OBSTACLE.problem, record=True) for _ in range(2))
     np.testing.assert_array_equal(first.z, second.z)
     assert [(s.iteration, s.work, s.residual) for s in first.history] == [
@@ -342,7 +343,7 @@ def test_require_solved_raises_with_the_advice() -> None:
     """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
     good = solve(TWO, "pgs")
     assert good.require_solved() is good
-    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: relative residual .* max_iterations"):
+    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: .* raise max_iterations"):
         solve(OBSTACLE.problem, "npsor", max_iterations=2).require_solved()
 
 

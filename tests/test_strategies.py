@@ -93,8 +93,8 @@ def kind(z: Fraction, w: Fraction, lower: float, upper: float) -> str:
     if not lower <= z <= upper or (w > 0 and not at_lower) or (w < 0 and not at_upper):
         return "wrong"
     place = "fixed" if at_lower and at_upper else "lower" if at_lower else "upper" if at_upper else "between"
-    if place == "between" and lower == -np.inf and upper == np.inf:
-        place = "free"
+    if place == "between":
+        place = {0: "free", 1: "half bounded", 2: "boxed"}[int(np.isfinite(lower)) + int(np.isfinite(upper))]
     return place if w == 0 else f"{place}, w {'>' if w > 0 else '<'} 0"
 
 
@@ -163,7 +163,7 @@ def test_exact_checks_can_fail() -> None:
 # --- Everything occurs ------------------------------------------------------------------------------------
 
 
-def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 200) -> Counter[str]:
+def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 150) -> Counter[str]:
     """How often each kind of row occurs in that many drawn problems."""
     counts: Counter[str] = Counter()
 
@@ -179,27 +179,16 @@ def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examp
 def test_active_inactive_and_degenerate_rows_occur() -> None:
     """Each of the three kinds makes up at least a sixth of the rows of plain problems."""
     counts = counted(solved_lcps())
-    assert set(counts) == {"between", "lower", "lower, w > 0"}
+    assert set(counts) == {"half bounded", "lower", "lower, w > 0"}
     assert min(counts.values()) > counts.total() / 6
 
 
 def test_every_kind_of_bound_occurs() -> None:
-    """With bounds, rows between, at each bound with both slacks, fixed with any slack, and free rows occur often."""
+    """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
     counts = counted(solved_lcps(bounds=True))
     sides = ["lower", "lower, w > 0", "upper", "upper, w < 0", "fixed", "fixed, w > 0", "fixed, w < 0"]
-    assert set(counts) == {"between", "free", *sides}
+    assert set(counts) == {"free", "half bounded", "boxed", *sides}
     assert min(counts.values()) > counts.total() / 100
-
-
-@pytest.mark.parametrize("bounded", [(True, True), (True, False), (False, True), (False, False)])
-def test_rows_are_boxed_one_sided_and_free(bounded: tuple[bool, bool]) -> None:
-    """Where z lies strictly between its bounds, both of them, either or none are finite."""
-
-    def is_such(drawn: tuple[LCP, tuple[Fraction, ...]]) -> bool:
-        (lower,), (upper,), (z,) = drawn[0].lower, drawn[0].upper, drawn[1]
-        return lower < z < upper and (np.isfinite(lower), np.isfinite(upper)) == bounded
-
-    assert find(solved_lcps(h_plus_matrices(1), bounds=True), is_such, settings=SEARCH)
 
 
 def test_options_do_what_they_say() -> None:

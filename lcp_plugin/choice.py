@@ -5,11 +5,12 @@
 | nothing | npsor, relaxation 1.7, row scaling "diagonal" (converges for every H₊-matrix) |
 | after 10 sweeps, and every 20 from then on: npsor will arrive within 20 sweeps at its own rate | npsor goes on |
 | npsor is slower than that, or fails, and the diagonal is positive | psor with automatic relaxation |
-| psor diverges or stalls, or has a larger residual after 256 sweeps than npsor left behind | npsor again, for good |
+| psor fails, or after 256 sweeps has a larger residual than npsor left behind | npsor again, for good |
 | otherwise | psor goes on |
 
-256 sweeps, because each change of the relaxation begins with a transient that looks like a failure; and no
-extrapolation of npsor's own rate, because its first sweeps are always its best.
+256 sweeps, and as many more as the relaxation takes to settle, because each change of it begins with a
+transient that looks like a failure; and no extrapolation of npsor's own rate, because its first sweeps are
+always its best. To fail is to diverge or to stall.
 
 No clock is asked: the same call gives the same answer bit for bit.
 """
@@ -41,6 +42,8 @@ class Stage:
     algorithm: Algorithm
     iterations: int = 0
     work: float = 0.0
+    is_settling: bool = False
+    is_compared: bool = False
     residuals: list[tuple[int, float]] = field(default_factory=list)
 
     def note(self, residual: float) -> None:
@@ -108,7 +111,8 @@ class Auto:
 
     def wants_residual(self, stages: Sequence[Stage]) -> bool:
         """Return whether the comparison of the second stage is due at this step."""
-        return len(stages) == 2 and stages[-1].iterations == COMPARISON_SWEEPS
+        now = stages[-1]
+        return len(stages) == 2 and not now.is_compared and not now.is_settling and now.iterations >= COMPARISON_SWEEPS
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
         """Return PSOR after a slow trial of NPSOR, NPSOR after PSOR failed, else None."""
@@ -118,8 +122,10 @@ class Auto:
             usable = bool(has_positive_diagonal(problem).all())
             return PSOR() if usable and (failed or _sweeps_to_go(now, target) > NEAR_ENOUGH) else None
         if len(stages) == 2:
-            grown = now.iterations == COMPARISON_SWEEPS and not now.residuals[-1][1] < stages[0].residuals[-1][1]
-            return stages[0].algorithm if failed or grown else None
+            is_due = self.wants_residual(stages)
+            now.is_compared = now.is_compared or is_due
+            is_useless = is_due and not now.residuals[-1][1] < stages[0].residuals[-1][1]
+            return stages[0].algorithm if failed or is_useless else None
         return None
 
 

@@ -166,6 +166,7 @@ class _Run:
             if not is_first_step or len(self.stages) == 1:
                 self.iteration += 1
             stage.iterations += 0 if is_first_step else 1
+            stage.is_settling = step.is_settling
             reason = self._observe(step, is_first_step)
             is_first_step = False
             failed = reason is Status.DIVERGED or reason is Status.STALLED
@@ -209,6 +210,8 @@ class _Run:
             return Status.MAX_ITERATIONS
         if self._now - self._began - self._compiling >= self.max_seconds:
             return Status.MAX_SECONDS
+        if step.is_settling:
+            self.progress.restart(self.iteration, self.best)
         if residual is None:
             return None
         if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():

@@ -29,14 +29,22 @@ class AdaptiveRelaxation:
         self._gauss_seidel_rate = 1.0
         self._failures = 0
         self._sizes: list[float] = []
+        self.is_settling = False
 
     def after(self, size: float) -> float:
-        """Return ω for the next sweep, given Σ|z⁺ − z| of the last one."""
-        if self._failures < self.PATIENCE and 0.0 < size < math.inf:
+        """Return ω for the next sweep, given Σ|z⁺ − z| of the last one.
+
+        `is_settling` tells afterwards whether ω changed less than a stretch ago: a residual that rises then says nothing.
+        """
+        if self._failures >= self.PATIENCE or not 0.0 < size < math.inf:
+            self.is_settling = False
+        else:
             self._sizes.append(size)
             if len(self._sizes) > self._stretch():
+                before = self.relaxation
                 self._judge(self._rate())
                 self._sizes = [size]
+                self.is_settling = self.relaxation != before
         return self.relaxation
 
     def _stretch(self) -> int:

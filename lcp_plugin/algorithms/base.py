@@ -33,6 +33,8 @@ class Step:
         ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
     work : float
         Matrix entries touched since the last step, divided by the nonzeros of M.
+    is_settling : bool
+        The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
     """
 
     z: FloatVector
@@ -40,6 +42,7 @@ class Step:
     euclidean: float | None = None
     increment: float | None = None
     work: float = 1.0
+    is_settling: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,9 +67,11 @@ class _InPlace(Algorithm):
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
-            yield Step(z, increment=largest, work=float(len(passes)))
+            is_settling = False
             if adaptive:
                 relaxation = adaptive.after(total)
+                is_settling = adaptive.is_settling
+            yield Step(z, increment=largest, work=float(len(passes)), is_settling=is_settling)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,8 @@ Their Method 3.1 with any splitting M = 𝓜 − 𝓝 is, because |w − z| = w 
 
 the residual that is the stopping test anyway, and one triangular solve. Here min(z, w) is replaced by
 r_S(z) = z − mid(lower, upper, z − S w), which is the same on the classical problem, allows bounds and free
-rows, and lets a positive row scaling S in; z⁺ is projected onto the bounds (the paper's ζ₊).
+rows, and lets a positive row scaling S in. Each component of z⁺ is projected onto its bounds (the paper's ζ₊)
+as soon as it is computed, so that the rows after it already see the projected value.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectedType(Algorithm):
-    """z⁺ = z − (D/α + D + 2 S⁻¹ − (β/α) L)⁻¹ 2 S⁻¹ r_S(z), projected onto the bounds.
+    """(D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r_S(z) by forward substitution, each component projected at once.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector, real_vector
 
-UNIT_ROUNDOFF = 2.0**-53
 MACHINE_EPSILON = 2.0**-52
+SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 MEASURES = ("relative", "euclidean")
 
 
@@ -138,7 +138,8 @@ class Certificate:
         problem = self.problem
         terms = np.diff(problem.csr.indptr) + 2
         with np.errstate(all="ignore"):
-            floor: FloatVector = terms * MACHINE_EPSILON * _magnitude(problem, self.z) / problem.residual_scale
+            rounding = MACHINE_EPSILON * _magnitude(problem, self.z) + SMALLEST
+            floor: FloatVector = terms * rounding / problem.residual_scale
         return floor
 
     @property

@@ -42,9 +42,8 @@ class Progress:
         self.next_floor_check = FIRST_FLOOR_CHECK
 
     def restart(self, iteration: int, best: float) -> None:
-        """Begin to watch afresh at this iteration."""
+        """Begin to watch for a standstill afresh at this iteration."""
         self.window_start = (iteration, best)
-        self.last_fall = (iteration, min(best, self.last_fall[1]))
 
     def is_flat(self, iteration: int, best: float) -> bool:
         """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""

@@ -34,7 +34,7 @@ class AdaptiveRelaxation:
     def after(self, size: float) -> float:
         """Return ω for the next sweep, given Σ|z⁺ − z| of the last one.
 
-        `is_settling` tells afterwards whether ω changed less than a stretch ago: a residual that rises then says nothing.
+        `is_settling` tells afterwards whether ω changed less than a stretch ago, when a rising residual says nothing.
         """
         if self._failures >= self.PATIENCE or not 0.0 < size < math.inf:
             self.is_settling = False

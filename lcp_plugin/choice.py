@@ -5,14 +5,11 @@
 | nothing | npsor, relaxation 1.7, row scaling "diagonal" (converges for every H₊-matrix) |
 | after 10 sweeps, and every 20 from then on: npsor will arrive within 20 sweeps at its own rate | npsor goes on |
 | npsor is slower than that, or fails, and the diagonal is positive | psor with automatic relaxation |
-| psor fails, or after 256 sweeps has a larger residual than npsor left behind | npsor again, for good |
-| otherwise | psor goes on |
+| psor fails | npsor again, for good |
 
-256 sweeps, and as many more as the relaxation takes to settle, because each change of it begins with a
-transient that looks like a failure; and no extrapolation of npsor's own rate, because its first sweeps are
-always its best. To fail is to diverge or to stall.
-
-No clock is asked: the same call gives the same answer bit for bit.
+To fail is to diverge or to stall. psor is not sent back for a slow start: its trials are undone where they do not
+pay, so that it converges wherever Gauss–Seidel does. No clock is asked: the same call gives the same answer bit
+for bit.
 """
 
 from __future__ import annotations
@@ -31,7 +28,6 @@ from .problem import LCP
 
 TRIAL_SWEEPS = 10
 NEAR_ENOUGH = 20
-COMPARISON_SWEEPS = 256
 KEPT_RESIDUALS = 512
 
 
@@ -42,8 +38,6 @@ class Stage:
     algorithm: Algorithm
     iterations: int = 0
     work: float = 0.0
-    is_settling: bool = False
-    is_compared: bool = False
     residuals: list[tuple[int, float]] = field(default_factory=list)
 
     def note(self, residual: float) -> None:
@@ -73,9 +67,6 @@ class Policy(Protocol):
     def first(self, problem: LCP) -> Algorithm:
         """Return the algorithm to begin with."""
 
-    def wants_residual(self, stages: Sequence[Stage]) -> bool:
-        """Return whether the policy needs the residual of the present step."""
-
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
 
@@ -91,10 +82,6 @@ class Single:
         """Return the caller's algorithm."""
         return self.algorithm
 
-    def wants_residual(self, stages: Sequence[Stage]) -> bool:
-        """Return False."""
-        return False
-
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
         """Return None: nothing takes over."""
         return None
@@ -109,11 +96,6 @@ class Auto:
         """Return NPSOR at the row scaling that is proved to converge for every H₊-matrix."""
         return NPSOR(scaling="diagonal")
 
-    def wants_residual(self, stages: Sequence[Stage]) -> bool:
-        """Return whether the comparison of the second stage is due at this step."""
-        now = stages[-1]
-        return len(stages) == 2 and not now.is_compared and not now.is_settling and now.iterations >= COMPARISON_SWEEPS
-
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
         """Return PSOR after a slow trial of NPSOR, NPSOR after PSOR failed, else None."""
         now = stages[-1]
@@ -121,12 +103,7 @@ class Auto:
         if len(stages) == 1 and (failed or is_asked):
             usable = bool(has_positive_diagonal(problem).all())
             return PSOR() if usable and (failed or _sweeps_to_go(now, target) > NEAR_ENOUGH) else None
-        if len(stages) == 2:
-            is_due = self.wants_residual(stages)
-            now.is_compared = now.is_compared or is_due
-            is_useless = is_due and not now.residuals[-1][1] < stages[0].residuals[-1][1]
-            return stages[0].algorithm if failed or is_useless else None
-        return None
+        return stages[0].algorithm if len(stages) == 2 and failed else None
 
 
 def _sweeps_to_go(stage: Stage, target: float) -> float:

@@ -26,6 +26,7 @@ Callback = Callable[[Sample, FloatVector], Any]
 DEFAULT_MAX_ITERATIONS = 100_000
 DIVERGED_BEYOND = 1e8
 SAMPLE_GROWTH = 1.05
+GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
 
@@ -73,8 +74,8 @@ def solve(
     Returns
     -------
     Result
-        Always, whatever the status; Ctrl-C returns the best iterate so far. ``result.require_solved()`` raises
-        instead.
+        Always, whatever the status, with the best iterate whose residual was measured (in-place methods are
+        measured at intervals and at the end), also after Ctrl-C. ``result.require_solved()`` raises instead.
 
     Raises
     ------
@@ -94,10 +95,9 @@ def solve(
     run = _Run(problem, policy, tolerance, measure, max_iterations, max_seconds, record, callback)
     start = _checked_start(problem, z0)
     try:
-        reason = run.drive(start)
+        return run.judged(start, run.drive(start))
     except KeyboardInterrupt:
-        reason = Status.INTERRUPTED
-    return run.judged(start, reason)
+        return run.judged(start, Status.INTERRUPTED)
 
 
 class _Run:
@@ -107,15 +107,17 @@ class _Run:
         self, problem: LCP, policy: Policy, tolerance: float, measure: str, max_iterations: int | None,
         max_seconds: float | None, record: bool, callback: Callback | None,
     ) -> None:
+        self._began = self._now = time.perf_counter()
+        self._stopped = self._compiling = 0.0
         self.problem, self.policy, self.callback = problem, policy, callback
         if callback is not None and not callable(callback):
             raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
-        self.tolerance = _checked_number(tolerance, "tolerance", zero=True)
+        self.tolerance = _checked_number(tolerance, "tolerance")
         if measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         self.measure = measure
         self.max_iterations = _checked_count(max_iterations)
-        self.max_seconds = math.inf if max_seconds is None else _checked_number(max_seconds, "max_seconds", zero=True)
+        self.max_seconds = math.inf if max_seconds is None else _checked_number(max_seconds, "max_seconds")
         self.record = record
         self.reference = reference_residual(problem)
         self.stages: list[Stage] = []
@@ -132,8 +134,6 @@ class _Run:
         self._last_certificate: Certificate | None = None
         self._unmeasured: FloatVector | None = None
         self._next_sample = 0
-        self._began = self._now = time.perf_counter()
-        self._stopped = self._compiling = 0.0
 
     # --- the loop ---------------------------------------------------------------------------------------
 
@@ -166,7 +166,6 @@ class _Run:
             if not is_first_step or len(self.stages) == 1:
                 self.iteration += 1
             stage.iterations += 0 if is_first_step else 1
-            stage.is_settling = step.is_settling
             reason = self._observe(step, is_first_step)
             is_first_step = False
             failed = reason is Status.DIVERGED or reason is Status.STALLED
@@ -184,7 +183,7 @@ class _Run:
         if self.iteration == 0:
             self.setup_seconds = self.seconds
         wanted = is_first_step or self.checks.is_due(self.iteration, step.increment)
-        residual = self._residual(step, wanted or self.policy.wants_residual(self.stages))
+        residual = self._residual(step, wanted)
         if residual is not None:
             if residual <= self.tolerance:  # a kernel adds in another order, and only the certificate counts
                 residual = self._certified_residual(step.z)
@@ -246,7 +245,10 @@ class _Run:
         return self._last_certificate.measured(self.measure)
 
     def _is_at_floor(self) -> bool:
-        return self.best_z is not None and Certificate.of(self.problem, self.best_z).is_at_rounding_level
+        if self.best_z is None:
+            return False
+        certificate = Certificate.of(self.problem, self.best_z)
+        return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
 
     @cached_property
     def _unit(self) -> float:
@@ -275,17 +277,18 @@ class _Run:
         if not due and self.callback is None:
             return False
         with _Paused(self):
-            if due:
+            name = self.stages[-1].algorithm.name
+            wants_to_stop = False
+            if self.callback is not None:
+                view = step.z.view()
+                view.flags.writeable = False
+                sample = Sample(self.iteration, self.work, self.seconds, residual, name)
+                wants_to_stop = bool(self.callback(sample, view))
+            if due or (self.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self._measure(step.z) if residual is None else residual
-            sample = Sample(self.iteration, self.work, self.seconds, residual, self.stages[-1].algorithm.name)
-            if due:
-                self.history.append(sample)
-            if self.callback is None:
-                return False
-            view = step.z.view()
-            view.flags.writeable = False
-            return bool(self.callback(sample, view))
+                self.history.append(Sample(self.iteration, self.work, self.seconds, residual, name))
+            return wants_to_stop
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
         """Return the result: finish, certify, and let the certificate name the status."""
@@ -295,21 +298,23 @@ class _Run:
         certificate = self._last_certificate
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)
-        if self.stages and self.measure == "relative" and np.isfinite(z).all():
+        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
+        if self.stages and may_finish and self.measure == "relative" and np.isfinite(z).all():
             cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
-            if cleaned.scaled_residual <= certificate.scaled_residual:
+            if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
                 certificate = cleaned
         if certificate.measured(self.measure) <= self.tolerance:
             reason = Status.SOLVED
-        elif certificate.is_at_rounding_level:
+        elif certificate.relative_residual <= GAINED and certificate.is_at_rounding_level:
             reason = Status.PRECISION_LIMIT
         elif reason is Status.SOLVED or reason is Status.PRECISION_LIMIT:
             reason = Status.STALLED
+        seconds = time.perf_counter() - self._began - self._stopped
         chain = [stage.algorithm.name for stage in self.stages]
         name = self.policy.name if self.policy.name == "".join(chain) else f"{self.policy.name}: {', '.join(chain)}"
         return Result(
             z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
-            iterations=max(self.iteration, 0), work=self.work, seconds=self.seconds, setup_seconds=self.setup_seconds,
+            iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
             tolerance=self.tolerance, measure=self.measure, history=tuple(self.history),
             work_shares=tuple((stage.algorithm.name, stage.work) for stage in self.stages),
         )
@@ -366,11 +371,11 @@ def _checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
     return np.clip(start, problem.lower, problem.upper)
 
 
-def _checked_number(value: Any, name: str, *, zero: bool) -> float:
+def _checked_number(value: Any, name: str) -> float:
     if not is_number(value):
         raise InvalidOption(f"{name} must be a finite number, got {value!r}")
-    if not (value > 0 or (zero and value == 0)) or not math.isfinite(value):
-        raise InvalidOption(f"{name} must be finite and {'not negative' if zero else 'positive'}, got {value!r}")
+    if not 0.0 <= value < math.inf:
+        raise InvalidOption(f"{name} must be finite and not negative, got {value!r}")
     return float(value)
 
 

@@ -20,7 +20,13 @@ from typing import Any
 import numpy as np
 from numba import njit, uintp
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+def _compiled(function: Any) -> Any:
+    """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # numba found no place for its cache
+        return njit(nogil=True, error_model="numpy")(function)
 
 
 @njit(inline="always")

@@ -8,6 +8,7 @@ FIRST_CHECK = 10
 CHECK_GROWTH = 1.5
 FIRST_FLOOR_CHECK = 25
 PROGRESS = 0.99
+LONGEST_FRONT = 2000
 
 
 class CheckSchedule:
@@ -35,7 +36,8 @@ class Progress:
     """Whether the best residual still falls."""
 
     def __init__(self, n: int, max_iterations: int) -> None:
-        self.window = max(200, 5 * math.ceil(math.log2(max(n, 2))))
+        # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it arrives.
+        self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, LONGEST_FRONT))
         self.max_iterations = max_iterations
         self.window_start: tuple[int, float] | None = None
         self.last_fall: tuple[int, float] = (0, math.inf)
@@ -57,11 +59,14 @@ class Progress:
         return False
 
     def is_stalled(self, iteration: int, best: float, tolerance: float) -> bool:
-        """Return whether a window passed with less than 1 % and extrapolation misses max_iterations."""
+        """Return whether a window passed with less than 1 % and extrapolation misses max_iterations.
+
+        A window is at least half as long as the run was before it.
+        """
         if self.window_start is None:
             self.window_start = (iteration, best)
         since, value = self.window_start
-        if iteration - since < self.window:
+        if iteration - since < max(self.shortest_window, since // 2):
             return False
         self.window_start = (iteration, best)
         if best < PROGRESS * value:

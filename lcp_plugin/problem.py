@@ -33,7 +33,8 @@ class LCP:
     ----------
     M : array or sparse array, shape (n, n)
         Real, finite. Integers, booleans and single precision become float64. A canonical CSR array
-        (sorted, no duplicates, no stored zeros) is used without a copy; nothing given is ever modified.
+        (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as they are
+        while the problem lives; nothing given is ever modified.
     q : array, shape (n,)
         Real, finite.
     lower, upper : scalar or array, shape (n,)
@@ -120,7 +121,20 @@ class LCP:
         return w
 
     def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
-        """Return the problem with another q (and bounds) that shares all that depends on M alone."""
+        """Return the problem with another q (and bounds) that shares all that depends on M alone.
+
+        Parameters
+        ----------
+        q : array, shape (n,)
+            Real, finite.
+        lower, upper : scalar or array, shape (n,), optional
+            The present bounds by default.
+
+        Raises
+        ------
+        InvalidProblem
+            As the constructor.
+        """
         other = object.__new__(LCP)
         other._csr, other._dense, other._shared, other.n = self._csr, self._dense, self._shared, self.n
         other._set_vectors(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -62,11 +62,10 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
     finished: dict[Path, Path] = {}
     try:
         for target, write in contents.items():
-            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
-            finished[target] = Path(name)
-            with os.fdopen(handle, "wb") as file:
+            temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
+            with temporary.open("xb") as file:
+                finished[target] = temporary
                 write(file)
-            finished[target].chmod(_usual_mode())
         for target, temporary in finished.items():
             temporary.replace(target)
     except OSError as error:
@@ -74,13 +73,6 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
     finally:
         for temporary in finished.values():
             temporary.unlink(missing_ok=True)
-
-
-def _usual_mode() -> int:
-    """Return the permissions a new file would have had without the detour."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
 
 
 def _save_folder(problem: LCP, folder: Path) -> None:

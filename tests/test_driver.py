@@ -257,6 +257,30 @@ def test_ctrl_c_returns_the_best_iterate() -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InterruptedFinish(Scripted):
+    """Is interrupted in its clean-up."""
+
+    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
+        signal.raise_signal(signal.SIGINT)
+        return z
+
+
+def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
+    """SIGINT while the result is being judged still gives the result."""
+    result = solve(TWO, InterruptedFinish(points=((0.0, 0.0), (2.4, 0.0))), max_iterations=3)
+    assert result.status is Status.INTERRUPTED
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+    assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
+
+
+def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
+    """The step at which a callback stops is in the history, with its residual."""
+    result = solve(OBSTACLE.problem, "psor", record=True, callback=lambda sample, z: sample.iteration == 57)
+    assert result.history[-1].iteration == result.iterations == 57
+    assert result.history[-1].residual is not None
+
+
+@dataclass(frozen=True, kw_only=True)
 class BadFinish(Scripted):
     """Ends with a clean-up that spoils the answer."""
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -382,3 +385,15 @@ def test_threads_share_the_arrays_of_a_sweep() -> None:
         for new, norms in pool.map(sweep, range(32)):
             assert np.array_equal(new, expected)
             assert norms == expected_norms
+
+
+def test_kernels_work_where_nothing_can_be_cached(tmp_path: Path) -> None:
+    """Without a writable folder for compiled code the kernels compile in memory and solve."""
+    code = (
+        "import numba.core.caching as caching\n"
+        "caching.CacheImpl._locator_classes = []\n"
+        "from lcp_plugin import LCP, solve\n"
+        "print(solve(LCP([[2, 1], [1, 2]], [-5, 1]), 'npsor').status.name)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "SOLVED"

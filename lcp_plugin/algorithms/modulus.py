@@ -54,7 +54,7 @@ class ModulusBased(Algorithm):
     The start is x⁰ = z⁰ − lower (γ/2 = 1), as in the paper's tables.
     """
 
-    assumption: ClassVar[str] = "positive diagonal; finite lower, no upper bounds"
+    assumption: ClassVar[str] = "positive diagonal, only lower bounds"
     converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
@@ -85,10 +85,10 @@ class ModulusBased(Algorithm):
         diagonal = require_positive_diagonal(problem, self.name)
         alpha, beta = self.splitting()
         omega = self._omega(problem, diagonal)
-        rows = kernels.packed(
-            problem.slack(problem.lower), problem.lower, inverse_residual_scale(problem), omega,
-            1.0 / (alpha * omega + diagonal),
-        )
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is seen in the residual
+            inverse_pivot = 1.0 / (alpha * omega + diagonal)
+            q = problem.slack(problem.lower)
+        rows = kernels.packed(q, problem.lower, inverse_residual_scale(problem), omega, inverse_pivot)
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem, backward) for backward in passes}
         z, x, new = z0, z0 - problem.lower, np.empty_like(z0)
@@ -107,7 +107,8 @@ class ModulusBased(Algorithm):
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
         if self._has_one_omega:
-            return float(self.omega) * diagonal  # type: ignore[arg-type]
+            with np.errstate(over="ignore"):
+                return float(self.omega) * diagonal  # type: ignore[arg-type]
         try:
             omega = real_vector(self.omega, "omega", problem.n)
         except InvalidProblem as error:

@@ -67,11 +67,10 @@ class _InPlace(Algorithm):
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
-            is_settling = False
-            if adaptive:
-                relaxation = adaptive.after(total)
-                is_settling = adaptive.is_settling
+            is_settling = adaptive is not None and adaptive.is_settling
             yield Step(z, increment=largest, work=float(len(passes)), is_settling=is_settling)
+            if adaptive:
+                relaxation = adaptive.after(total, z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +80,8 @@ class PSOR(_InPlace):
     Parameters
     ----------
     relaxation : float or "auto"
-        ω in (0, 2), or estimated during the run: it starts as Gauss–Seidel and raises ω only as far as the
-        observed contraction pays, so that it converges wherever Gauss–Seidel does.
+        ω in (0, 2), or found during the run by trials that are undone where they do not pay, so that it
+        converges wherever Gauss–Seidel does.
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 
@@ -93,7 +92,7 @@ class PSOR(_InPlace):
     """
 
     name: ClassVar[str] = "psor"
-    converges_on: ClassVar[str] = "SPD for 0 < ω < 2; H₊ for 0 < ω < 2/(1+ρ); auto: both"
+    converges_on: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ), both for auto"
 
     relaxation: float | str = "auto"
 
@@ -149,7 +148,8 @@ class _Simultaneous(Algorithm):
 
         M = problem.csr
         omega, beta = self.weights()
-        step = omega / require_positive_diagonal(problem, self.name)
+        with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
+            step = omega / require_positive_diagonal(problem, self.name)
         rows = kernels.packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step, np.ones(problem.n)
         )
@@ -229,7 +229,7 @@ class GFP(_Simultaneous):
     """
 
     name: ClassVar[str] = "gfp"
-    converges_on: ClassVar[str] = "H₊ for 0 < ω < 2/(1+ρ)"
+    converges_on: ClassVar[str] = "H₊ for ω < 2/(1+ρ)"
     reference: ClassVar[str] = "Fang 2021, doi:10.3934/math.2021691"
 
     relaxation: float = 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -13,8 +12,8 @@ import scipy.sparse as sp
 from ..certificates.residuals import euclidean_norm, scaled_residual
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..problem import LCP, FloatVector
-from .base import Algorithm, Step, check_choice, check_positive
-from .projected_type import REFERENCE, SCALINGS, clean_up_sweep, row_scaling
+from .base import Algorithm, Step, check_choice
+from .projected_type import REFERENCE, check_scaling, clean_up_sweep, row_scaling
 
 NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 
@@ -51,8 +50,7 @@ class NPSplitting(Algorithm):
     def __post_init__(self) -> None:
         if isinstance(self.splitting, str):
             check_choice(self, "splitting", NAMED_SPLITTINGS)
-        check_choice(self, "scaling", SCALINGS)
-        check_positive(self, "scaling_factor")
+        check_scaling(self, self.scaling, self.scaling_factor)
 
     def rehearsal(self) -> Algorithm:
         """Return the same with a splitting that fits any size."""
@@ -95,15 +93,13 @@ class NPSplitting(Algorithm):
             raise InvalidOption(f"{need}: {error}") from error
 
     def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
-        from scipy.sparse.linalg import MatrixRankWarning, splu
+        from scipy.sparse.linalg import splu
 
         if problem.n == 0:
             return _NothingToSolve()
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", MatrixRankWarning)
-                return splu(sp.csc_array(matrix))
-        except (RuntimeError, MatrixRankWarning) as error:
+            return splu(sp.csc_array(matrix))
+        except RuntimeError as error:  # SuperLU's word for an exactly singular factor
             hint = ', or scaling="diagonal"' if self.scaling is None else ""
             raise UnsuitableMatrix(
                 f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"

@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..errors import UnsuitableMatrix
+from ..errors import InvalidOption, UnsuitableMatrix
 from ..problem import LCP, FloatVector
 from .base import (
     SWEEPS,
@@ -42,6 +42,16 @@ def row_scaling(problem: LCP, scaling: str | None, factor: float) -> FloatVector
         return np.ones(problem.n)
     with np.errstate(over="ignore"):
         return np.minimum(factor * inverse_residual_scale(problem), np.finfo(np.float64).max)
+
+
+def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> None:
+    """Raise unless the two options make sense, and make it together."""
+    check_choice(algorithm, "scaling", SCALINGS)
+    check_positive(algorithm, "scaling_factor")
+    if scaling is None and factor != 1.0:
+        raise InvalidOption(
+            f'{algorithm.name}: scaling_factor={factor!r} needs scaling="diagonal"; without scaling it does nothing'
+        )
 
 
 def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
@@ -78,15 +88,14 @@ class ProjectedType(Algorithm):
     scaling_factor: float = 1.0
     sweep: str = "forward"
 
-    assumption: ClassVar[str] = "none (positive diagonal advised)"
+    assumption: ClassVar[str] = "d/α + d + 2 > 0"
     is_compiled: ClassVar[bool] = True
-    converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", 0 ≤ β ≤ α'
+    converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", scaling_factor ≤ 1'
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = REFERENCE
 
     def __post_init__(self) -> None:
-        check_choice(self, "scaling", SCALINGS)
-        check_positive(self, "scaling_factor")
+        check_scaling(self, self.scaling, self.scaling_factor)
         check_choice(self, "sweep", SWEEPS)
 
     def splitting(self) -> tuple[float, float]:
@@ -130,7 +139,9 @@ class ProjectedType(Algorithm):
             inverse: FloatVector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
-            remedy = 'scaling="diagonal"' if self.scaling is None else "npsor or npaor with a relaxation above 1"
+            remedy = 'scaling="diagonal"'
+            if self.scaling or alpha <= 1.0:
+                remedy = f"npsor with {'' if self.scaling else remedy + ' and '}a relaxation above 1"
             raise UnsuitableMatrix(
                 f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.diagonal[i]} "
                 f"gives {pivot[i]}; try {remedy}"
@@ -169,6 +180,7 @@ class NPAOR(ProjectedType):
     """
 
     name: ClassVar[str] = "npaor"
+    converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", scaling_factor ≤ 1, 0 ≤ β ≤ α'
     relaxation: float = 1.7
     acceleration: float = 1.0
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InvalidProblem
+from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..problem import LCP, FloatVector, real_vector
 
 MACHINE_EPSILON = 2.0**-52
@@ -83,7 +83,7 @@ class Certificate:
     def _natural(self) -> FloatVector:
         problem = self.problem
         with np.errstate(all="ignore"):
-            return _mid_residual(problem, self.z, self.w)
+            return _mid_residual(problem, self.z, self.w, self.w)
 
     @cached_property
     def natural_residual(self) -> float:
@@ -151,7 +151,9 @@ class Certificate:
             return bool(np.all(residual <= floor)) and bool(np.isfinite(floor).all())
 
     def measured(self, measure: str) -> float:
-        """Return the residual of that measure: "relative" or "euclidean"."""
+        """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
+        if measure not in MEASURES:
+            raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
 
     def __str__(self) -> str:
@@ -167,16 +169,19 @@ class Certificate:
 
 
 def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,)."""
-    return _mid_residual(problem, z, w / problem.residual_scale)
+    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite."""
+    return _mid_residual(problem, z, w, w / problem.residual_scale)
 
 
-def _mid_residual(problem: LCP, z: FloatVector, step: FloatVector) -> FloatVector:
+def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, step: FloatVector) -> FloatVector:
     """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,).
 
-    The same number, but a small step is not lost beside a large z.
+    The same number, but a small step is not lost beside a large z. A w that overflowed on the way could have
+    either sign, and says nothing.
     """
     residual: FloatVector = np.minimum(np.maximum(step, z - problem.upper), z - problem.lower)
+    if not np.isfinite(w.sum()):
+        residual[np.isinf(w)] = np.inf
     return residual
 
 
@@ -189,7 +194,9 @@ def reference_residual(problem: LCP) -> float:
 
 
 def ratio(numerator: float, denominator: float) -> float:
-    """Return numerator/denominator with 0/0 = 0; NaN stays NaN."""
+    """Return numerator/denominator with 0/0 = 0; NaN stays NaN, and nothing can be measured against ∞."""
+    if denominator == np.inf:
+        return np.nan
     if numerator == 0.0:
         return 0.0
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan

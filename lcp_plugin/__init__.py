@@ -13,7 +13,16 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from .certificates.residuals import Certificate as Certificate
+    from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .driver import solve as solve
+    from .evidence.cross_check import CrossCheck as CrossCheck
+    from .evidence.cross_check import cross_validate as cross_validate
+    from .modeling.constraint import box as box
+    from .modeling.constraint import complements as complements
+    from .modeling.qp_solver import QPSolver as QPSolver
+    from .modeling.registration import ComplementarityProblem as ComplementarityProblem
+    from .modeling.registration import is_complementarity_problem as is_complementarity_problem
+    from .modeling.registration import register as register
     from .problem import LCP as LCP
     from .result import Result as Result
     from .result import Sample as Sample
@@ -26,13 +35,22 @@ _HOME = {
     "Sample": "result",
     "Status": "result",
     "solve": "driver",
+    "ComplementarityProblem": "modeling.registration",
+    "QPSolver": "modeling.qp_solver",
+    "QuadraticProgram": "conversions.quadratic_program",
+    "CrossCheck": "evidence.cross_check",
+    "cross_validate": "evidence.cross_check",
+    "box": "modeling.constraint",
+    "complements": "modeling.constraint",
+    "is_complementarity_problem": "modeling.registration",
+    "register": "modeling.registration",
     "gallery": "evidence.gallery",
     "strategies": "strategies",
     **{
         error: "errors"
         for error in (
             "InvalidOption", "InvalidProblem", "LCPError", "NotConverged", "UnknownAlgorithm",
-            "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem",
+            "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",
         )
     },
 }
@@ -45,6 +63,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
     module = import_module(f"{__name__}.{_HOME[name]}")
     # A room of that name is the thing itself; otherwise the thing lives in the room.
+    if _HOME[name].startswith("modeling"):
+        import_module(f"{__name__}.modeling.registration").register()
     value = module if _HOME[name].split(".")[-1] == name and not hasattr(module, name) else getattr(module, name)
     globals()[name] = value
     return value

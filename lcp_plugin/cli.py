@@ -121,6 +121,26 @@ def solve(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
+@app.command(epilog="Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed.")
+@_speaks_plainly
+def check(
+    target: Annotated[
+        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
+    ],
+    algorithm: Annotated[str, typer.Option("--algorithm", "-a", help="Ours: a name, or auto.")] = "auto",
+    reference: Annotated[str, typer.Option(help="The convex solver to compare with, or auto.")] = "auto",
+    max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
+) -> None:
+    """Compare our answer with that of a convex solver that shares no code with it."""
+    from .evidence.cross_check import cross_validate
+
+    problem, _ = _read_target(target)
+    outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
+    typer.echo(str(outcome))
+    if not outcome.agrees:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
 @app.command("list")
 @_speaks_plainly
 def list_everything() -> None:

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 from .algorithms import Algorithm, Step
 from .algorithms.base import is_number
 from .certificates.residuals import MEASURES, Certificate, ratio, reference_residual, scaled_residual
+from .checks import FloatVector, real_vector
 from .choice import Policy, Stage, policy_for
 from .errors import InvalidOption, InvalidProblem, did_you_mean
 from .pacing import CheckSchedule, Progress
-from .problem import LCP, FloatVector, real_vector
+from .problem import LCP
 from .result import Result, Sample, Status
 
 Callback = Callable[[Sample, FloatVector], Any]

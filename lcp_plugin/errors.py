@@ -26,6 +26,10 @@ class UnsuitableProblem(LCPError, ValueError):
     """The algorithm cannot run on this kind of problem, for instance on its bounds."""
 
 
+class UnsupportedModel(LCPError, ValueError):
+    """The model is no complementarity problem or quadratic program that this package can state."""
+
+
 class UnknownAlgorithm(LCPError, LookupError):
     """No algorithm of that name is registered."""
 

@@ -10,15 +10,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .errors import InvalidProblem
+from .checks import (
+    FloatVector,
+    check_order,
+    checked_bound,
+    checked_matrix,
+    finite_vector,
+    frozen,
+    read_only,
+    real_vector,
+)
 
-FloatVector = NDArray[np.float64]
+__all__ = ["LCP", "FloatVector"]
+
 T = TypeVar("T")
 
-DENSE_ABOVE_DENSITY = 0.25
-DENSE_UP_TO_SIZE = 5000
 NEGLIGIBLE_DIAGONAL = 1e-10
 
 
@@ -61,16 +69,17 @@ class LCP:
     def __init__(
         self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> None:
-        self._csr, self._dense = _checked_matrix(M)
+        self._csr, self._dense = checked_matrix(M)
         self.n: int = self.M.shape[0]
         self._set_vectors(q, lower, upper)
         self._shared = _Shared()
+        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
 
     def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
-        self.q: FloatVector = _finite_vector(q, "q", self.n)
-        self.lower: FloatVector = _checked_bound(lower, "lower", self.n)
-        self.upper: FloatVector = _checked_bound(upper, "upper", self.n)
-        _check_order(self.lower, self.upper)
+        self.q: FloatVector = finite_vector(q, "q", self.n)
+        self.lower: FloatVector = checked_bound(lower, "lower", self.n)
+        self.upper: FloatVector = checked_bound(upper, "upper", self.n)
+        check_order(self.lower, self.upper)
 
     @property
     def M(self) -> Any:
@@ -81,7 +90,7 @@ class LCP:
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         if self._csr is None:
-            self._csr = self.shared("csr", lambda: _frozen(sp.csr_array(self._dense)))
+            self._csr = self.shared("csr", lambda: frozen(sp.csr_array(self._dense)))
         return self._csr
 
     @property
@@ -97,7 +106,7 @@ class LCP:
     @property
     def diagonal(self) -> FloatVector:
         """The diagonal of M, shape (n,)."""
-        return self.shared("diagonal", lambda: _read_only(np.array(self.M.diagonal(), dtype=np.float64)))
+        return self.shared("diagonal", lambda: read_only(np.array(self.M.diagonal(), dtype=np.float64)))
 
     @property
     def residual_scale(self) -> FloatVector:
@@ -105,12 +114,12 @@ class LCP:
 
         d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return self.shared("residual_scale", lambda: _read_only(_residual_scale(self.M, self.diagonal)))
+        return self.shared("residual_scale", lambda: read_only(_residual_scale(self.M, self.diagonal)))
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        return _read_only(np.clip(0.0, self.lower, self.upper))
+        return read_only(np.clip(0.0, self.lower, self.upper))
 
     def slack(self, z: ArrayLike) -> FloatVector:
         """Return w = M z + q, shape (n,)."""
@@ -136,6 +145,7 @@ class LCP:
             As the constructor.
         """
         other = object.__new__(LCP)
+        other.origin = None
         other._csr, other._dense, other._shared, other.n = self._csr, self._dense, self._shared, self.n
         other._set_vectors(
             q, self.lower if lower is None else lower, self.upper if upper is None else upper
@@ -155,6 +165,41 @@ class LCP:
         from .problem_files import save
 
         save(self, path)
+
+    @classmethod
+    def from_qp(
+        cls, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf, *, form: str = "auto",
+    ) -> LCP:
+        """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
+
+        ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
+        :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors.
+        """
+        from .conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+
+        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
+
+    def to_qp(self) -> Any:
+        """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
+        from .conversions.quadratic_program import qp_from_lcp
+
+        return qp_from_lcp(self)
+
+    @classmethod
+    def from_cvxpy(cls, problem: Any) -> LCP:
+        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables."""
+        from .modeling.model import build_from
+
+        model = build_from(problem)
+        model.problem.origin = model
+        return model.problem
+
+    def to_cvxpy(self) -> Any:
+        """Return a ``ComplementarityProblem`` in one variable that states this problem."""
+        from .modeling.model import stated_in_cvxpy
+
+        return stated_in_cvxpy(self)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> LCP:
@@ -188,7 +233,7 @@ class LCP:
         if self._dense is not None:
             self._dense.flags.writeable = False
         if self._csr is not None:
-            self._csr = _frozen(self._csr)
+            self._csr = frozen(self._csr)
 
 
 class _Shared:
@@ -207,173 +252,6 @@ class _Shared:
                     self._values[key] = compute()
                 value = self._values[key]
         return value
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-def _frozen(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the CSR array on read-only views of its own arrays, canonical flags set."""
-    index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64
-    frozen = sp.csr_array(matrix.shape, dtype=np.float64)
-    frozen.data = _read_only(matrix.data)
-    frozen.indices = _read_only(matrix.indices.astype(index_type, copy=False))
-    frozen.indptr = _read_only(matrix.indptr.astype(index_type, copy=False))
-    frozen.has_sorted_indices = True
-    frozen.has_canonical_format = True
-    return frozen
-
-
-def _checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
-    """Return (CSR, None), or (None, ndarray) where the matrix is small and dense."""
-    if sp.issparse(M):
-        _check_kind(M.dtype, "M must hold real numbers")
-        _check_square(M.shape)
-        try:
-            return _canonical(M), None
-        except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
-            if isinstance(error, InvalidProblem):
-                raise
-            raise InvalidProblem(f"M is a damaged sparse array: {error}; build it again") from error
-    dense = _real_array(M, "M must hold real numbers")
-    _check_square(dense.shape)
-    if not np.isfinite(dense).all():
-        row, column = np.argwhere(~np.isfinite(dense))[0]
-        raise InvalidProblem(f"M must be finite, but M[{row}, {column}] = {dense[row, column]}; repair that entry")
-    n = dense.shape[0]
-    if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
-        return None, _read_only(np.ascontiguousarray(dense))
-    return _frozen(sp.csr_array(dense)), None
-
-
-def _canonical(M: Any) -> sp.csr_array:
-    """Return M as canonical, checked CSR; without a copy where it is that already."""
-    if M.format == "csr":
-        # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
-        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
-    else:
-        _check_before_conversion(M)
-        matrix = sp.csr_array(M)
-    matrix.check_format(full_check=True)
-    if (np.diff(matrix.indptr) < 0).any():
-        raise ValueError("index pointer values must form a non-decreasing sequence")
-    if matrix.dtype != np.float64:
-        with np.errstate(over="ignore"):
-            matrix = matrix.astype(np.float64)
-    if not matrix.has_canonical_format:
-        matrix = matrix.copy()
-        matrix.sum_duplicates()
-    if np.count_nonzero(matrix.data) != matrix.nnz:
-        matrix = matrix.copy()
-        matrix.eliminate_zeros()
-    if not _all_finite(matrix.data):
-        where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
-        row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
-        raise InvalidProblem(
-            f"M must be finite, but M[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that entry"
-        )
-    return _frozen(matrix)
-
-
-def _check_before_conversion(M: Any) -> None:
-    """Raise where scipy's conversion to CSR would read or write outside its arrays."""
-    if M.format in ("csc", "bsr"):
-        M.check_format(full_check=True)
-        if (np.diff(M.indptr) < 0).any():
-            raise ValueError("index pointer values must form a non-decreasing sequence")
-    elif M.format == "coo":
-        if not M.row.size == M.col.size == M.data.size:
-            raise ValueError("row, column and data arrays must have the same length")
-        for index in (M.row, M.col):
-            if index.size and not 0 <= index.min() <= index.max() < M.shape[0]:
-                raise ValueError(f"indices must lie in 0 … {M.shape[0] - 1}")
-    elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
-        raise ValueError("each row must have as many values as columns")
-
-
-def _all_finite(values: FloatVector) -> bool:
-    """Return whether all are finite; one pass and no temporary in the usual case."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(values.sum())) or bool(np.isfinite(values).all())
-
-
-def _check_kind(dtype: np.dtype[Any], need: str) -> None:
-    if dtype.kind not in "fiub":
-        what = {"c": "complex", "O": "object", "U": "text", "S": "bytes", "M": "dates", "m": "durations"}
-        raise InvalidProblem(
-            f"{need}, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); convert them first"
-        )
-
-
-def _check_square(shape: tuple[int, ...]) -> None:
-    if len(shape) != 2 or shape[0] != shape[1]:
-        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {shape}")
-
-
-def _real_array(values: Any, need: str) -> NDArray[np.float64]:
-    """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
-    if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
-    if sp.issparse(values):
-        raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
-    if values is None:
-        raise InvalidProblem(f"{need}, got None")
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check its rows") from error
-    _check_kind(array.dtype, need)
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
-        return array.astype(np.float64, copy=False)
-
-
-def real_vector(values: Any, name: str, n: int) -> FloatVector:
-    """Return a read-only copy of a real vector of length n; NaN and infinities pass.
-
-    Raises
-    ------
-    InvalidProblem
-        Where it is no array of real numbers, or has another shape.
-    """
-    need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
-    array = _real_array(values, need)
-    if array.shape != (n,):
-        raise InvalidProblem(f"{need}, got shape {array.shape}")
-    return _read_only(array.copy())
-
-
-def _finite_vector(values: Any, name: str, n: int) -> FloatVector:
-    array = real_vector(values, name, n)
-    if not _all_finite(array):
-        where = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
-    return array
-
-
-def _checked_bound(values: Any, name: str, n: int) -> FloatVector:
-    need = f"{name} must be a number or a vector of length {n}"
-    array = _real_array(values, need)
-    if array.shape == ():
-        array = np.full(n, float(array))
-    if array.shape != (n,):
-        raise InvalidProblem(f"{need}, got shape {array.shape}")
-    if np.isnan(array).any():
-        where = int(np.flatnonzero(np.isnan(array))[0])
-        raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
-    return _read_only(array.copy())
-
-
-def _check_order(lower: FloatVector, upper: FloatVector) -> None:
-    wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)
-    if wrong.any():
-        i = int(np.flatnonzero(wrong)[0])
-        raise InvalidProblem(
-            f"bounds must satisfy lower ≤ upper and leave room for a number, "
-            f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
-        )
 
 
 def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:

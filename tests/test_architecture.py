@@ -14,7 +14,7 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "lcp_plugin"
-DOORS = {("problem", "problem_files")}
+DOORS = {("problem", "problem_files"), ("problem", "conversions"), ("problem", "modeling")}
 HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")
 FRONT_DOORS = ("__init__", "__main__")
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, problem, solve
+from lcp_plugin import LCP, Certificate, InvalidProblem, checks, solve
 
 A = np.array([[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]])
 Q = np.array([-1.0, 2.0, -3.0, 4.0])
@@ -271,8 +271,8 @@ def test_sparse_stays_sparse_however_full() -> None:
 
 def test_dense_is_kept_up_to_five_thousand(monkeypatch: pytest.MonkeyPatch) -> None:
     """The size above which a full matrix is stored as CSR is 5000."""
-    assert problem.DENSE_UP_TO_SIZE == 5000
-    monkeypatch.setattr(problem, "DENSE_UP_TO_SIZE", 4)
+    assert checks.DENSE_UP_TO_SIZE == 5000
+    monkeypatch.setattr(checks, "DENSE_UP_TO_SIZE", 4)
     assert isinstance(LCP(np.ones((4, 4)), Q).M, np.ndarray)
     assert sp.issparse(LCP(np.ones((5, 5)), np.ones(5)).M)
 

@@ -29,6 +29,7 @@ from lcp_plugin.errors import (
     UnreadableFile,
     UnsuitableMatrix,
     UnsuitableProblem,
+    UnsupportedModel,
 )
 
 BUILTIN_BASE = {
@@ -39,6 +40,7 @@ BUILTIN_BASE = {
     UnknownAlgorithm: LookupError,
     UnreadableFile: OSError,
     NotConverged: RuntimeError,
+    UnsupportedModel: ValueError,
 }
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}

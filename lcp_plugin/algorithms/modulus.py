@@ -16,8 +16,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ..problem import LCP, FloatVector, real_vector
+from ..problem import LCP
 from .base import (
     SWEEPS,
     Algorithm,

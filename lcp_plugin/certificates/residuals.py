@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..problem import LCP, FloatVector, real_vector
+from ..problem import LCP
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this

@@ -1,0 +1,188 @@
+"""What arrays may state a problem: real, finite, of the right shape, canonical; everything else is refused in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from .errors import InvalidProblem
+
+FloatVector = NDArray[np.float64]
+
+DENSE_ABOVE_DENSITY = 0.25
+DENSE_UP_TO_SIZE = 5000
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def frozen(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the CSR array on read-only views of its own arrays, canonical flags set."""
+    index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64
+    frozen = sp.csr_array(matrix.shape, dtype=np.float64)
+    frozen.data = read_only(matrix.data)
+    frozen.indices = read_only(matrix.indices.astype(index_type, copy=False))
+    frozen.indptr = read_only(matrix.indptr.astype(index_type, copy=False))
+    frozen.has_sorted_indices = True
+    frozen.has_canonical_format = True
+    return frozen
+
+
+def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
+    """Return (CSR, None), or (None, ndarray) where the matrix is small and dense."""
+    if sp.issparse(M):
+        check_kind(M.dtype, "M must hold real numbers")
+        _check_square(M.shape)
+        try:
+            return _canonical(M), None
+        except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
+            if isinstance(error, InvalidProblem):
+                raise
+            raise InvalidProblem(f"M is a damaged sparse array: {error}; build it again") from error
+    dense = real_array(M, "M must hold real numbers")
+    _check_square(dense.shape)
+    if not np.isfinite(dense).all():
+        row, column = np.argwhere(~np.isfinite(dense))[0]
+        raise InvalidProblem(f"M must be finite, but M[{row}, {column}] = {dense[row, column]}; repair that entry")
+    n = dense.shape[0]
+    if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
+        return None, read_only(np.ascontiguousarray(dense))
+    return frozen(sp.csr_array(dense)), None
+
+
+def _canonical(M: Any) -> sp.csr_array:
+    """Return M as canonical, checked CSR; without a copy where it is that already."""
+    if M.format == "csr":
+        # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
+        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
+    else:
+        _check_before_conversion(M)
+        matrix = sp.csr_array(M)
+    matrix.check_format(full_check=True)
+    if (np.diff(matrix.indptr) < 0).any():
+        raise ValueError("index pointer values must form a non-decreasing sequence")
+    if matrix.dtype != np.float64:
+        with np.errstate(over="ignore"):
+            matrix = matrix.astype(np.float64)
+    if not matrix.has_canonical_format:
+        matrix = matrix.copy()
+        matrix.sum_duplicates()
+    if np.count_nonzero(matrix.data) != matrix.nnz:
+        matrix = matrix.copy()
+        matrix.eliminate_zeros()
+    if not _all_finite(matrix.data):
+        where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
+        row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
+        raise InvalidProblem(
+            f"M must be finite, but M[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that entry"
+        )
+    return frozen(matrix)
+
+
+def _check_before_conversion(M: Any) -> None:
+    """Raise where scipy's conversion to CSR would read or write outside its arrays."""
+    if M.format in ("csc", "bsr"):
+        M.check_format(full_check=True)
+        if (np.diff(M.indptr) < 0).any():
+            raise ValueError("index pointer values must form a non-decreasing sequence")
+    elif M.format == "coo":
+        if not M.row.size == M.col.size == M.data.size:
+            raise ValueError("row, column and data arrays must have the same length")
+        for index in (M.row, M.col):
+            if index.size and not 0 <= index.min() <= index.max() < M.shape[0]:
+                raise ValueError(f"indices must lie in 0 … {M.shape[0] - 1}")
+    elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
+        raise ValueError("each row must have as many values as columns")
+
+
+def _all_finite(values: FloatVector) -> bool:
+    """Return whether all are finite; one pass and no temporary in the usual case."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(values.sum())) or bool(np.isfinite(values).all())
+
+
+def check_kind(dtype: np.dtype[Any], need: str) -> None:
+    """Raise unless the dtype is one of real numbers, saying what is needed."""
+    if dtype.kind not in "fiub":
+        what = {"c": "complex", "O": "object", "U": "text", "S": "bytes", "M": "dates", "m": "durations"}
+        raise InvalidProblem(
+            f"{need}, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); convert them first"
+        )
+
+
+def _check_square(shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {shape}")
+
+
+def real_array(values: Any, need: str) -> NDArray[np.float64]:
+    """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
+    if sp.issparse(values):
+        raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
+    if values is None:
+        raise InvalidProblem(f"{need}, got None")
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check its rows") from error
+    check_kind(array.dtype, need)
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+        return array.astype(np.float64, copy=False)
+
+
+def real_vector(values: Any, name: str, n: int) -> FloatVector:
+    """Return a read-only copy of a real vector of length n; NaN and infinities pass.
+
+    Raises
+    ------
+    InvalidProblem
+        Where it is no array of real numbers, or has another shape.
+    """
+    need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
+    array = real_array(values, need)
+    if array.shape != (n,):
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
+    return read_only(array.copy())
+
+
+def finite_vector(values: Any, name: str, n: int) -> FloatVector:
+    """Return a read-only copy of a finite real vector of length n, or raise naming the entry."""
+    array = real_vector(values, name, n)
+    if not _all_finite(array):
+        where = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
+    return array
+
+
+def checked_bound(values: Any, name: str, n: int) -> FloatVector:
+    """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is refused."""
+    need = f"{name} must be a number or a vector of length {n}"
+    array = real_array(values, need)
+    if array.shape == ():
+        array = np.full(n, float(array))
+    if array.shape != (n,):
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
+    if np.isnan(array).any():
+        where = int(np.flatnonzero(np.isnan(array))[0])
+        raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
+    return read_only(array.copy())
+
+
+def check_order(lower: FloatVector, upper: FloatVector) -> None:
+    """Raise where lower ≤ upper fails or leaves no room for a number."""
+    wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise InvalidProblem(
+            f"bounds must satisfy lower ≤ upper and leave room for a number, "
+            f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
+        )

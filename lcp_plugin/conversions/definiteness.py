@@ -1,0 +1,145 @@
+"""Is a symmetric matrix positive (semi)definite? Decided by an attempt to factorise it, with a rounding margin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..problem import FloatVector
+
+FloatArray = NDArray[np.float64]
+Solver = Callable[[FloatArray], FloatArray]
+
+EPSILON = 2.0**-52
+LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
+
+
+class _Factor(NamedTuple):
+    solve: Solver
+    terms: int  # the longest sum of products in the factorisation
+
+
+def positive_definite_solver(P: Any) -> Solver | None:
+    """Return the function rhs ↦ P⁻¹ rhs where P is proven positive definite, else None.
+
+    Parameters
+    ----------
+    P : ndarray or CSR array, shape (n, n)
+        Exactly symmetric.
+
+    Notes
+    -----
+    P is scaled to a unit diagonal. Its factorisation has a backward error of at most n γ_{k+1} in the 2-norm, k the
+    longest row of the factor: where the matrix less twice that margin still factorises with positive pivots, P is
+    positive definite. None means: it is not, or so nearly singular (condition number about 1/(n k ε)) that double
+    precision cannot tell. Cost: two factorisations; a diagonal P costs nothing.
+
+    References
+    ----------
+    S. M. Rump, *Verification of positive definiteness*, BIT 46 (2006), doi:10.1007/s10543-006-0056-1.
+
+    Examples
+    --------
+    >>> solve = positive_definite_solver(np.array([[2.0, 1.0], [1.0, 2.0]]))
+    >>> solve(np.array([3.0, 3.0])).round(12)
+    array([1., 1.])
+    >>> positive_definite_solver(np.array([[1.0, 1.0], [1.0, 1.0]])) is None
+    True
+    """
+    diagonal: FloatVector = np.array(P.diagonal())
+    if not (diagonal > 0.0).all():
+        return None
+    if is_diagonal(P):
+        return lambda rhs: rhs / _column_like(diagonal, rhs)
+    scale = 1.0 / np.sqrt(diagonal)
+    unit = _scaled(P, scale)
+    factor = _factorised(unit, 0.0)
+    if factor is None or _factorised(unit, -_margin(scale.size, factor.terms)) is None:
+        return None
+    solve = factor.solve
+    return lambda rhs: _column_like(scale, rhs) * solve(_column_like(scale, rhs) * rhs)
+
+
+def is_positive_semidefinite(P: Any) -> bool | None:
+    """Return whether P is positive semidefinite to rounding: True, False, or None where n is too large to say.
+
+    Parameters
+    ----------
+    P : ndarray or CSR array, shape (n, n)
+        Exactly symmetric.
+
+    Notes
+    -----
+    True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵² – no factorisation can say more
+    of a singular matrix. False is a proof up to the same rounding. None: δ > 1e-6 (n above some 67 000).
+
+    Examples
+    --------
+    >>> is_positive_semidefinite(np.array([[1.0, 1.0], [1.0, 1.0]]))
+    True
+    >>> is_positive_semidefinite(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
+    False
+    """
+    diagonal: FloatVector = np.array(P.diagonal())
+    if (diagonal < 0.0).any():
+        return False
+    # A zero on the diagonal of a semidefinite matrix has nothing beside it.
+    if (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
+        return False
+    if is_diagonal(P):
+        return True
+    shift = _margin(diagonal.size, diagonal.size)
+    if shift > LARGEST_SHIFT:
+        return None
+    unit = _scaled(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
+    return _factorised(unit, shift) is not None
+
+
+def is_diagonal(P: Any) -> bool:
+    """Return whether all entries beside the diagonal are zero."""
+    nonzeros = P.nnz if sp.issparse(P) else np.count_nonzero(P)
+    return int(nonzeros) == np.count_nonzero(P.diagonal())
+
+
+def _margin(n: int, terms: int) -> float:
+    return n * (terms + 4) * EPSILON
+
+
+def _scaled(P: Any, scale: FloatVector) -> Any:
+    if not sp.issparse(P):
+        return scale[:, None] * P * scale
+    by_row = sp.diags_array(scale)
+    return (by_row @ P @ by_row).tocsc()
+
+
+def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:
+    return scale if rhs.ndim == 1 else scale[:, None]
+
+
+def _factorised(unit: Any, shift: float) -> _Factor | None:
+    """Return a factorisation of unit + shift·I with positive pivots, or None where there is none."""
+    n = unit.shape[0]
+    if not sp.issparse(unit):
+        try:
+            factor = scipy.linalg.cho_factor(unit + shift * np.eye(n), lower=True)
+        except np.linalg.LinAlgError:
+            return None
+        return _Factor(lambda rhs: scipy.linalg.cho_solve(factor, rhs), n)
+    from scipy.sparse.linalg import splu
+
+    try:
+        # Pivots are taken from the diagonal, in an order that is the same for rows and columns.
+        lu = splu(
+            (unit + shift * sp.eye_array(n)).tocsc(),
+            permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # "Factor is exactly singular"
+        return None
+    if not np.array_equal(lu.perm_r, lu.perm_c) or not (lu.U.diagonal() > 0.0).all():
+        return None
+    return _Factor(lu.solve, int(np.bincount(lu.L.indices).max()))

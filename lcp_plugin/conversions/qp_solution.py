@@ -1,0 +1,156 @@
+"""The answer to a quadratic program: primal and dual values, judged by the conditions of Karush, Kuhn and Tucker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..problem import FloatVector
+from .checked import checked_vector
+
+if TYPE_CHECKING:
+    from .quadratic_program import QuadraticProgram
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """A point x and multipliers of a quadratic program, with the three residuals that judge them.
+
+    The multipliers have the signs of cvxpy's ``dual_value``: at a solution
+
+        P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0,   inequality, lower, upper ≥ 0.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+        The data on which everything is measured.
+    x : ndarray, shape (n,)
+    inequality : ndarray, shape (rows of G,)
+        Of G x ≤ h; 0 where h is ∞.
+    equality : ndarray, shape (rows of A,)
+        Of A x − b = 0, of either sign.
+    lower, upper : ndarray, shape (n,)
+        Of lower ≤ x and of x ≤ upper; 0 where the bound is infinite.
+
+    Notes
+    -----
+    Each residual is relative to 1 + the largest term of the sum it is the residual of. A limit that holds is no such
+    term: a bound of 1e9 that nobody reaches excuses nothing.
+
+    Raises
+    ------
+    InvalidProblem
+        Where one of them is no finite vector of its length.
+    """
+
+    program: QuadraticProgram = field(repr=False)
+    x: FloatVector
+    inequality: FloatVector
+    equality: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies: the residuals are computed once."""
+        n, program = self.program.n, self.program
+        sizes = {"x": n, "inequality": program.h.size, "equality": program.b.size, "lower": n, "upper": n}
+        for name, size in sizes.items():
+            object.__setattr__(self, name, checked_vector(getattr(self, name), name, size))
+
+    @cached_property
+    def objective(self) -> float:
+        """½ xᵀP x + cᵀx."""
+        return self.program.objective(self.x)
+
+    @cached_property
+    def primal_residual(self) -> float:
+        """By how much x violates G x ≤ h, A x = b and its bounds."""
+        _, gaps = self._sides
+        misses = self.program.A @ self.x - self.program.b
+        terms = [self.x, self.program.A @ self.x, self.program.b]
+        violations = [np.abs(misses)]
+        for _, gap, value, limit in gaps:
+            violations.append(np.maximum(-gap, 0.0))
+            terms += [value, np.where(gap < 0.0, limit, 0.0)]
+        return _relative(violations, terms)
+
+    @cached_property
+    def dual_residual(self) -> float:
+        """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign."""
+        program = self.program
+        terms = [
+            program.P @ self.x, program.c, program.G.T @ self.inequality, program.A.T @ self.equality,
+            -self.lower, self.upper,
+        ]
+        signs, _ = self._sides
+        wrong = [np.maximum(-multiplier, 0.0) for multiplier in signs]
+        return _relative([np.abs(np.sum(terms, axis=0)), *wrong], terms)
+
+    @cached_property
+    def complementarity(self) -> float:
+        """The largest product of a multiplier and the distance from its limit."""
+        _, gaps = self._sides
+        products, terms = [], []
+        for multiplier, gap, value, limit in gaps:
+            acts = (multiplier != 0.0) & np.isfinite(limit)
+            products.append(np.abs(np.where(acts, multiplier * np.where(acts, gap, 0.0), 0.0)))
+            # A multiplier of an infinite limit can never be right.
+            products.append(np.where(np.isinf(limit), np.abs(multiplier), 0.0))
+            terms += [multiplier * value, np.where(acts, multiplier * np.where(acts, limit, 0.0), 0.0)]
+        return _relative(products, terms)
+
+    @property
+    def residual(self) -> float:
+        """The largest of the primal residual, the dual residual and complementarity."""
+        return float(np.max([self.primal_residual, self.dual_residual, self.complementarity]))
+
+    def is_optimal(self, tolerance: float = 1e-6) -> bool:
+        """Return whether all three residuals are at most the tolerance.
+
+        For a convex program the conditions are sufficient; otherwise x is stationary.
+
+        Raises
+        ------
+        InvalidOption
+            Where the tolerance is no number ≥ 0.
+        """
+        if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
+            raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
+        return bool(self.residual <= tolerance)
+
+    @cached_property
+    def _sides(
+        self,
+    ) -> tuple[list[FloatVector], list[tuple[FloatVector, FloatVector, FloatVector, FloatVector]]]:
+        """The signed multipliers; and (multiplier, gap, value, limit) of each kind of inequality."""
+        program, x = self.program, self.x
+        value = program.G @ x
+        multipliers = [self.inequality, self.lower, self.upper]
+        gaps = [
+            (self.inequality, program.h - value, value, program.h),
+            (self.lower, x - program.lower, x, program.lower),
+            (self.upper, program.upper - x, x, program.upper),
+        ]
+        return multipliers, gaps
+
+    def __str__(self) -> str:
+        lines = [
+            ("objective", f"{self.objective:.9g}"),
+            ("primal residual", f"{self.primal_residual:.3e}"),
+            ("dual residual", f"{self.dual_residual:.3e}"),
+            ("complementarity", f"{self.complementarity:.3e}"),
+        ]
+        return "\n".join(f"{name:<16} {value}" for name, value in lines)
+
+
+def _relative(errors: list[FloatVector], terms: list[FloatVector]) -> float:
+    """Return the largest error over 1 + the largest term; NaN where anything is NaN."""
+    return _largest(errors) / (1.0 + _largest([np.abs(term) for term in terms]))
+
+
+def _largest(vectors: list[FloatVector]) -> float:
+    return float(np.max([vector.max(initial=0.0) for vector in vectors], initial=0.0))

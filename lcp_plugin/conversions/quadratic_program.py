@@ -1,0 +1,302 @@
+"""Quadratic programs as linear complementarity problems, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..checks import DENSE_UP_TO_SIZE, FloatVector, check_order, checked_bound
+from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ..problem import LCP
+from .checked import attach_origin, checked_matrix, checked_vector
+from .definiteness import Solver, is_diagonal, is_positive_semidefinite, positive_definite_solver
+from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
+from .simple_rows import FoldedRows, fold_simple_rows
+
+SYMMETRIC_TO = 1e-12
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class QuadraticProgram:
+    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
+
+    Parameters
+    ----------
+    P : array or sparse array, shape (n, n)
+        Real, finite, symmetric. Rounding errors in the symmetry are averaged away, and ``asymmetry`` says how
+        large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked here: see `is_convex`.
+    c : array, shape (n,)
+        Real, finite.
+    G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
+        An h of ∞ says nothing about its row.
+    A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
+    lower, upper : scalar or array, shape (n,)
+        In the unit of x; none by default.
+
+    Attributes
+    ----------
+    asymmetry : float
+        max |p_ij − p_ji| of the P that was given.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the data do not state such a program.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+    >>> program
+    QuadraticProgram(n=2, 1 inequality, 0 equalities)
+    >>> program.objective([0.5, 1.5])
+    -4.5
+    """
+
+    P: Any
+    c: FloatVector
+    G: Any
+    h: FloatVector
+    A: Any
+    b: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    asymmetry: float = field(default=0.0)
+
+    def __init__(
+        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    ) -> None:
+        vector = checked_vector(c, "c", None)
+        n = vector.size
+        symmetric, asymmetry = _symmetric(checked_matrix(P, "P", n, n))
+        rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
+        equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
+        below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        check_order(below, above)
+        data = {
+            "P": symmetric, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
+            "lower": below, "upper": above, "asymmetry": asymmetry,
+        }
+        for name, value in data.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        return int(self.c.size)
+
+    @property
+    def is_convex(self) -> bool | None:
+        """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
+        return is_positive_semidefinite(self.P)
+
+    def objective(self, x: ArrayLike) -> float:
+        """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
+        point = checked_vector(x, "x", self.n)
+        return float(0.5 * (point @ (self.P @ point)) + self.c @ point)
+
+    def __repr__(self) -> str:
+        m, p = self.h.size, self.b.size
+        averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
+        rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"
+        return f"QuadraticProgram(n={self.n}, {rows}{averaged})"
+
+
+def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
+    """Return the linear complementarity problem that the program's optimality conditions are.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        For one that is not convex the problem's solutions are the stationary points, good and bad.
+    form : {"auto", "direct", "dual", "kkt"}
+        Rows with one nonzero become bounds first, empty rows and rows with h = ∞ go; then
+
+        - direct, only bounds left: M = P, q = c, the bounds as they are, n rows.
+        - dual, P positive definite (proven by a factorisation): C x ≤ d collects what is left of G, A and all finite
+          bounds; M = C P⁻¹Cᵀ, q = d + C P⁻¹c, equations as free rows. Symmetric positive semidefinite with a positive
+          diagonal, sparse where P⁻¹ is, otherwise dense.
+        - kkt, any convex program: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
+          multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
+
+        auto: direct where it can be; dual where P is positive definite, it has no more rows than kkt, and M is not
+        a dense matrix of more than 5000 rows; else kkt.
+
+    Returns
+    -------
+    LCP
+        Its ``origin.recover(result)`` gives the :class:`~lcp_plugin.conversions.qp_solution.QPSolution`, with the
+        multipliers of all rows and bounds, folded ones included.
+
+    Raises
+    ------
+    UnsuitableProblem
+        form="direct", but rows are left.
+    UnsuitableMatrix
+        form="dual", but P could not be proven positive definite.
+    InvalidOption
+        An unknown form.
+
+    Notes
+    -----
+    Constraints that contradict one another are not looked for: such a program gives a problem without solution.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.2.
+
+    Examples
+    --------
+    The point of x₁ + x₂ ≤ 2 nearest to (1, 2), and what the constraint costs:
+
+    >>> problem = lcp_from_qp(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    >>> problem, problem.origin.form
+    (LCP(n=1, nonzeros=1, bounds 0 ≤ z), 'dual')
+    >>> solution = problem.origin.recover([1.0])
+    >>> solution.x, solution.inequality, solution.is_optimal(1e-12)
+    (array([0.5, 1.5]), array([1.]), True)
+    """
+    if not isinstance(program, QuadraticProgram):
+        raise InvalidProblem(
+            f"lcp_from_qp needs a QuadraticProgram, got {type(program).__name__}; write QuadraticProgram(P, c, …)"
+        )
+    if form not in (*FORMS, "auto"):
+        raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
+    rows = fold_simple_rows(program)
+    solver: Solver | None = None
+    if form == "dual" or (form == "auto" and _dual_is_small(program, rows)):
+        solver = positive_definite_solver(program.P)
+    if form == "auto":
+        form = "direct" if not rows.count else "dual" if solver is not None else "kkt"
+    if form == "direct":
+        if rows.count:
+            raise UnsuitableProblem(
+                f'form="direct" needs a program with bounds only, but {rows.count} rows of G and A have more than one '
+                'nonzero (or contradict one another); use form="dual" or form="kkt"'
+            )
+        direct = DirectForm(program, rows)
+        return attach_origin(direct.problem(), direct)
+    if form == "kkt":
+        kkt = KKTForm(program, rows)
+        return attach_origin(kkt.problem(), kkt)
+    if solver is None:
+        raise UnsuitableMatrix(
+            'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
+        )
+    dual = DualForm.with_solver(program, rows, solver)
+    return attach_origin(dual.problem(), dual)
+
+
+def qp_from_lcp(problem: LCP) -> QuadraticProgram:
+    """Return a quadratic program whose optimality conditions, or whose minimum, are the problem.
+
+    Parameters
+    ----------
+    problem : LCP
+        M symmetric to rounding: min ½ zᵀM z + qᵀz over the bounds; its stationary points are the solutions, all of
+        them minimisers where M is positive semidefinite (`QuadraticProgram.is_convex`; not asked here).
+
+        M not symmetric, but monotone: the gap program min (z − a)ᵀ(M z + q) with w = M z + q held to its sign, a the
+        one finite bound of each row (0 and w = 0 for a free row). The problem has a solution if and only if the
+        program has the minimum 0, which is aᵀq in `objective`, where the constant −aᵀq is left out.
+
+    Raises
+    ------
+    UnsuitableProblem
+        M is not symmetric and a row has two finite bounds: the sign of its w is not known, so there is no such program.
+    UnsuitableMatrix
+        M is not symmetric, and not monotone (or too large to decide): the gap program would not be convex.
+
+    Notes
+    -----
+    Cost for M not symmetric: one factorisation of its symmetric part.
+
+    Examples
+    --------
+    >>> qp_from_lcp(LCP([[2, 1], [1, 2]], [-5, 1]))
+    QuadraticProgram(n=2, 0 inequalities, 0 equalities)
+    >>> qp_from_lcp(LCP([[2, 3], [1, 2]], [-5, 1]))
+    QuadraticProgram(n=2, 2 inequalities, 0 equalities)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(f"qp_from_lcp needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+    M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
+    if not _asymmetry(M)[1]:
+        return QuadraticProgram(M, q, lower=lower, upper=upper)
+    boxed = np.isfinite(lower) & np.isfinite(upper)
+    if boxed.any():
+        i = int(np.flatnonzero(boxed)[0])
+        raise UnsuitableProblem(
+            f"M is not symmetric and z[{i}] has two bounds, {lower[i]} and {upper[i]}: there is no quadratic program "
+            "for that; solve the problem itself"
+        )
+    twice = M + M.T
+    if is_positive_semidefinite(twice) is not True:
+        raise UnsuitableMatrix(
+            "M is not symmetric, and its symmetric part could not be shown to be positive semidefinite: the gap "
+            "program would not be convex; solve the problem itself"
+        )
+    has_upper, is_free = np.isfinite(upper), (lower == -np.inf) & (upper == np.inf)
+    anchor = np.where(np.isfinite(lower), lower, np.where(has_upper, upper, 0.0))
+    sign = np.where(has_upper, 1.0, -1.0)[~is_free]  # G z ≤ h says w ≥ 0, or w ≤ 0 where only an upper bound is
+    rows, free = np.flatnonzero(~is_free), np.flatnonzero(is_free)
+    return QuadraticProgram(
+        twice, q - M.T @ anchor,
+        G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
+        A=M[free], b=-q[free], lower=lower, upper=upper,
+    )
+
+
+def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
+    """Whether the dual problem is no larger than the KKT one, and no large dense matrix."""
+    if not rows.count:
+        return False
+    size = DualForm.size(rows)
+    return size <= rows.count + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
+
+
+def _checked_rows(
+    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, *, allow_plus_infinity: bool
+) -> tuple[Any, FloatVector]:
+    """Return the checked matrix and right-hand side; none of either is no rows."""
+    if (matrix is None) != (right is None):
+        given, missing = (name, right_name) if right is None else (right_name, name)
+        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+    if matrix is None:
+        matrix, right = sp.csr_array((0, n)), np.zeros(0)
+    checked = checked_matrix(matrix, name, None, n)
+    return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+
+
+def _symmetric(P: Any) -> tuple[Any, float]:
+    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
+    asymmetry, where = _asymmetry(P)
+    if where:
+        i, j = where[0]
+        raise InvalidProblem(
+            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
+            "(P + P.T) / 2: give that, if it is what you mean"
+        )
+    return (P, 0.0) if asymmetry == 0.0 else (checked_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
+
+
+def _asymmetry(M: Any) -> tuple[float, list[tuple[int, int]]]:
+    """Return max |m_ij − m_ji|, and where it is worst if that is more than rounding.
+
+    Rounding is at most 1e-12 of the geometric mean of the largest entries in rows i and j, so that a block in a small
+    unit is not measured by one in a large unit.
+    """
+    difference = sp.coo_array(M - M.T)
+    if difference.nnz == 0:
+        return 0.0, []
+    size = np.abs(difference.data)
+    largest = abs(M).max(axis=1)
+    root = np.sqrt(np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel())
+    i, j = difference.row, difference.col
+    excess = size - SYMMETRIC_TO * root[i] * root[j]
+    worst = int(np.argmax(excess))
+    return float(size.max()), [(int(i[worst]), int(j[worst]))] if excess[worst] > 0.0 else []

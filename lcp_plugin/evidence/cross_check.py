@@ -1,0 +1,369 @@
+"""Our answer beside that of a convex solver which shares no code with it, and a verdict that knows both accuracies.
+
+For any two points with residuals r, r′ (scaled by d, so that A = D^−½ M D^−½) and δ = D^½ (z − z′),
+
+    δᵀAδ ≤ ‖D^½ (r − r′)‖ (‖Aδ‖ + ‖δ‖),
+
+whatever the bounds: add the two projection inequalities. Where M is monotone the left side is not negative, so that
+δᵀAδ / (‖Aδ‖ + ‖δ‖), here the *disagreement*, must be explained by the two residuals. It needs no conditioning, is
+blind to the directions in which z is not unique, and fails where a residual is not what it is said to be.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from ..algorithms import REGISTRY
+from ..certificates.residuals import Certificate, scaled_residual
+from ..driver import solve
+from ..errors import InvalidOption, LCPError
+from ..problem import LCP, FloatVector
+from ..result import Result, Status
+from .qp_reference import ACCURATE, PLAIN, Attempt, Formulation, accuracy, attempts, check_reference
+
+Verdict = Literal["agree", "mismatch", "not comparable"]
+
+WORTH_COMPARING = 1e-3
+CLEARLY_DIFFERENT = 1e-6
+SECOND_OPINIONS: dict[str, dict[str, Any]] = {"psor": {}, "npsor": {"scaling": "diagonal"}, "mgs": {}}
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck:
+    """Our answer, the reference's, and whether they are the same as far as both are accurate.
+
+    Attributes
+    ----------
+    verdict : {"agree", "mismatch", "not comparable"}
+        "not comparable" where no independent reference was accurate, or our answer is not.
+    reason : str
+        One line.
+    reference : str
+        What was compared with; empty where nothing was.
+    formulation : str
+        The convex program that the reference solved, or why there is none.
+    difference_z, difference_w : float
+        ‖z − z′‖∞ and ‖w − w′‖∞ in their units; NaN where nothing was compared.
+    objective_gap : float
+        Ours minus the reference's: of ½ zᵀMz + qᵀz where M is symmetric, of the sum of all z_i w_i products
+        (each z_i measured from its bound) otherwise.
+    active_sets_agree : bool or None
+        On the rows that both sides decide; None where nothing was compared.
+    undecided : int
+        Rows so close to degenerate that a side's own error leaves open whether a bound is active.
+    disagreement, allowance : float
+        δᵀAδ / (‖Aδ‖ + ‖δ‖), and what both residuals with their rounding explain of it; in the unit of the problem,
+        NaN where M is not monotone.
+    ours, theirs : Certificate or None
+        Measured here, on the caller's data; `theirs` also where it was too inaccurate to count.
+    seconds, reference_seconds : float
+        Wall-clock time of each; the reference's with cvxpy's part.
+    tried : tuple of Attempt
+        Every reference that was asked, in order.
+    """
+
+    verdict: Verdict
+    reason: str
+    reference: str
+    formulation: str
+    ours: Certificate = field(repr=False)
+    theirs: Certificate | None = field(repr=False)
+    seconds: float
+    reference_seconds: float
+    tried: tuple[Attempt, ...] = field(default=(), repr=False)
+    difference_z: float = math.nan
+    difference_w: float = math.nan
+    objective_gap: float = math.nan
+    active_sets_agree: bool | None = None
+    undecided: int = 0
+    disagreement: float = math.nan
+    allowance: float = math.nan
+
+    @property
+    def agrees(self) -> bool:
+        """True where the verdict is "agree"."""
+        return self.verdict == "agree"
+
+    def __str__(self) -> str:
+        return story(self)
+
+
+def cross_validate(
+    problem: LCP,
+    result: Result | None = None,
+    reference: str = "auto",
+    *,
+    algorithm: str = "auto",
+    tolerance: float = 1e-9,
+    max_seconds: float = 60.0,
+) -> CrossCheck:
+    """Return our answer compared with that of a convex solver, where that is legitimate.
+
+    Parameters
+    ----------
+    problem : LCP
+        Never modified.
+    result : Result, optional
+        The answer to check; by default it is computed here. Its own certificate is not trusted.
+    reference : str
+        "auto", or one of "daqp", "osqp", "scs", "piqp", "clarabel", "highs".
+    algorithm : str
+        What computes our answer where none is given.
+    tolerance : float
+        Of that run, and of a second opinion: relative residual.
+    max_seconds : float
+        Limit for our run and for each reference, as far as the solver obeys one; the factorisation that decides
+        whether there is a convex program is not interrupted.
+
+    Returns
+    -------
+    CrossCheck
+        Whatever the solvers do. Where the problem is no convex program (M neither symmetric positive semidefinite
+        nor monotone) another algorithm of ours gives a second opinion, which is not independent: the verdict is
+        then "not comparable" at best.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem
+        Where an argument cannot be used.
+
+    Examples
+    --------
+    >>> check = cross_validate(LCP([[2, 1], [1, 2]], [-5, 1]))
+    >>> check.verdict, check.difference_z < 1e-8, check.active_sets_agree
+    ('agree', True, True)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"cross_validate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+    if result is not None and not isinstance(result, Result):
+        raise InvalidOption(f"result must be what solve() returned, got {type(result).__name__}; or leave it out")
+    check_reference(reference)
+    if result is None:
+        result = solve(problem, algorithm, tolerance=tolerance, max_seconds=max_seconds)
+    ours = Certificate.of(problem, result.z)
+    if problem.n == 0:
+        return CrossCheck("agree", "there are no unknowns", "", "", ours, None, result.seconds, 0.0)
+    formulation = Formulation.of(problem)
+    if formulation.kind is None:
+        return _second_opinion(formulation, result, ours, tolerance, max_seconds)
+    tried = []
+    for one in attempts(formulation, reference, max_seconds):
+        tried.append(one)
+        if one.is_accurate:
+            break
+    best = _best(tried)
+    return _compared(formulation, result, ours, best, tuple(tried))
+
+
+def _second_opinion(
+    formulation: Formulation, result: Result, ours: Certificate, tolerance: float, max_seconds: float
+) -> CrossCheck:
+    """Return the check against algorithms of other families than those that made the result."""
+    used = {_family(name) for name, _ in result.work_shares} or {_family(result.algorithm)}
+    tried = []
+    for name, options in SECOND_OPINIONS.items():
+        if _family(name) in used:
+            continue
+        began = time.perf_counter()
+        try:
+            problem = formulation.scaled.problem
+            other = solve(problem, name, tolerance=tolerance, max_seconds=max_seconds, **options)
+            one = Attempt(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
+        except LCPError as error:
+            one = Attempt(f"our {name}", None, time.perf_counter() - began, str(error))
+        tried.append(one)
+        if one.is_accurate:
+            break
+    best = _best(tried)
+    return _compared(formulation, result, ours, best, tuple(tried))
+
+
+def _best(tried: list[Attempt]) -> Attempt:
+    """Return the most accurate; of those without an answer the last, which is the least likely to be just absent."""
+    return min(reversed(tried), key=lambda one: one.residual)
+
+
+def _family(algorithm: str) -> str:
+    return REGISTRY.get(algorithm, algorithm).partition(":")[0]
+
+
+# --- Comparing ----------------------------------------------------------------------------------------------
+
+
+def _compared(
+    formulation: Formulation, result: Result, ours: Certificate, best: Attempt, tried: tuple[Attempt, ...]
+) -> CrossCheck:
+    kind = formulation.kind
+    told = f"{kind} ({formulation.evidence})" if kind else "no convex program"
+    if best.certificate is None or not np.isfinite(ours.z).all():
+        verdict, reason = _judged(formulation, result, ours, best, None)
+        return CrossCheck(verdict, reason, "", told, ours, best.certificate, result.seconds, best.seconds, tried)
+    pair = _Pair(formulation, ours, best.certificate)
+    verdict, reason = _judged(formulation, result, ours, best, pair)
+    return CrossCheck(
+        verdict, reason, best.name, told, ours, best.certificate, result.seconds, best.seconds, tried,
+        difference_z=_largest(pair.step), difference_w=_largest(pair.rise), objective_gap=pair.objective_gap(),
+        active_sets_agree=pair.active_sets_agree, undecided=pair.undecided,
+        disagreement=pair.disagreement, allowance=pair.allowance,
+    )
+
+
+def _judged(
+    formulation: Formulation, result: Result, ours: Certificate, best: Attempt, pair: _Pair | None
+) -> tuple[Verdict, str]:
+    """Return the verdict and its reason; the table is read from the top."""
+    residual = accuracy(ours)
+    claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
+    said = f"our relative residual is {residual:.1e}"
+    if pair is None or not best.is_accurate:
+        why = f"{formulation.evidence}; no second opinion" if formulation.kind is None else "no reference"
+        return "not comparable", f"{why} reached {ACCURATE:.0e}, the best is {best}; {said}"
+    if claimed and not _keeps_claim(result, ours):
+        return "mismatch", f"our answer says {result.status.name}, but {said}; that of {best.name} is accurate"
+    if not residual <= (WORTH_COMPARING if claimed else ACCURATE):
+        return "not comparable", f"our answer is inaccurate: {result.status.name}, {said}"
+    if formulation.kind is None:
+        same = "says the same" if pair.is_close else "has another solution: z is not unique, or data are stiff"
+        return "not comparable", f"{formulation.evidence}; a second opinion, not independent, {same}"
+    if not pair.disagreement <= pair.allowance:
+        explained = f"the residuals explain {pair.allowance:.1e} of a disagreement of {pair.disagreement:.1e}"
+        return "mismatch", f"{explained}: one of them is wrong, or the two sides solved different problems"
+    if not pair.active_sets_agree:
+        return "mismatch", "the active sets differ beyond what either side's error explains"
+    if pair.only_z_differs:
+        return "agree", "same w and objective; z is not unique"
+    if not pair.is_close:
+        largest = f"{_largest(pair.step):.1e}"
+        return "agree", f"z differs by {largest}, no more than the residuals and the conditioning of M explain"
+    return "agree", "same solution, as far as both residuals tell"
+
+
+def _keeps_claim(result: Result, ours: Certificate) -> bool:
+    """Return whether the status holds for the certificate measured here."""
+    if result.is_solved:
+        return ours.measured(result.measure) <= result.tolerance
+    return ours.is_at_rounding_level
+
+
+class _Pair:
+    """Two answers to the same problem, in the unit-free variables y = D^½ z / unit and D^−½ w / unit."""
+
+    def __init__(self, formulation: Formulation, ours: Certificate, theirs: Certificate) -> None:
+        self.formulation, self.ours, self.theirs = formulation, ours, theirs
+        scaled = formulation.scaled
+        self.step, self.rise = ours.z - theirs.z, ours.w - theirs.w
+        self._weight, self._unit = scaled.weight / scaled.unit, scaled.weight * scaled.unit
+        step, rise = self.step * self._weight, self.rise / self._unit
+        self._step, self._rise = float(np.linalg.norm(step)), float(np.linalg.norm(rise))
+        size = self._step + self._rise
+        self.disagreement = max(float(step @ rise), 0.0) / size if size else 0.0
+        self._errors = tuple(self._error(side) for side in (ours, theirs))
+        self.allowance = sum(self._errors)
+        self.norm = _norm_bound(scaled.A)
+        self.active_sets_agree: bool | None = None
+        self.undecided = 0
+        if formulation.kind is None:  # no error bound, and a product that may have either sign
+            self.disagreement = self.allowance = math.nan
+        else:
+            self.active_sets_agree, self.undecided = self._compare_active_sets()
+
+    def _error(self, side: Certificate) -> float:
+        """Return ‖D^½ r‖ with rounding: what r is measured to be, and may be."""
+        residual = np.abs(scaled_residual(side.problem, side.z, side.w)) + side.rounding_floor
+        return float(np.linalg.norm(residual * self._weight))
+
+    @property
+    def is_close(self) -> bool:
+        """True where z differs by less than 1e-6 of its size, or of the unit."""
+        size = max(float(np.linalg.norm(side.z * self._weight)) for side in (self.ours, self.theirs))
+        return self._step <= CLEARLY_DIFFERENT * max(size, 1.0)
+
+    @property
+    def only_z_differs(self) -> bool:
+        """True where z differs clearly, and w and the objective by next to nothing."""
+        return not self.is_close and self._rise <= CLEARLY_DIFFERENT * self._step
+
+    def objective_gap(self) -> float:
+        """Return ours minus theirs, without the cancellation of two objectives."""
+        if self.formulation.kind == PLAIN:  # ½ zᵀMz + qᵀz is a difference of squares
+            return float(0.5 * self.step @ (self.ours.w + self.theirs.w))
+        return _gap(self.ours) - _gap(self.theirs)
+
+    def _compare_active_sets(self) -> tuple[bool, int]:
+        """Return whether no row is decided differently, and the number of rows that a side leaves open."""
+        sides = [self._decided(side, error) for side, error in zip((self.ours, self.theirs), self._errors, strict=True)]
+        both = np.all(sides, axis=0)
+        agree = bool(np.all(sides[0][both] == sides[1][both]))
+        return agree, int(np.count_nonzero(~both))
+
+    def _decided(self, side: Certificate, error: float) -> FloatVector:
+        """Return 1 where the side proves lower active, 2 upper, 3 neither, and 0 where its error leaves it open.
+
+        With λ the smallest eigenvalue of the symmetric part, ‖y − y*‖ ≤ (1 + ‖A‖)/λ ‖r‖. Where λ = 0 and A is
+        symmetric only w is unique; its error is at most ‖A‖ ‖r‖ + √(‖A‖ ‖r‖ ‖y − y*‖), with the size of y for the
+        last. Otherwise nothing is decided.
+        """
+        problem = side.problem
+        error_z = error_w = math.inf
+        if self.formulation.smallest_eigenvalue > 0.0:
+            error_z = (1.0 + self.norm) / self.formulation.smallest_eigenvalue * error
+            error_w = self.norm * error_z
+        elif self.formulation.kind == PLAIN:
+            size = 1.0 + float(np.linalg.norm(side.z * self._weight)) + self._step
+            error_w = self.norm * error + math.sqrt(self.norm * error * size)
+        w = side.w / self._unit
+        above, below = (side.z - problem.lower) * self._weight, (problem.upper - side.z) * self._weight
+        inside = (above > error_z) & (below > error_z)
+        return np.select([w > error_w, w < -error_w, inside], [1.0, 2.0, 3.0], 0.0)
+
+
+def _norm_bound(A: Any) -> float:
+    """Return √(‖A‖₁ ‖A‖∞) ≥ ‖A‖₂."""
+    size = abs(A)
+    return math.sqrt(float(size.sum(axis=0).max()) * float(size.sum(axis=1).max()))
+
+
+def _gap(side: Certificate) -> float:
+    """Return the sum of w_i⁺ (z_i − lower_i) + w_i⁻ (upper_i − z_i) over the finite bounds."""
+    problem, w = side.problem, side.w
+    above = np.where(np.isfinite(problem.lower), side.z - problem.lower, 0.0)
+    below = np.where(np.isfinite(problem.upper), problem.upper - side.z, 0.0)
+    return float(np.maximum(w, 0.0) @ above + np.maximum(-w, 0.0) @ below)
+
+
+def _largest(values: FloatVector) -> float:
+    return float(np.max(np.abs(values), initial=0.0))
+
+
+# --- Telling ------------------------------------------------------------------------------------------------
+
+
+def story(check: CrossCheck) -> str:
+    """Return what a person wants to read after a check."""
+    lines = [f"{check.verdict}: {check.reason}"]
+    rows = [("formulation", check.formulation), ("ours", _side(check.ours, check.seconds))]
+    if check.theirs is not None:
+        rows.append((check.reference or "reference", _side(check.theirs, check.reference_seconds)))
+    if check.reference:
+        rows += [
+            ("|Δz|, |Δw|", f"{check.difference_z:.3e}, {check.difference_w:.3e}"),
+            ("objective gap", f"{check.objective_gap:.3e}"),
+        ]
+    if check.active_sets_agree is not None:
+        said = "agree" if check.active_sets_agree else "DIFFER"
+        rows += [
+            ("active sets", f"{said}; {check.undecided} of {check.ours.problem.n} rows undecided"),
+            ("disagreement", f"{check.disagreement:.3e}; the residuals explain {check.allowance:.3e}"),
+        ]
+    rows += [("tried", str(one)) for one in check.tried]
+    return "\n".join(lines + [f"{name:<18} {value}" for name, value in rows if value])
+
+
+def _side(certificate: Certificate, seconds: float) -> str:
+    natural = f"natural residual {certificate.natural_residual:.3e}"
+    return f"relative residual {accuracy(certificate):.3e}, {natural}, {seconds:.3g} s"

@@ -1,0 +1,381 @@
+"""The quadratic program behind a problem, where there is one, and what convex solvers answer to it.
+
+| M | reference |
+|---|---|
+| symmetric positive semidefinite, to rounding | min ½ zᵀMz + qᵀz over the bounds |
+| symmetric part positive semidefinite | gap program: min zᵀ(Mz + q) − lᵀa + uᵀb, Mz + q = a − b, a, b ≥ 0 |
+| otherwise | none: a stationary point of a nonconvex program proves nothing |
+
+Both conditions are checked by a factorisation, never assumed. The solvers get the problem in the unknown
+y = D^½ z / unit, whose matrix has a diagonal of at most 1: their tolerances are absolute. Their answers are judged
+on the caller's data.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
+from ..errors import InvalidOption, did_you_mean
+from ..problem import LCP, FloatVector
+
+ACCURATE = 1e-7
+POLISHED = 1e-12
+ROUNDING_UNITS = 64
+INVERSE_ITERATIONS = 12
+SINGULAR_BELOW = 100.0
+POLISH_ROUNDS = 3
+
+PLAIN, GAP = "quadratic program", "gap quadratic program"
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A solver cvxpy knows: its name there, options that make it accurate, the option for its time limit, its n."""
+
+    name: str
+    options: Mapping[str, Any]
+    time_limit: str | None
+    largest: float = np.inf
+
+
+_TIGHT = {"eps_abs": 1e-10, "eps_rel": 1e-10}
+_TIGHT_GAP = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
+
+# In the order in which they are asked: the most accurate natural residual first. Interior-point methods come last:
+# they leave z_i w_i ≈ tolerance where both vanish, hence a residual of its square root before the polish.
+SOLVERS = {
+    "daqp": Solver("DAQP", {}, None, largest=200),
+    "osqp": Solver("OSQP", {**_TIGHT, "max_iter": 1_000_000}, "time_limit"),
+    "scs": Solver("SCS", {**_TIGHT, "max_iters": 1_000_000}, "time_limit_secs"),
+    "piqp": Solver("PIQP", _TIGHT, None),
+    "clarabel": Solver("CLARABEL", _TIGHT_GAP, "time_limit"),
+    "highs": Solver("HIGHS", {}, "time_limit", largest=2000),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrated:
+    """The problem in y = weight · z / unit: A = D^−½ M D^−½, c = D^−½ q / unit, with bounds in y."""
+
+    problem: LCP
+    weight: FloatVector
+    unit: float
+    A: Any
+    c: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+
+    @classmethod
+    def of(cls, problem: LCP) -> Equilibrated:
+        """Return the problem with rows and columns divided by √d_i, in the unit of its own residual."""
+        weight = np.sqrt(problem.residual_scale)
+        if sp.issparse(problem.M):
+            inverse = sp.diags_array(1.0 / weight)
+            A = (inverse @ problem.csr @ inverse).tocsr()
+        else:
+            A = problem.M / weight[:, None] / weight
+        unit = _unit(problem, weight)
+        c = problem.q / weight / unit
+        return cls(problem, weight, unit, A, c, weight * problem.lower / unit, weight * problem.upper / unit)
+
+    def answer(self, y: FloatVector) -> FloatVector:
+        """Return z of y, moved onto the bounds that it violates by rounding."""
+        problem = self.problem
+        z: FloatVector = np.clip(y * self.unit / self.weight, problem.lower, problem.upper)
+        return z
+
+
+def _unit(problem: LCP, weight: FloatVector) -> float:
+    """Return the size of D^½ r(z°), else of the data, else 1."""
+    z = problem.nearest_to_zero
+    residual = scaled_residual(problem, z, problem.slack(z))
+    sizes = (float(np.max(np.abs(v), initial=0.0)) for v in (weight * residual, problem.q / weight, weight * z))
+    return next((size for size in sizes if 0.0 < size < np.inf), 1.0)
+
+
+def accuracy(certificate: Certificate) -> float:
+    """Return the relative residual; where z° is the answer, the residual relative to the size of the data."""
+    problem = certificate.problem
+    if reference_residual(problem) > 0.0:
+        return certificate.relative_residual
+    sizes = (problem.nearest_to_zero, problem.q / problem.residual_scale)
+    size = max(float(np.max(np.abs(values), initial=0.0)) for values in sizes)
+    return certificate.scaled_residual / (size or 1.0)
+
+
+# --- Is there a convex program? -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Formulation:
+    """Which convex program the problem is, and the evidence.
+
+    Attributes
+    ----------
+    kind : str or None
+        ``"quadratic program"``, ``"gap quadratic program"``, or None where there is no convex program.
+    evidence : str
+        Why, in one line.
+    shift : float
+        What was added to the diagonal, which is at most 1, before the factorisation that proved semidefiniteness.
+    smallest_eigenvalue : float
+        Estimate for the symmetric part of A; 0 where it cannot be told from 0.
+    """
+
+    kind: str | None
+    evidence: str
+    scaled: Equilibrated = field(repr=False)
+    shift: float = 0.0
+    smallest_eigenvalue: float = 0.0
+
+    @classmethod
+    def of(cls, problem: LCP) -> Formulation:
+        """Return the formulation that symmetry and a factorisation of the symmetric part allow."""
+        scaled = Equilibrated.of(problem)
+        place = _asymmetry(scaled.A)
+        if place is None:
+            matrix = "M is symmetric"
+        else:
+            i, j = place
+            matrix = f"M is not symmetric (M[{i}, {j}] and M[{j}, {i}] differ); its symmetric part is"
+        negative = np.flatnonzero(problem.diagonal < 0.0)
+        if negative.size:
+            i = int(negative[0])
+            return cls(None, f"{matrix} indefinite: M[{i}, {i}] = {problem.diagonal[i]:g}", scaled)
+        # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
+        shift = 4.0 * (problem.n + 2) * MACHINE_EPSILON * max(1.0, float(abs(scaled.A).max()))
+        solve = _factorised(_symmetric_part(scaled.A), shift)
+        if solve is None:
+            return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)
+        eigenvalue = _smallest_eigenvalue(solve, problem.n, shift)
+        definite = "positive definite" if eigenvalue else "positive semidefinite"
+        kind = PLAIN if place is None else GAP
+        return cls(kind, f"{matrix} {definite}: factorised at shift {shift:.1e}", scaled, shift, eigenvalue)
+
+
+def _asymmetry(A: Any) -> tuple[int, int] | None:
+    """Return a place where A and Aᵀ differ by more than rounding, or None."""
+    allowed = ROUNDING_UNITS * MACHINE_EPSILON
+    excess = abs(A - A.T) - allowed * abs(A)
+    if sp.issparse(excess):
+        excess = excess.tocoo()
+        places = np.flatnonzero(excess.data > allowed)
+        return (int(excess.row[places[0]]), int(excess.col[places[0]])) if places.size else None
+    rows, columns = np.nonzero(excess > allowed)
+    return (int(rows[0]), int(columns[0])) if rows.size else None
+
+
+def _symmetric_part(A: Any) -> Any:
+    return 0.5 * (A + A.T)
+
+
+def _factorised(S: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
+    """Return x ↦ (S + shift I)⁻¹ x where all pivots are positive, else None; a sparse S stays sparse."""
+    n = S.shape[0]
+    if n == 0:
+        return lambda x: x
+    if not sp.issparse(S):
+        try:
+            factor = scipy.linalg.cho_factor(S + shift * np.eye(n))
+        except scipy.linalg.LinAlgError:
+            return None
+        return lambda x: scipy.linalg.cho_solve(factor, x)
+    try:
+        # Pivots stay on the diagonal unless one vanishes: an LDLᵀ whose signs are those of the eigenvalues.
+        factors = splu(
+            sp.csc_array(S + shift * sp.eye_array(n)), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # a pivot is exactly zero
+        return None
+    stayed = np.array_equal(factors.perm_r, factors.perm_c)
+    return factors.solve if stayed and bool(np.all(factors.U.diagonal() > 0.0)) else None
+
+
+def _smallest_eigenvalue(solve: Callable[[FloatVector], FloatVector], n: int, shift: float) -> float:
+    x = np.random.default_rng(0).normal(size=n)
+    size = 1.0
+    for _ in range(INVERSE_ITERATIONS if n else 0):
+        x = solve(x / np.linalg.norm(x))
+        size = float(np.linalg.norm(x))
+    found = 1.0 / size - shift
+    return found if found > SINGULAR_BELOW * shift else 0.0
+
+
+# --- Asking a convex solver ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What one reference gave: its certificate on the caller's data (None: no answer), seconds, and a note."""
+
+    name: str
+    certificate: Certificate | None = field(repr=False)
+    seconds: float
+    note: str = ""
+
+    @property
+    def residual(self) -> float:
+        """The relative residual; ∞ where there is no answer."""
+        found = np.inf if self.certificate is None else accuracy(self.certificate)
+        return np.inf if np.isnan(found) else found
+
+    @property
+    def is_accurate(self) -> bool:
+        """True where the relative residual is at most 1e-7."""
+        return self.residual <= ACCURATE
+
+    def __str__(self) -> str:
+        said = "no answer" if self.certificate is None else f"relative residual {self.residual:.1e}"
+        return f"{self.name}: {said}, {self.seconds:.2g} s" + (f" ({self.note})" if self.note else "")
+
+
+def attempts(formulation: Formulation, reference: str, max_seconds: float) -> Iterator[Attempt]:
+    """Yield what the references give, one by one, the most accurate solver first.
+
+    Parameters
+    ----------
+    formulation : Formulation
+        Of a kind that is not None.
+    reference : str
+        ``"auto"``, or the one to ask.
+    max_seconds : float
+        Limit for each of them, as far as the solver obeys one.
+
+    Raises
+    ------
+    InvalidOption
+        Where the reference is not one of ``SOLVERS``.
+    """
+    n = formulation.scaled.problem.n
+    names = [name for name, solver in SOLVERS.items() if n <= solver.largest] if reference == "auto" else [reference]
+    for name in names:
+        yield attempt(formulation, name, max_seconds)
+
+
+def check_reference(reference: object) -> None:
+    """Raise InvalidOption where there is no such reference."""
+    if reference != "auto" and reference not in SOLVERS:
+        raise InvalidOption(f"unknown reference {reference!r}{did_you_mean(reference, ['auto', *SOLVERS])}")
+
+
+def attempt(formulation: Formulation, name: str, max_seconds: float) -> Attempt:
+    """Return what one reference gives; whatever goes wrong there becomes a note."""
+    began = time.perf_counter()
+    scaled, solver = formulation.scaled, SOLVERS[name]
+    notes: list[str] = []
+    y = _solved(formulation, solver, max_seconds, notes)
+    certificate = None if y is None else Certificate.of(scaled.problem, scaled.answer(y))
+    if certificate is not None and accuracy(certificate) > POLISHED:
+        rough, certificate = certificate, polished(certificate)
+        if certificate is not rough:
+            notes.append(f"{accuracy(rough):.1e} before we solved the equations on its active set")
+    return Attempt(name, certificate, time.perf_counter() - began, "; ".join(notes))
+
+
+def _solved(formulation: Formulation, solver: Solver, max_seconds: float, notes: list[str]) -> FloatVector | None:
+    """Return y as the solver leaves it, whatever it calls that, or None; its warnings go to `notes`."""
+    limit = {solver.time_limit: max_seconds} if solver.time_limit else {}
+    with warnings.catch_warnings(record=True) as caught, contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("always")
+        try:
+            cvxpy = _cvxpy()
+            if solver.name not in cvxpy.installed_solvers():
+                notes.append("not installed")
+                return None
+            build = quadratic_program if formulation.kind == PLAIN else gap_program
+            program, y = build(formulation.scaled)
+            program.solve(solver=solver.name, verbose=False, **solver.options, **limit)
+            status, value = program.status, y.value
+        except Exception as error:  # foreign code fails in every way there is, and none may end a comparison
+            first_line = (str(error).splitlines() or [""])[0]
+            notes.append(f"{type(error).__name__}: {first_line}"[:120])
+            return None
+    if status != "optimal":
+        notes.append(f"status {status}")
+    # That an inexact answer may be inexact is what its certificate measures.
+    notes += sorted({str(one.message).splitlines()[0][:120] for one in caught if "inaccurate" not in str(one.message)})
+    return None if value is None or not np.isfinite(value).all() else np.asarray(value, dtype=np.float64)
+
+
+def quadratic_program(scaled: Equilibrated) -> tuple[Any, Any]:
+    """Return (cvxpy problem, y) for min ½ yᵀAy + cᵀy over the bounds, A symmetric positive semidefinite."""
+    cvxpy = _cvxpy()
+    y = _unknown(scaled)
+    # Without assume_PSD cvxpy would make A dense to find out; we know.
+    curvature = cvxpy.quad_form(y, _convex(scaled.A), assume_PSD=True)
+    return cvxpy.Problem(cvxpy.Minimize(0.5 * curvature + scaled.c @ y)), y
+
+
+def gap_program(scaled: Equilibrated) -> tuple[Any, Any]:
+    """Return (cvxpy problem, y) for the gap min yᵀ(Ay + c) − lᵀa + uᵀb with Ay + c = a − b, a ≥ 0, b ≥ 0.
+
+    a and b are there only where the bound is finite. The optimum is 0, where y solves the problem.
+    """
+    cvxpy = _cvxpy()
+    y = _unknown(scaled)
+    gap = cvxpy.quad_form(y, _convex(scaled.A), assume_PSD=True) + scaled.c @ y
+    slack = 0.0
+    for bound, sign in ((scaled.lower, 1.0), (scaled.upper, -1.0)):
+        rows = np.flatnonzero(np.isfinite(bound))
+        if rows.size:
+            part = cvxpy.Variable(rows.size, nonneg=True)
+            gap = gap - sign * bound[rows] @ part
+            places = (np.full(rows.size, sign), (rows, np.arange(rows.size)))
+            slack = slack + sp.csr_array(places, shape=(y.size, rows.size)) @ part
+    return cvxpy.Problem(cvxpy.Minimize(gap), [sp.csr_array(scaled.A) @ y + scaled.c == slack]), y
+
+
+def _cvxpy() -> Any:
+    """Return cvxpy; it loads when the first reference is asked."""
+    return import_module("cvxpy")
+
+
+def _unknown(scaled: Equilibrated) -> Any:
+    return _cvxpy().Variable(scaled.c.size, bounds=[scaled.lower, scaled.upper])
+
+
+def _convex(A: Any) -> Any:
+    return sp.csc_array(_symmetric_part(A))
+
+
+def polished(certificate: Certificate) -> Certificate:
+    """Return the solution of the equations on the certificate's own active set, where that is better."""
+    best = certificate
+    for _ in range(POLISH_ROUNDS):
+        z = _on_active_set(best)
+        found = best if z is None else Certificate.of(best.problem, z)
+        if not found.scaled_residual < best.scaled_residual:
+            break
+        best = found
+    return best
+
+
+def _on_active_set(certificate: Certificate) -> FloatVector | None:
+    """Return z with the active rows on their bounds and w = 0 on the others; None where that is singular."""
+    problem, step = certificate.problem, certificate.w / certificate.problem.residual_scale
+    z = certificate.z.copy()
+    at_lower, at_upper = z - problem.lower <= step, problem.upper - z <= -step
+    z[at_lower], z[at_upper] = problem.lower[at_lower], problem.upper[at_upper]
+    free = np.flatnonzero(~(at_lower | at_upper))
+    if free.size == 0:
+        return z
+    try:
+        block = problem.csr[free][:, free]
+        z[free] -= splu(sp.csc_array(block)).solve(problem.slack(z)[free])
+    except RuntimeError:
+        return None
+    return z if np.isfinite(z).all() else None

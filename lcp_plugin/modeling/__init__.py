@@ -1,0 +1,1 @@
+"""The cvxpy side: complementarity constraints, models, registration."""

@@ -1,0 +1,145 @@
+"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..errors import UnsupportedModel
+
+LONGEST_NAME = 80
+
+
+def _atoms(*places: str) -> tuple[Any, ...]:
+    """Return the affine atom classes named ``"module.Class"`` that the installed cvxpy has."""
+    found: list[Any] = []
+    for place in places:
+        module, name = place.split(".")
+        try:
+            found.append(getattr(import_module(f"cvxpy.atoms.affine.{module}"), name))
+        except (ImportError, AttributeError):
+            continue
+    return tuple(found)
+
+
+SUM = _atoms("add_expr.AddExpression")
+NEGATIVE = _atoms("unary_operators.NegExpression")
+ELEMENTWISE = _atoms("binary_operators.multiply", "binary_operators.DivExpression")
+DIVISION = _atoms("binary_operators.DivExpression")
+PRODUCT = _atoms("binary_operators.MulExpression", "binary_operators.DivExpression")
+MATRIX_PRODUCT = _atoms("binary_operators.MulExpression")
+ENTRY_SUM = _atoms("sum.Sum")
+BROADCAST = _atoms("promote.Promote", "broadcast_to.broadcast_to")
+TRANSPOSE = _atoms("transpose.transpose")
+STACKS: dict[Any, Any] = {
+    **dict.fromkeys(_atoms("hstack.Hstack"), sp.hstack),
+    **dict.fromkeys(_atoms("vstack.Vstack"), sp.vstack),
+}
+KRONECKER = _atoms("kron.kron")
+DIAGONAL = _atoms("diag.diag_mat")
+SELECTION = _atoms("index.index", "index.special_index", "wraps.Wrap")
+#: Atoms whose own numeric takes sparse arrays and gives sparse arrays, or few numbers.
+KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
+
+#: Atoms whose every entry is an entry of an argument, or zero.
+GATHERS = (
+    *SELECTION,
+    *BROADCAST,
+    *TRANSPOSE,
+    *STACKS,
+    *DIAGONAL,
+    *_atoms("reshape.reshape", "concatenate.Concatenate", "diag.diag_vec", "upper_tri.upper_tri"),
+    *_atoms("real.real", "conj.conj"),
+)
+
+
+def leaf_value(leaf: Any) -> Any:
+    """Return the value of a constant or parameter: None, an array, or a two-dimensional CSC array."""
+    # The value of a parameter with a sparsity pattern is dense, with a warning; releases before 1.6.1 know no other.
+    is_patterned = getattr(leaf, "sparse_idx", None) is not None and hasattr(type(leaf), "value_sparse")
+    value = leaf.value_sparse if is_patterned and leaf._value is not None else leaf.value
+    if sp.issparse(value):
+        return sp.csc_array(value) if value.ndim == 2 else value.toarray()
+    return None if value is None else np.asarray(value)
+
+
+def shaped(node: Any, value: Any) -> Any:
+    """Return what the atom computed as an array of the atom's shape; sparse stays sparse, as CSC, in two dimensions."""
+    if sp.issparse(value):
+        if value.shape == node.shape and len(node.shape) == 2:
+            return sp.csc_array(value)
+        value = value.toarray()
+    array: NDArray[Any] = np.asarray(value)
+    if array.size != node.size:
+        raise UnsupportedModel(
+            f"{name_of(node)} has the shape {node.shape}, but its value has {array.shape}: this release of cvxpy "
+            "misjudges it; write it in another way"
+        )
+    return array if array.shape == node.shape else array.reshape(node.shape, order="F")
+
+
+def constant_numeric(node: Any, values: list[Any]) -> Any:
+    """Return the atom's value where all arguments are constants, sparse as long as there is a sparse way."""
+    if isinstance(node, BROADCAST):
+        return np.broadcast_to(dense(values[0]), node.shape)
+    if not any(map(sp.issparse, values)):
+        return node.numeric(values)
+    if _multiplies_sparse(node, values):
+        return values[0] @ values[1]
+    if isinstance(node, TRANSPOSE):
+        return values[0].T
+    if isinstance(node, KRONECKER):
+        return sp.kron(*values)
+    if isinstance(node, DIAGONAL):
+        return values[0].diagonal(node.k)
+    if isinstance(node, DIVISION) and uniform(values[1]):
+        return values[0] / uniform(values[1])
+    for kind, stack in STACKS.items():
+        if isinstance(node, kind) and len(node.shape) == 2:
+            return stack([value if sp.issparse(value) else np.atleast_2d(value) for value in values])
+    if isinstance(node, SELECTION):
+        # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
+        return node.numeric([sp.csr_matrix(value) for value in values])
+    if isinstance(node, KEEP_SPARSE):
+        return node.numeric(values)
+    return node.numeric([dense(value) for value in values])
+
+
+def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
+    """Return the atom's value where variables enter: as large as its result, which is dense anyway."""
+    # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
+    if _multiplies_sparse(node, values):
+        value = values[0] @ values[1]
+    else:
+        value = node.numeric([dense(value) for value in values])
+    result: NDArray[Any] = dense(shaped(node, value))
+    return result
+
+
+def _multiplies_sparse(node: Any, values: list[Any]) -> bool:
+    is_product = isinstance(node, MATRIX_PRODUCT) and not isinstance(node, ELEMENTWISE)
+    return is_product and any(map(sp.issparse, values)) and all(1 <= len(value.shape) <= 2 for value in values)
+
+
+def uniform(value: Any) -> Any:
+    """Return the number that a dense array repeats by its layout alone, for instance a promoted scalar."""
+    if sp.issparse(value) or not value.size or (value.size > 1 and any(value.strides)):
+        return None
+    return value.flat[0]
+
+
+def dense(value: Any) -> Any:
+    return value.toarray() if sp.issparse(value) else value
+
+
+def name_of(expression: Any) -> str:
+    """Return the expression as cvxpy prints it, in one line, not too long."""
+    try:
+        text = " ".join(str(expression).split())
+    except RecursionError:
+        text = f"a deep {type(expression).__name__}"
+    return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"

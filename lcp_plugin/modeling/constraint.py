@@ -1,0 +1,255 @@
+"""complements(a, b): complementarity between two sides, as a constraint that cvxpy accepts, copies and pickles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from cvxpy.constraints.constraint import Constraint
+from cvxpy.constraints.nonpos import Inequality, NonNeg
+from cvxpy.constraints.zero import Equality, Zero
+
+from ..errors import UnsupportedModel
+
+REMEDY = 'solve it with problem.solve(method="LCP")'
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side of a complementarity: an expression and what the other side has to do with it.
+
+    `kind` is "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or
+    "value" (an expression whose bounds, if any, are those of its variable).
+    """
+
+    expression: Any
+    kind: str
+    constraint: Any = None
+    lower: Any = None
+    upper: Any = None
+
+    def __str__(self) -> str:
+        if self.constraint is not None:
+            return str(self.constraint)
+        if self.kind == "box":
+            return f"box({self.expression}, {self.lower}, {self.upper})"
+        return str(self.expression)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """lower ≤ expression ≤ upper, as one side of :func:`complements`."""
+
+    expression: Any
+    lower: Any
+    upper: Any
+
+
+def box(expression: Any, lower: Any, upper: Any) -> Box:
+    """Return the side lower ≤ expression ≤ upper of a complementarity.
+
+    Parameters
+    ----------
+    expression : cvxpy expression
+        A variable, or a part of one.
+    lower, upper : scalar, array or parameter
+        Bounds of the shape of the expression, or scalars; ±∞ for none.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> x = cp.Variable(2)
+    >>> pair = complements(box(x, -1, 1), x - 3)
+    """
+    return Box(cp.Variable.cast_to_const(expression), lower, upper)
+
+
+def complements(first: Any, second: Any) -> Complements:
+    """Return the constraint that two sides complement each other, row by row.
+
+    Parameters
+    ----------
+    first, second
+        In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F; a variable with
+        bounds of its own with F; a free variable with ``G == 0``. Both sides may be general affine. At a lower
+        bound F ≥ 0, at an upper bound F ≤ 0, between them F = 0.
+
+    Returns
+    -------
+    Complements
+        For ``cp.Problem(cp.Minimize(0), [...]).solve(method="LCP")`` or ``ComplementarityProblem([...])``.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the two sides have different shapes or cannot complement each other.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> from lcp_plugin import ComplementarityProblem
+    >>> M = np.array([[2, 1], [1, 2]])
+    >>> x = cp.Variable(2)
+    >>> problem = ComplementarityProblem([complements(x >= 0, M @ x + [-5, 1] >= 0)])
+    >>> _ = problem.solve()
+    >>> x.value.round(6)
+    array([2.5, 0. ])
+    """
+    sides = [_side(first, "first"), _side(second, "second")]
+    kinds = {side.kind for side in sides}
+    if kinds == {"zero"}:
+        raise UnsupportedModel("complements got two equalities; write two constraints, or pair one with a variable")
+    if "box" in kinds and kinds <= {"box", "zero"}:
+        raise UnsupportedModel("complements(box(x, l, u), F) needs an expression F as its other side")
+    if sides[0].expression.shape != sides[1].expression.shape:
+        raise UnsupportedModel(
+            f"the sides of complements must have the same shape, got {sides[0].expression.shape} for "
+            f"{sides[0]} and {sides[1].expression.shape} for {sides[1]}; nothing is broadcast"
+        )
+    return Complements(sides[0], sides[1])
+
+
+def _side(given: Any, which: str) -> Side:
+    if isinstance(given, Box):
+        return Side(given.expression, "box", None, given.lower, given.upper)
+    if isinstance(given, Inequality):
+        return Side(given.args[1] - given.args[0], "nonnegative", given)
+    if isinstance(given, NonNeg):
+        return Side(given.args[0], "nonnegative", given)
+    if isinstance(given, (Equality, Zero)):
+        expression = given.args[0] - given.args[1] if len(given.args) == 2 else given.args[0]
+        return Side(expression, "zero", given)
+    if isinstance(given, Constraint):
+        raise UnsupportedModel(
+            f"the {which} side of complements is {given}; it must be an inequality, an equality or an expression"
+        )
+    try:
+        return Side(cp.Variable.cast_to_const(given), "value")
+    except (TypeError, ValueError) as error:
+        raise UnsupportedModel(f"the {which} side of complements is no cvxpy expression: {given!r}") from error
+
+
+class Complements(Constraint):  # type: ignore[misc]
+    """Two sides that complement each other; see :func:`complements`.
+
+    ``dual_value`` is the value of the side that is no variable (w); after a solve the inequality that bounds
+    the variable carries the same, and the other inequality carries the variable, as after a quadratic program.
+    """
+
+    def __init__(self, first: Side, second: Side, constr_id: int | None = None) -> None:
+        self.first, self.second = first, second
+        super().__init__([first.expression, second.expression], constr_id)
+
+    def _construct_dual_variables(self, args: Any) -> None:
+        self.dual_variables = [cp.Variable(args[1].shape)]
+
+    def name(self) -> str:
+        """Return the constraint as text, with the way to solve it: cvxpy prints this where it refuses the model."""
+        return f"complements({self.first}, {self.second})  [{REMEDY}]"
+
+    def __repr__(self) -> str:
+        return f"complements({self.first}, {self.second})"
+
+    def is_dcp(self, dpp: bool = False) -> bool:
+        """Return False: complementarity is not convex."""
+        return False
+
+    def is_dgp(self, dpp: bool = False) -> bool:
+        """Return False."""
+        return False
+
+    def is_dqcp(self) -> bool:
+        """Return False."""
+        return False
+
+    def is_dnlp(self) -> bool:
+        """Return False."""
+        return False
+
+    @property
+    def residual(self) -> Any:
+        """The natural residual of each row, in the shape of a side; None without values."""
+        a, b = self.first.expression.value, self.second.expression.value
+        if a is None or b is None:
+            return None
+        if {self.first.kind, self.second.kind} == {"nonnegative"}:
+            return np.abs(np.minimum(a, b))
+        if self.second.kind == "box" or self.first.kind == "zero":
+            return _residual(self.second, b, a, self.first)
+        return _residual(self.first, a, b, self.second)
+
+    def violation(self) -> float:
+        """Return the largest natural residual.
+
+        Raises
+        ------
+        ValueError
+            Where a variable has no value yet.
+        """
+        residual = self.residual
+        if residual is None:
+            raise ValueError("cannot measure a complementarity whose variables have no values; solve the problem first")
+        return float(np.max(residual, initial=0.0))
+
+    def value(self, tolerance: float = 1e-8) -> bool:
+        """Return whether the largest natural residual is at most the tolerance."""
+        return self.violation() <= tolerance
+
+    def save_dual_value(self, value: Any) -> None:
+        """Keep w as the dual value."""
+        self.dual_variables[0].save_value(value)
+
+    def copy(self, args: Any = None, id_objects: Any = None) -> Complements:
+        """Return a copy with the same sides; other arguments are refused."""
+        if args is not None and any(mine is not theirs for mine, theirs in zip(self.args, args, strict=True)):
+            raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
+        return Complements(self.first, self.second, self.id)
+
+
+def bounds_of(side: Side) -> tuple[Any, Any]:
+    """Return the bounds of a side in its own shape: of a box, of an inequality, or of the variable's attributes."""
+    shape = side.expression.shape
+    if side.kind == "box":
+        lower, upper = _number(side.lower, side), _number(side.upper, side)
+    elif side.kind == "nonnegative":
+        lower, upper = 0.0, np.inf
+    elif isinstance(side.expression, cp.Variable):
+        lower, upper = attribute_bounds(side.expression)
+    else:
+        lower, upper = -np.inf, np.inf
+    try:
+        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
+    except ValueError as error:
+        raise UnsupportedModel(f"the bounds of {side} do not have its shape {shape}") from error
+
+
+def attribute_bounds(variable: Any) -> tuple[Any, Any]:
+    """Return the bounds that a variable's attributes state: nonneg, pos, nonpos, neg, bounds."""
+    attributes = variable.attributes
+    lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
+    upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
+    given = attributes.get("bounds")
+    if given is not None:
+        low, high = (_number(bound, variable) for bound in given)
+        lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+    return lower, upper
+
+
+def _number(bound: Any, owner: Any) -> Any:
+    if bound is None:
+        raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
+    value = bound.value if isinstance(bound, cp.Expression) else bound
+    if value is None:
+        raise UnsupportedModel(f"the bound {bound} of {owner} has no value; set its parameter first")
+    if hasattr(value, "toarray"):
+        value = value.toarray()
+    return np.asarray(value, dtype=np.float64)
+
+
+def _residual(side: Side, x: Any, w: Any, other: Side) -> Any:
+    lower, upper = bounds_of(side)
+    if other.kind == "zero":
+        return np.abs(w)
+    return np.abs(np.minimum(np.maximum(w, x - upper), x - lower))

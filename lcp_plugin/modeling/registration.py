@@ -1,0 +1,152 @@
+"""problem.solve(method="LCP"), ComplementarityProblem, and what cvxpy users expect to find after a solve."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from cvxpy import settings
+from cvxpy.error import SolverError
+from cvxpy.problems.problem import SolverStats
+from cvxpy.reductions.solution import Solution
+
+from ..driver import solve as solve_lcp
+from ..errors import UnsupportedModel
+from ..result import Result, Status
+from .constraint import Complements
+from .model import Model, build_from
+
+METHODS = ("LCP", "lcp")
+CVXPY_STATUS = {
+    Status.SOLVED: settings.OPTIMAL,
+    Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
+    Status.MAX_ITERATIONS: settings.USER_LIMIT,
+    Status.MAX_SECONDS: settings.USER_LIMIT,
+    Status.STALLED: settings.USER_LIMIT,
+    Status.INTERRUPTED: settings.USER_LIMIT,
+}
+
+
+def register() -> None:
+    """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name."""
+    for name in METHODS:
+        cp.Problem.register_solve(name, solve_model)
+
+
+def is_complementarity_problem(problem: Any) -> bool:
+    """Return whether a cvxpy problem has a complementarity among its constraints.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
+    False
+    """
+    return isinstance(problem, cp.Problem) and any(isinstance(c, Complements) for c in problem.constraints)
+
+
+class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
+    """A cvxpy problem that is nothing but complementarities and equalities.
+
+    Parameters
+    ----------
+    constraints : list
+        Of :func:`complements` and equalities.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> from lcp_plugin import complements
+    >>> x = cp.Variable()
+    >>> problem = ComplementarityProblem([complements(x >= 0, 2 * x - 3 >= 0)])
+    >>> problem.solve(tolerance=1e-12), problem.status, float(x.value)
+    (0.0, 'optimal', 1.5)
+    """
+
+    def __init__(self, constraints: list[Any]) -> None:
+        super().__init__(cp.Minimize(0), constraints)
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> Any:
+        """Solve as ``cp.Problem.solve(method="LCP")`` does; see :func:`solve_model`."""
+        options.pop("method", None)
+        return solve_model(self, algorithm=algorithm, **options)
+
+    def copy(self, args: Any = None, id_objects: Any = None) -> ComplementarityProblem:
+        """Return a problem with the same constraints."""
+        return ComplementarityProblem(list(self.constraints if args is None else args[1]))
+
+
+def solve_model(
+    problem: Any, algorithm: Any = "auto", *, warm_start: bool = True, verbose: bool = False, solver: Any = None,
+    **options: Any,
+) -> Any:
+    """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+    algorithm : str or Algorithm
+        As in :func:`lcp_plugin.solve`.
+    warm_start : bool
+        Begin with the present values of the variables where all have one.
+    verbose : bool
+        Print the story of the run.
+    **options
+        Options of :func:`lcp_plugin.solve` and of the algorithm.
+
+    Returns
+    -------
+    float
+        The value of the objective: 0 for a complementarity problem.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the model is none of the two; the message names what stands in the way.
+    cvxpy.error.SolverError
+        Where the run diverged.
+    """
+    if solver is not None:
+        raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
+    if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
+        from .qp_solver import QPSolver
+
+        return cp.Problem._solve(
+            problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
+        )
+    model = build_from(problem)
+    start = model.start() if warm_start and "z0" not in options else None
+    if start is not None and np.isfinite(start).all():
+        options["z0"] = start
+    result = solve_lcp(model.problem, algorithm, **options)
+    if verbose:
+        print(result.explain())
+    write_back(problem, model, result)
+    return problem.value
+
+
+def write_back(problem: Any, model: Model, result: Result) -> None:
+    """Give the cvxpy problem its status, values, duals and statistics."""
+    status = CVXPY_STATUS.get(result.status)
+    if status is None:
+        raise SolverError(f"{result.status.name}: {result.status.value}")
+    attributes = {
+        settings.SOLVE_TIME: result.seconds,
+        settings.SETUP_TIME: result.setup_seconds,
+        settings.NUM_ITERS: result.iterations,
+        settings.EXTRA_STATS: result,
+    }
+    values = model.values(result.z)
+    duals = model.duals(result.z, result.w)
+    own = {constraint.id for constraint in problem.constraints}
+    problem.unpack(Solution(status, 0.0, values, {c.id: value for c, value in duals if c.id in own}, attributes))
+    for constraint, value in duals:
+        if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
+            constraint.save_dual_value(value)
+    problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
+    if status in settings.INACCURATE:
+        warnings.warn(
+            f"the solution may be inaccurate ({result.status.name}): {result.status.value}", UserWarning, stacklevel=4
+        )

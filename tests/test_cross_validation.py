@@ -1,0 +1,447 @@
+"""Our answers agree with convex solvers that share no code with us, and the comparison itself can be trusted."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, Status, gallery, solve
+from lcp_plugin.evidence import cross_check, qp_reference
+from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate, story
+from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Equilibrated, Formulation
+
+COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
+BATCHES = 10
+BOUNDS = ("plain", "free rows", "boxes", "everything")
+
+
+def spd_matrix(generator: np.random.Generator, n: int) -> np.ndarray:
+    B = generator.normal(size=(n, n))
+    return B @ B.T / n + generator.uniform(0.05, 1.0) * np.eye(n)
+
+
+def random_bounds(generator: np.random.Generator, n: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if kind in ("free rows", "everything"):
+        lower[generator.random(n) < 0.3] = -np.inf
+    if kind in ("boxes", "everything"):
+        lower = lower + generator.normal(size=n)
+        above = np.maximum(lower, 0.0) + generator.uniform(0.0, 2.0, size=n)
+        upper = np.where(generator.random(n) < 0.7, above, np.inf)
+    return lower, upper
+
+
+def random_spd_problem(seed: int) -> LCP:
+    """A problem of 1 to 30 unknowns, with every kind of bounds, dense or sparse."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(1, 31))
+    M = spd_matrix(generator, n)
+    if seed % 3 == 0:
+        M[(abs(M) < 0.2) & ~np.eye(n, dtype=bool)] = 0.0
+        M += np.diag(abs(M).sum(axis=1))
+    lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
+    q = generator.normal(size=n) * 10.0 ** generator.integers(-3, 4)
+    return LCP(sp.csr_array(M) if seed % 3 == 0 else M, q, lower=lower, upper=upper)
+
+
+def clear_rows(certificate: Certificate, threshold: float) -> np.ndarray:
+    """1 at the lower bound, 2 at the upper, 3 between, 0 where degenerate within the threshold."""
+    problem, z, w = certificate.problem, certificate.z, certificate.w
+    inside = (z - problem.lower > threshold) & (problem.upper - z > threshold)
+    return np.select([w > threshold, w < -threshold, inside], [1, 2, 3], 0)
+
+
+def altered(result: Result, i: int, by: float) -> Result:
+    """The result with another z, and everything else as it was."""
+    z = result.z.copy()
+    z[i] += by
+    return replace(result, z=z)
+
+
+# --- Agreement ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch", range(BATCHES))
+def test_random_spd_problems_agree(batch: int) -> None:
+    """On random symmetric positive definite problems z agrees to 1e-7 of its size, and the active sets are equal."""
+    for seed in range(batch, COUNT, BATCHES):
+        problem = random_spd_problem(seed)
+        check = cross_validate(problem, tolerance=1e-12)
+        size = max(1.0, abs(check.ours.z).max())
+        assert check.agrees, f"seed {seed}\n{check}"
+        assert check.formulation.startswith("quadratic program")
+        assert check.difference_z <= 1e-7 * size, f"seed {seed}\n{check}"
+        assert check.active_sets_agree
+        assert check.theirs is not None
+        mine, other = clear_rows(check.ours, 1e-6 * size), clear_rows(check.theirs, 1e-6 * size)
+        decided = (mine > 0) & (other > 0)
+        assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
+    """Where M is singular w agrees to 1e-7 although z need not."""
+    generator = np.random.default_rng(seed)
+    n, rank = 12, int(generator.integers(2, 8))
+    B = generator.normal(size=(n, rank))
+    M = B @ B.T
+    z = np.where(generator.random(n) < 0.6, generator.uniform(0.1, 2.0, size=n), 0.0)
+    w = np.where(z == 0.0, generator.uniform(0.1, 2.0, size=n), 0.0)
+    check = cross_validate(LCP(M, w - M @ z), algorithm="psor", tolerance=1e-11)
+    assert check.agrees, check
+    assert "positive semidefinite" in check.formulation
+    assert check.difference_w <= 1e-7 * max(1.0, abs(check.ours.z).max())
+    assert abs(check.objective_gap) <= 1e-7
+    np.testing.assert_allclose(check.ours.w, w, atol=1e-7)
+
+
+def test_a_solution_that_is_not_unique_is_named() -> None:
+    """Two z on one face of solutions: the same w, and the verdict says that z is not unique."""
+    check = cross_validate(LCP([[1.0, 1.0], [1.0, 1.0]], [-1.0, -1.0]), algorithm="pgs")
+    assert check.agrees
+    assert check.difference_z > 0.1 > 1e-9 > check.difference_w
+    assert "not unique" in check.reason
+
+
+@pytest.mark.parametrize(
+    ("target", "kind"),
+    [("obstacle_2d:size=20", PLAIN), ("optimal_stopping:size=10", GAP), ("murty:n=8", GAP), ("murty:n=1", PLAIN),
+     ("paper_example_1:n=100", PLAIN), ("paper_example_2:n=100", GAP), ("scaling_trap", GAP)],
+)
+def test_scenes_agree(target: str, kind: str) -> None:
+    """Scenes with a convex program agree with it: the plain one where M is symmetric, else the gap program."""
+    check = cross_validate(gallery.parse(target).problem, tolerance=1e-11)
+    assert check.agrees, check
+    assert check.formulation.startswith(f"{kind} (")
+    assert check.difference_z < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
+    """A nonsymmetric monotone problem agrees with its gap program, whatever its bounds."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(2, 20))
+    skew = generator.normal(size=(n, n))
+    lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
+    M = spd_matrix(generator, n) + np.eye(n) + 0.3 * (skew - skew.T)
+    check = cross_validate(LCP(M, generator.normal(size=n), lower=lower, upper=upper), tolerance=1e-12)
+    assert check.agrees, check
+    assert check.formulation.startswith("gap quadratic program")
+    assert check.difference_z < 1e-7
+
+
+@pytest.mark.parametrize("reference", list(SOLVERS))
+def test_every_installed_reference_agrees(reference: str) -> None:
+    """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""
+    import cvxpy
+
+    if SOLVERS[reference].name not in cvxpy.installed_solvers():
+        pytest.skip(f"{reference} is optional")
+    for target in ("obstacle_2d:size=6", "optimal_stopping:size=5"):
+        check = cross_validate(gallery.parse(target).problem, reference=reference)
+        assert check.agrees, check
+        assert check.reference == reference
+        assert [one.name for one in check.tried] == [reference]
+    assert cross_validate(random_spd_problem(7), reference=reference).agrees
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_degenerate_rows_are_left_open(seed: int) -> None:
+    """Rows with z = w = 0 are counted as undecided, all others are decided, and decided alike."""
+    generator = np.random.default_rng(seed)
+    M = spd_matrix(generator, 15)
+    kind = generator.integers(0, 3, size=15)
+    z = np.where(kind == 0, generator.uniform(0.5, 2.0, size=15), 0.0)
+    w = np.where(kind == 1, generator.uniform(0.5, 2.0, size=15), 0.0)
+    check = cross_validate(LCP(M, w - M @ z), tolerance=1e-12)
+    assert check.agrees, check
+    assert check.active_sets_agree
+    assert check.undecided == np.count_nonzero(kind == 2)
+
+
+def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
+    """Where M is nearly singular a clear difference of z condemns nobody, and the reason gives it."""
+    n = 300
+    ones = np.ones(n)
+    second = sp.diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1])
+    scale = sp.diags_array(10.0 ** np.random.default_rng(0).uniform(-3.0, 3.0, size=n))
+    M = (scale @ second @ second @ scale).tocsr()
+    z = np.maximum(np.sin(np.linspace(0.0, 12.0, n)), 0.0)
+    check = cross_validate(LCP(M, np.where(z == 0.0, 1.0, 0.0) - M @ z), algorithm="psor", max_seconds=10.0)
+    assert check.agrees, check
+    assert check.difference_z > 1e-3
+    assert "conditioning" in check.reason
+
+
+def test_problem_without_a_solution_is_not_comparable() -> None:
+    """Where no reference finds anything the verdict says so, and names what the last one said."""
+    check = cross_validate(LCP([[0.0]], [-1.0]))
+    assert check.verdict == "not comparable"
+    assert "unbounded" in check.reason or "not installed" in check.reason
+
+
+@pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
+def test_units_do_not_matter(exponent: int) -> None:
+    """The verdict is the same in any unit of z and of w; the references' tolerances are absolute."""
+    problem = random_spd_problem(3)
+    for row, column in ((exponent, 0), (0, exponent)):
+        scaled = LCP(
+            problem.M * 2.0 ** (row - column), problem.q * 2.0**row,
+            lower=problem.lower * 2.0**column, upper=problem.upper * 2.0**column,
+        )
+        assert cross_validate(scaled).agrees
+
+
+@pytest.mark.parametrize("q", [[1.0, 2.0], [0.0, 0.0], [1e-30, 0.0]])
+def test_a_start_that_is_the_answer_can_be_checked(q: list[float]) -> None:
+    """Where z° = 0 solves the problem there is nothing to be relative to, and the comparison still works."""
+    check = cross_validate(LCP([[2.0, -1.0], [-1.0, 2.0]], q))
+    assert check.agrees, check
+
+
+@pytest.mark.parametrize("M", [np.zeros((0, 0)), sp.csr_array((0, 0))], ids=["dense", "sparse"])
+def test_no_unknowns(M: object) -> None:
+    """A problem without unknowns agrees, with no reference."""
+    check = cross_validate(LCP(M, []))
+    assert (check.verdict, check.reference, check.tried) == ("agree", "", ())
+    assert story(check).startswith("agree: there are no unknowns")
+
+
+@pytest.mark.parametrize("q", [-3.0, 0.0, 2.0])
+@pytest.mark.parametrize("bounds", [(0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.5, 0.5)])
+def test_one_unknown(q: float, bounds: tuple[float, float]) -> None:
+    """One unknown agrees for every kind of bounds, fixed and free ones included."""
+    problem = LCP([[2.0]], [q], lower=bounds[0], upper=bounds[1])
+    check = cross_validate(problem)
+    assert check.agrees, check
+    assert check.difference_z < 1e-9
+
+
+# --- What is wrong is caught --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by", [1.0, 1e-3, 1e-6])
+@pytest.mark.parametrize("target", ["obstacle_2d:size=8", "optimal_stopping:size=6"])
+def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
+    """An answer that says SOLVED and has one wrong component is a mismatch."""
+    problem = gallery.parse(target).problem
+    wrong = altered(solve(problem, tolerance=1e-9), problem.n // 2, by)
+    check = cross_validate(problem, wrong)
+    assert check.verdict == "mismatch", check
+    assert "our answer says SOLVED" in check.reason
+    assert check.difference_z == pytest.approx(by, rel=1e-2)
+
+
+def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
+    problem = gallery.parse("obstacle_2d:size=8").problem
+    wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
+    monkeypatch.setattr(cross_check, "scaled_residual", lambda problem, z, w: np.zeros_like(z))
+    monkeypatch.setattr(cross_check, "accuracy", lambda certificate: 1e-12)
+    monkeypatch.setattr(cross_check, "_keeps_claim", lambda result, certificate: True)
+    check = cross_validate(problem, wrong)
+    assert check.verdict == "mismatch"
+    assert "disagreement" in check.reason
+    assert cross_validate(problem, solve(problem, tolerance=1e-15)).agrees
+
+
+@pytest.mark.parametrize("monotone_only", [False, True])
+def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> None:
+    """For a monotone M any two points, solutions or not, disagree by no more than their residuals explain."""
+    generator = np.random.default_rng(1)
+    for seed in range(100):
+        n = int(generator.integers(1, 15))
+        B, skew = generator.normal(size=(n, max(1, n // 2))), generator.normal(size=(n, n))
+        M = B @ B.T + (skew - skew.T if monotone_only else 0.0)
+        lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
+        problem = LCP(M, generator.normal(size=n), lower=lower, upper=upper)
+        first, second = (Certificate.of(problem, generator.normal(size=n)) for _ in range(2))
+        pair = cross_check._Pair(Formulation.of(problem), first, second)
+        assert pair.disagreement <= pair.allowance
+
+
+def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
+    """A run that ended early and says so is not comparable; one solved to a loose tolerance agrees as far as it can."""
+    problem = gallery.parse("obstacle_2d:size=20").problem
+    early = cross_validate(problem, solve(problem, max_iterations=2))
+    assert early.verdict == "not comparable"
+    assert "our answer is inaccurate: MAX_ITERATIONS" in early.reason
+    assert cross_validate(problem, solve(problem, tolerance=1e-5)).agrees
+
+
+def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reference that stops early yields "not comparable", and the reason gives both accuracies."""
+    rough = replace(SOLVERS["scs"], options={"eps_abs": 1e-1, "eps_rel": 1e-1, "max_iters": 3})
+    monkeypatch.setitem(SOLVERS, "scs", rough)
+    monkeypatch.setattr(qp_reference, "POLISH_ROUNDS", 0)
+    check = cross_validate(gallery.parse("obstacle_2d:size=8").problem, reference="scs")
+    assert check.verdict == "not comparable", check
+    assert "no reference reached 1e-07, the best is scs" in check.reason
+    assert "our relative residual" in check.reason
+    assert check.difference_z > 1e-3
+
+
+# --- Only where it is legitimate ----------------------------------------------------------------------------
+
+
+def refuse(*_: object) -> None:
+    raise AssertionError("this program must not be built")
+
+
+@pytest.mark.parametrize("target", ["optimal_stopping:size=5", "murty:n=5", "random_h_plus:n=20"])
+def test_nonsymmetric_never_reaches_a_plain_program(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A nonsymmetric M never reaches the plain quadratic program; a monotone one gets the gap program."""
+    monkeypatch.setattr(qp_reference, "quadratic_program", refuse)
+    check = cross_validate(gallery.parse(target).problem)
+    assert not any("must not be built" in one.note for one in check.tried)
+    assert check.agrees or check.formulation == "no convex program"
+
+
+@pytest.mark.parametrize(
+    ("M", "reason"),
+    [
+        ([[1.0, 2.0], [2.0, 1.0]], "M is symmetric indefinite: a pivot is negative at shift"),
+        ([[1.0, 0.0], [0.0, -1.0]], "M is symmetric indefinite: M[1, 1] = -1"),
+        ([[0.0, 1.0], [1.0, 1.0]], "M is symmetric indefinite"),
+        ([[1.0, 5.0], [0.0, 1.0]], "M is not symmetric (M[0, 1] and M[1, 0] differ); its symmetric part is indefinite"),
+    ],
+)
+@pytest.mark.parametrize("kind", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, kind: type) -> None:
+    """An indefinite problem reaches no solver: one line says why, and a second opinion is labelled as such."""
+    check = cross_validate(LCP(kind(M), [1.0, 1.0]))
+    assert check.verdict == "not comparable"
+    assert check.reason.startswith(reason)
+    assert "\n" not in check.reason
+    assert "second opinion" in check.reason
+    assert check.theirs is None or "not independent" in check.reason
+    assert all(one.name.startswith("our ") for one in check.tried)
+
+
+def test_second_opinion_comes_from_another_family() -> None:
+    """The second opinion is another family's; a wrong answer is a mismatch there too, a right one is not proved."""
+    problem = gallery.parse("random_h_plus:n=30").problem
+    runs = {
+        "our psor": solve(problem, "npsor", scaling="diagonal", tolerance=1e-9),
+        "our npsor": solve(problem, "psor", tolerance=1e-9),
+    }
+    for other, result in runs.items():
+        check = cross_validate(problem, result)
+        assert (check.verdict, check.reference) == ("not comparable", other)
+        assert check.reason.endswith("says the same")
+    wrong = altered(solve(problem, tolerance=1e-9), 3, 100.0)
+    assert cross_validate(problem, wrong).verdict == "mismatch"
+
+
+def test_two_solutions_are_no_mismatch() -> None:
+    """Two certified answers of a problem that is not monotone only show that z is not unique."""
+    problem = LCP([[1.0, 2.0], [2.0, 1.0]], [-1.0, -1.0])  # (1, 0), (0, 1), (1/3, 1/3)
+    check = cross_validate(problem, solve(problem, "pgs", z0=[0.0, 1.0]))
+    assert check.verdict == "not comparable"
+
+
+@pytest.mark.parametrize("noise", [1e-17, 1e-10])
+def test_symmetry_is_meant_up_to_rounding(noise: float) -> None:
+    """What rounding may do to a symmetric M leaves it symmetric; 1e-10 does not."""
+    M = np.array([[2.0, 1.0], [1.0 + noise, 2.0]]) * np.array([[1e-8, 1.0], [1.0, 1e8]])
+    assert Formulation.of(LCP(M, [-1.0, -1.0])).kind == (PLAIN if noise < 1e-16 else GAP)
+
+
+def test_the_check_for_convexity_stays_sparse() -> None:
+    """Fifty thousand unknowns are factorised without a dense array, semidefinite ones told from definite ones."""
+    n = 50_000
+    ones = np.ones(n)
+    laplacian = sp.diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1]).tolil()
+    laplacian[0, 0] = laplacian[-1, -1] = 1.0  # constants are in the null space now
+    for shift, eigenvalue_is_zero in ((0.0, True), (1e-3, False)):
+        found = Formulation.of(LCP((laplacian + shift * sp.eye_array(n)).tocsr(), -ones))
+        assert found.kind == PLAIN
+        assert (found.smallest_eigenvalue == 0.0) is eigenvalue_is_zero
+        assert 0.0 < found.shift < 1e-9
+
+
+def test_smallest_eigenvalue_is_estimated_well() -> None:
+    """The estimate of λ lies within 10 % above the true one."""
+    for seed in range(20):
+        problem = LCP(spd_matrix(np.random.default_rng(seed), 15), np.ones(15))
+        exact = np.linalg.eigvalsh(Equilibrated.of(problem).A)[0]
+        assert exact * (1.0 - 1e-9) <= Formulation.of(problem).smallest_eigenvalue <= 1.1 * exact
+
+
+# --- Solvers that fail, arguments that cannot be used -------------------------------------------------------
+
+
+def test_absent_and_failing_solvers_are_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not installed, raises or warns is noted, and the next solver is asked; nothing is raised or warned."""
+    monkeypatch.setitem(SOLVERS, "daqp", replace(SOLVERS["daqp"], name="ABSENT"))
+    monkeypatch.setitem(SOLVERS, "osqp", replace(SOLVERS["osqp"], options={"no_such_option": 1}))
+    check = cross_validate(gallery.parse("obstacle_2d:size=6").problem)
+    assert check.agrees, check
+    absent, failing, used = check.tried
+    assert (absent.note, absent.certificate, used.name) == ("not installed", None, "scs")
+    assert failing.certificate is None
+    assert "no_such_option" in failing.note
+    assert "daqp: no answer" in story(check)
+
+
+def test_no_solver_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With no reference there is no verdict, and no error."""
+    monkeypatch.setitem(SOLVERS, "scs", replace(SOLVERS["scs"], name="ABSENT"))
+    check = cross_validate(gallery.parse("obstacle_2d:size=6").problem, reference="scs")
+    assert check.verdict == "not comparable"
+    assert (check.reference, check.theirs, check.active_sets_agree) == ("", None, None)
+    assert "not installed" in check.reason
+    assert np.isnan(check.difference_z)
+
+
+def test_arguments_that_cannot_be_used() -> None:
+    """Wrong arguments are named, with what is needed."""
+    problem = LCP([[2.0]], [-1.0])
+    with pytest.raises(InvalidOption, match="unknown reference 'osq'; did you mean 'osqp'"):
+        cross_validate(problem, reference="osq")
+    with pytest.raises(InvalidOption, match="needs an LCP, got ndarray"):
+        cross_validate(np.eye(2))  # type: ignore[arg-type]
+    with pytest.raises(InvalidOption, match="result must be what solve"):
+        cross_validate(problem, [0.5])  # type: ignore[arg-type]
+    with pytest.raises(InvalidProblem, match="z must be"):
+        cross_validate(problem, solve(LCP(np.eye(2), [-1.0, -1.0])))
+
+
+def test_answer_that_is_not_finite() -> None:
+    """A z of NaN that says SOLVED is no agreement, and the comparison does not fall over."""
+    problem = LCP([[2.0, 0.0], [0.0, 2.0]], [-1.0, -1.0])
+    check = cross_validate(problem, altered(solve(problem), 0, np.nan))
+    assert check.verdict != "agree"
+    assert isinstance(check, CrossCheck)
+    assert solve(problem).status is Status.SOLVED
+
+
+def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
+    """The story begins with the verdict and lists both sides; the solvers themselves print nothing."""
+    check = cross_validate(gallery.parse("murty:n=1").problem)
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")
+    lines = story(check).splitlines()
+    assert lines[0].startswith("agree: ")
+    for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "active sets", "tried"):
+        assert any(line.startswith(word) for line in lines), word
+    assert str(check) == story(check)
+
+
+def test_cvxpy_loads_when_a_reference_is_asked() -> None:
+    """Importing the modules loads no cvxpy; a problem without a convex program never does."""
+    code = (
+        "import sys\n"
+        "from lcp_plugin import LCP\n"
+        "from lcp_plugin.evidence.cross_check import cross_validate\n"
+        "cross_validate(LCP([[1.0, 2.0], [2.0, 1.0]], [1.0, 1.0]))\n"
+        "print('cvxpy' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"

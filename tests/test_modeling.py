@@ -1,0 +1,320 @@
+"""Complementarity as cvxpy users write it: states, values, duals, copies, refusals."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    ComplementarityProblem,
+    UnsupportedModel,
+    box,
+    complements,
+    is_complementarity_problem,
+    solve,
+)
+from lcp_plugin.modeling.model import build
+
+M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
+Q = np.array([-3.0, 5.0, -4.0])
+PLAIN = solve(LCP(M, Q), "pgs", tolerance=1e-13)
+
+
+def model(*constraints: Any, **options: Any) -> Any:
+    problem = cp.Problem(cp.Minimize(0), list(constraints))
+    problem.solve(method="LCP", tolerance=1e-12, **options)
+    return problem
+
+
+def test_plain_pair_in_either_order() -> None:
+    """complements(x >= 0, F >= 0) and the sides exchanged give the LCP's z and w, status, value and statistics."""
+    for swap in (False, True):
+        x = cp.Variable(3)
+        sides = [x >= 0, M @ x + Q >= 0]
+        pair = complements(*(reversed(sides) if swap else sides))
+        problem = model(pair, algorithm="psor")
+        assert (problem.status, problem.value) == ("optimal", 0.0)
+        np.testing.assert_allclose(x.value, PLAIN.z, atol=1e-11)
+        np.testing.assert_allclose(pair.dual_value, PLAIN.w, atol=1e-10)
+        assert problem.solver_stats.solver_name == "LCP"
+        assert problem.solver_stats.extra_stats.algorithm == "psor"
+        assert problem.solver_stats.num_iters == problem.solver_stats.extra_stats.iterations
+        assert pair.violation() < 1e-10
+        assert pair.value()
+
+
+def test_inner_inequalities_carry_the_duals_of_a_quadratic_program() -> None:
+    """X >= 0 gets w and F >= 0 gets x, as a quadratic program's multipliers would be."""
+    x = cp.Variable(3)
+    bound, function = x >= 0, M @ x + Q >= 0
+    model(complements(bound, function))
+    np.testing.assert_allclose(bound.dual_value, PLAIN.w, atol=1e-10)
+    np.testing.assert_allclose(function.dual_value, PLAIN.z, atol=1e-10)
+
+
+def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem() -> None:
+    """At an upper bound F ≤ 0: box(x, l, u), x <= u with F <= 0, and bounds as attributes agree with the LCP."""
+    lower, upper = np.array([-1.0, -np.inf, 0.0]), np.array([0.25, np.inf, 0.25])
+    expected = solve(LCP(M, Q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
+    assert expected.z[0] == 0.25
+    assert expected.w[0] < 0.0
+    x = cp.Variable(3)
+    pair = complements(box(x, lower, upper), M @ x + Q)
+    model(pair)
+    np.testing.assert_allclose(x.value, expected.z, atol=1e-11)
+    np.testing.assert_allclose(pair.dual_value, expected.w, atol=1e-10)
+    y = cp.Variable(3, bounds=[lower, upper])
+    model(complements(M @ y + Q, y))
+    np.testing.assert_allclose(y.value, expected.z, atol=1e-11)
+    u = np.full(3, 0.5)
+    above = solve(LCP(M, Q, lower=-np.inf, upper=u), "pgs", tolerance=1e-13)
+    z = cp.Variable(3)
+    pair = complements(z <= u, M @ z + Q <= 0)
+    model(pair)
+    np.testing.assert_allclose(z.value, above.z, atol=1e-11)
+
+
+def test_attributes_nonneg_and_nonpos_are_bounds() -> None:
+    """complements(x, F) with nonneg is the plain problem, with nonpos its mirror image."""
+    x = cp.Variable(3, nonneg=True)
+    model(complements(x, M @ x + Q))
+    np.testing.assert_allclose(x.value, PLAIN.z, atol=1e-11)
+    y = cp.Variable(3, nonpos=True)
+    model(complements(y, M @ y - Q))
+    np.testing.assert_allclose(y.value, -PLAIN.z, atol=1e-11)
+
+
+def test_obstacle_matrix_shaped_and_n_dimensional() -> None:
+    """complements(X >= psi, F(X) >= 0) with a matrix variable, and with a 3-D one where cvxpy has them."""
+    psi = np.array([[1.0, -1.0], [0.5, 0.0], [-2.0, 0.25]])
+    X = cp.Variable((3, 2))
+    pair = complements(psi <= X, M @ X - 1 >= 0)
+    model(pair)
+    for k in range(2):
+        column = solve(LCP(M, -np.ones(3), lower=psi[:, k]), "pgs", tolerance=1e-13)
+        np.testing.assert_allclose(X.value[:, k], column.z, atol=1e-11)
+        np.testing.assert_allclose(pair.dual_value[:, k], column.w, atol=1e-10)
+    T = cp.Variable((2, 2, 2))
+    model(complements(T >= 0, 2 * T - np.arange(8.0).reshape(2, 2, 2) + 3 >= 0))
+    np.testing.assert_allclose(T.value, np.maximum(np.arange(8.0).reshape(2, 2, 2) - 3, 0) / 2, atol=1e-12)
+
+
+def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
+    """Slices of one variable in different pairs, and a scalar variable, make one problem."""
+    x = cp.Variable(3)
+    F = M @ x + Q
+    model(complements(x[:2] >= 0, F[:2] >= 0), complements(F[2] >= 0, x[2] >= 0))
+    np.testing.assert_allclose(x.value, PLAIN.z, atol=1e-11)
+    s = cp.Variable()
+    model(complements(s >= 1, 2 * s - 5 >= 0))
+    assert s.value == pytest.approx(2.5)
+
+
+def test_negative_multiples_flip_the_bound() -> None:
+    """−2x + 3 ≥ 0 bounds x above by 1.5."""
+    x = cp.Variable()
+    model(complements(3 - 2 * x >= 0, 4 - x >= 0))
+    assert x.value == pytest.approx(1.5)
+
+
+def test_free_variables_take_equations() -> None:
+    """A free variable with G == 0, paired or as a plain equality row, whose dual value is that variable."""
+    for paired in (True, False):
+        x, y = cp.Variable(3, nonneg=True), cp.Variable()
+        row = cp.sum(x) + 4 * y == 2
+        constraints = [complements(x, M @ x + Q - y)]
+        constraints.append(complements(y, row) if paired else row)
+        model(*constraints)
+        assert np.sum(x.value) + 4 * y.value == pytest.approx(2.0)
+        assert complements(x, M @ x + Q - y).violation() < 1e-10
+        assert row.dual_value == pytest.approx(y.value)
+
+
+def test_two_affine_sides_get_a_slack() -> None:
+    """A x + a ≥ 0 ⟂ B x + b ≥ 0 without a variable side is solved through a slack."""
+    x = cp.Variable(2)
+    A, B = np.array([[3.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 0.5], [0.5, 3.0]])
+    pair = complements(A @ x - [1.0, 4.0] >= 0, B @ x - [2.0, 1.0] >= 0)
+    assert build([pair]).problem.n == 4
+    problem = model(pair, algorithm="npsor", scaling="diagonal", max_iterations=20000)
+    assert problem.status in ("optimal", "user_limit")
+    if problem.status == "optimal":
+        assert pair.violation() < 1e-9
+
+
+def test_parameters_dpp_or_not() -> None:
+    """Parameters in q and in M, also as a product of two, are read anew at every solve."""
+    a, b, c = cp.Parameter(), cp.Parameter(), cp.Parameter(3)
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, (a * b) * (M @ x) + c >= 0)])
+    for scale, q in ((1.0, Q), (2.0, -Q)):
+        a.value, b.value, c.value = scale, 0.5, q
+        problem.solve(method="LCP", tolerance=1e-12)
+        np.testing.assert_allclose(x.value, solve(LCP(0.5 * scale * M, q), "pgs", tolerance=1e-13).z, atol=1e-10)
+
+
+def test_parameter_without_value_is_named() -> None:
+    """A parameter that has no value is named in the error."""
+    c = cp.Parameter(3, name="load")
+    x = cp.Variable(3)
+    with pytest.raises(UnsupportedModel, match="load"):
+        model(complements(x >= 0, M @ x + c >= 0))
+
+
+def test_second_solve_starts_from_the_first() -> None:
+    """A repeated solve begins at the present values; warm_start=False does not."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
+    problem.solve(method="LCP")
+    first = problem.solver_stats.num_iters
+    problem.solve(method="LCP")
+    assert problem.solver_stats.num_iters < first
+    problem.solve(method="LCP", warm_start=False)
+    assert problem.solver_stats.num_iters == first
+
+
+def test_matrix_is_extracted_exactly_and_left_alone() -> None:
+    """The problem's matrix is the user's, entry by entry; the user's own array stays as it was."""
+    A = sp.csr_array(sp.diags_array([-np.ones(99), 4 * np.ones(100), -np.ones(99)], offsets=[-1, 0, 1]))
+    before = A.copy()
+    x = cp.Variable(100)
+    problem = build([complements(x >= 0, A @ x - np.ones(100) >= 0)]).problem
+    assert abs(problem.csr - before).nnz == 0
+    assert abs(A - before).nnz == 0
+    np.testing.assert_array_equal(problem.q, -np.ones(100))
+
+
+def test_complementarity_problem_and_its_copies() -> None:
+    """ComplementarityProblem solves by itself; copy, deepcopy and pickle solve to the same values."""
+    x = cp.Variable(3)
+    problem = ComplementarityProblem([complements(x >= 0, M @ x + Q >= 0)])
+    assert problem.solve(algorithm="pgs", tolerance=1e-12) == 0.0
+    for other in (copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
+        assert is_complementarity_problem(other)
+        other.solve(tolerance=1e-12)
+        np.testing.assert_allclose(other.variables()[0].value, PLAIN.z, atol=1e-10)
+    assert "complements" in str(problem)
+    assert not is_complementarity_problem(cp.Problem(cp.Minimize(x[0]), [x >= 0]))
+
+
+def test_limits_keep_the_values_and_warn() -> None:
+    """An iteration limit gives user_limit with the best values and a warning that names it."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
+    with pytest.warns(UserWarning, match="MAX_ITERATIONS"):
+        problem.solve(method="LCP", algorithm="npgs", max_iterations=2)
+    assert problem.status == "user_limit"
+    assert x.value is not None
+
+
+def test_divergence_is_a_solver_error_with_advice() -> None:
+    """A run that diverges raises cvxpy's SolverError with our advice."""
+    x = cp.Variable(2)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, np.array([[1.0, -9.0], [-9.0, 1.0]]) @ x - 1 >= 0)])
+    with pytest.raises(cp.error.SolverError, match="DIVERGED"):
+        problem.solve(method="LCP", algorithm="npgs")
+
+
+def test_plain_solve_names_the_method() -> None:
+    """problem.solve() without the method is refused by cvxpy with a message that names the method."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
+    with pytest.raises(cp.error.DCPError, match='method="LCP"'):
+        problem.solve()
+
+
+def pair_of(x: Any) -> Any:
+    return complements(x >= 0, 2 * x - 1 >= 0)
+
+
+REFUSED: dict[str, tuple[Any, str]] = {
+    "shapes": (lambda x: [complements(x >= 0, cp.sum(x) >= 0)], "same shape"),
+    "not affine": (lambda x: [complements(x >= 0, cp.square(x) >= 0)], "affine"),
+    "lonely inequality": (lambda x: [pair_of(x), x <= 3], "stands alone"),
+    "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "already paired|paired"),
+    "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
+    "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknowns without"),
+    "too many equations": (lambda x: [pair_of(x), cp.sum(x) == 1], "as many equations"),
+    "integer": (lambda x: [pair_of(cp.Variable(3, integer=True))], "integer"),
+    "boolean": (lambda x: [pair_of(cp.Variable(3, boolean=True))], "boolean"),
+    "PSD": (lambda x: [pair_of(cp.Variable((2, 2), PSD=True))], "PSD"),
+    "symmetric": (lambda x: [pair_of(cp.Variable((2, 2), symmetric=True))], "symmetric"),
+    "contradicting bounds": (lambda x: [complements(cp.Variable(3, nonneg=True) >= 1, x >= 0)], "other bounds"),
+    "second-order cone": (lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)], "inequality"),
+    "box with equality": (lambda x: [complements(box(x, 0, 1), x == 1)], "needs an expression"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_models_beyond_complementarity_are_refused(case: str) -> None:
+    """What no complementarity problem can state is refused, naming the culprit and the remedy."""
+    make, pattern = REFUSED[case]
+    x = cp.Variable(3)
+    with pytest.raises(UnsupportedModel, match=pattern):
+        model(*make(x))
+
+
+def test_an_objective_is_refused() -> None:
+    """Complementarity beside an objective is refused."""
+    x = cp.Variable(3)
+    with pytest.raises(UnsupportedModel, match="objective"):
+        cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]).solve(method="LCP")
+
+
+def test_method_is_known_after_any_modelling_name() -> None:
+    """Touching a modelling name registers the method; importing the package alone loads no cvxpy."""
+    code = (
+        "import sys, lcp_plugin\n"
+        "assert 'cvxpy' not in sys.modules\n"
+        "lcp_plugin.complements\n"
+        "import cvxpy as cp\n"
+        "print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "True"
+
+
+ROUND_TRIPS = {
+    "plain": LCP(M, Q),
+    "box and free": LCP(M, Q, lower=[-np.inf, 0.0, -1.0], upper=[np.inf, np.inf, 2.0]),
+    "sparse": LCP(sp.csr_array(M), Q, lower=-1.0),
+    "one": LCP([[2.0]], [-3.0]),
+    "one, upper": LCP([[2.0]], [-3.0], lower=-np.inf, upper=1.0),
+}
+
+
+@pytest.mark.parametrize("name", ROUND_TRIPS)
+def test_round_trip_through_cvxpy(name: str) -> None:
+    """from_cvxpy(to_cvxpy(LCP)) has the same M, q and bounds, and solves to the same z."""
+    problem = ROUND_TRIPS[name]
+    back = LCP.from_cvxpy(problem.to_cvxpy())
+    np.testing.assert_array_equal(back.csr.toarray(), problem.csr.toarray())
+    for attribute in ("q", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(back, attribute), getattr(problem, attribute))
+    stated = problem.to_cvxpy()
+    stated.solve(tolerance=1e-12)
+    np.testing.assert_allclose(stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["plain", "sparse", "one"])
+def test_round_trip_through_a_quadratic_program(name: str) -> None:
+    """from_qp(to_qp(LCP)) of a symmetric problem has the same M, q and bounds; its origin recovers the multipliers."""
+    problem = ROUND_TRIPS[name]
+    symmetric = LCP((problem.csr + problem.csr.T).toarray() / 2, problem.q, lower=problem.lower, upper=problem.upper)
+    program = symmetric.to_qp()
+    back = LCP.from_qp(program.P, program.c, lower=program.lower, upper=program.upper)
+    np.testing.assert_array_equal(back.csr.toarray(), symmetric.csr.toarray())
+    np.testing.assert_array_equal(back.q, symmetric.q)
+    result = solve(back, "psor", tolerance=1e-12)
+    solution = back.origin.recover(result)
+    assert solution.is_optimal(1e-9)
+    np.testing.assert_allclose(solution.lower, np.maximum(result.w, 0.0), atol=1e-9)

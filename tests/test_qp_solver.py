@@ -1,0 +1,149 @@
+"""Ordinary quadratic programs solved inside cvxpy through their complementarity problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import QPSolver, UnsupportedModel
+
+RNG = np.random.default_rng(7)
+
+
+def nnls() -> tuple[Any, list[Any]]:
+    A, b = RNG.standard_normal((30, 8)), RNG.standard_normal(30)
+    x = cp.Variable(8)
+    constraints = [x >= 0]
+    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), constraints), constraints
+
+
+def ridge_with_bounds() -> tuple[Any, list[Any]]:
+    A, b = RNG.standard_normal((20, 10)), RNG.standard_normal(20)
+    x = cp.Variable(10)
+    constraints = [x <= 0.2, x >= -0.1]
+    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + 0.5 * cp.sum_squares(x)), constraints), constraints
+
+
+def isotonic() -> tuple[Any, list[Any]]:
+    y = np.sort(RNG.standard_normal(25)) + 0.8 * RNG.standard_normal(25)
+    x = cp.Variable(25)
+    constraints = [cp.diff(x) >= 0]
+    return cp.Problem(cp.Minimize(cp.sum_squares(x - y)), constraints), constraints
+
+
+def total_variation() -> tuple[Any, list[Any]]:
+    """The dual of total-variation denoising: a quadratic program in a box."""
+    y = np.repeat([0.0, 2.0, -1.0], 12) + 0.1 * RNG.standard_normal(36)
+    D = np.diff(np.eye(36), axis=0)
+    u = cp.Variable(35)
+    constraints = [u <= 0.5, u >= -0.5]
+    return cp.Problem(cp.Minimize(0.5 * cp.sum_squares(D.T @ u - y)), constraints), constraints
+
+
+def portfolio() -> tuple[Any, list[Any]]:
+    F = RNG.standard_normal((12, 4))
+    covariance = F @ F.T + 0.3 * np.eye(12)
+    gain = RNG.uniform(0.0, 0.2, 12)
+    x = cp.Variable(12)
+    constraints = [cp.sum(x) == 1, x >= 0, gain @ x >= 0.1]
+    return cp.Problem(cp.Minimize(cp.quad_form(x, covariance)), constraints), constraints
+
+
+MODELS: dict[str, Callable[[], tuple[Any, list[Any]]]] = {
+    "nnls": nnls, "ridge": ridge_with_bounds, "isotonic": isotonic, "total variation": total_variation,
+    "portfolio": portfolio,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", ["solver", "called", "method"])
+@pytest.mark.parametrize("name", MODELS)
+def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
+    """Value, x and duals equal those of an accurate cvxpy solver to 1e-6, by solver= and by method=."""
+    problem, constraints = MODELS[name]()
+    problem.solve(solver=cp.OSQP, eps_abs=1e-10, eps_rel=1e-10, max_iter=200000)
+    expected = (problem.value, problem.variables()[0].value.copy(), [c.dual_value for c in constraints])
+    if how == "method":
+        problem.solve(method="LCP", tolerance=1e-12)
+    else:
+        problem.solve(solver=QPSolver() if how == "called" else QPSolver, tolerance=1e-12)
+    assert problem.status == "optimal"
+    assert problem.value == pytest.approx(expected[0], abs=1e-6)
+    np.testing.assert_allclose(problem.variables()[0].value, expected[1], atol=1e-6)
+    for constraint, dual in zip(constraints, expected[2], strict=True):
+        np.testing.assert_allclose(constraint.dual_value, dual, atol=2e-6)
+    assert problem.solver_stats.solver_name == "LCP"
+    assert problem.solver_stats.num_iters > 0
+
+
+def test_bounds_as_attributes_are_bounds() -> None:
+    """Nonneg and bounds attributes arrive as bounds of the direct problem."""
+    A, b = RNG.standard_normal((20, 6)), RNG.standard_normal(20)
+    x = cp.Variable(6, bounds=[-0.1, 0.2])
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)))
+    problem.solve(solver=QPSolver)
+    assert problem.status == "optimal"
+    assert problem.solver_stats.extra_stats.certificate.problem.n >= 6
+    value = problem.value
+    problem.solve(solver=cp.OSQP, eps_abs=1e-9, eps_rel=1e-9)
+    assert value == pytest.approx(problem.value, abs=1e-6)
+
+
+def test_parameters_reuse_the_compiled_problem() -> None:
+    """A parameter's new value gives the new answer, warm-started from the last one."""
+    A, b = RNG.standard_normal((20, 6)), cp.Parameter(20)
+    x = cp.Variable(6)
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0])
+    for _ in range(3):
+        b.value = RNG.standard_normal(20)
+        problem.solve(solver=QPSolver)
+        value = problem.value
+        problem.solve(solver=cp.OSQP, eps_abs=1e-9, eps_rel=1e-9)
+        assert value == pytest.approx(problem.value, abs=1e-6)
+
+
+def test_a_limit_keeps_the_values_and_warns() -> None:
+    """max_iterations and max_seconds end as user_limit with values kept."""
+    for limit in ({"max_iterations": 1}, {"max_seconds": 0.0}):
+        problem, _ = isotonic()
+        with pytest.warns(UserWarning, match="inaccurate"):
+            problem.solve(solver=QPSolver, **limit)
+        assert problem.status == "user_limit"
+        assert problem.variables()[0].value is not None
+
+
+def test_unknown_options_are_refused() -> None:
+    """An option that neither solve nor the algorithm knows is refused with the right ones."""
+    problem, _ = nnls()
+    with pytest.raises(TypeError, match="relaxtion"):
+        problem.solve(solver=QPSolver, algorithm="psor", relaxtion=1.5)
+
+
+@pytest.mark.parametrize("objective", ["linear", "merely convex"])
+def test_programs_that_are_not_strictly_convex_are_refused(objective: str) -> None:
+    """A linear or a merely convex program is UnsupportedModel, with what to do."""
+    x = cp.Variable(3)
+    goal = cp.sum(x) if objective == "linear" else cp.square(x[0] - x[1]) + cp.sum(x)
+    problem = cp.Problem(cp.Minimize(goal), [x >= 0, x[0] + x[1] + x[2] >= 1, x[0] - x[2] <= 3])
+    with pytest.raises(UnsupportedModel, match="strictly convex"):
+        problem.solve(solver=QPSolver)
+
+
+def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
+    """A second-order cone or an integer variable is refused before it reaches us."""
+    x = cp.Variable(3)
+    with pytest.raises(cp.error.SolverError):
+        cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.norm(x) <= 1, cp.sum(x) == 1]).solve(solver=QPSolver)
+    y = cp.Variable(2, integer=True)
+    with pytest.raises(cp.error.SolverError):
+        cp.Problem(cp.Minimize(cp.sum_squares(y - 0.4))).solve(solver=QPSolver)
+
+
+def test_cvxpy_s_own_quadratic_tests_pass() -> None:
+    """Cvxpy's StandardTestQPs with a strictly convex objective pass with our solver."""
+    from cvxpy.tests.solver_test_helpers import StandardTestQPs
+
+    StandardTestQPs.test_qp_0(solver=QPSolver, tolerance=1e-12)

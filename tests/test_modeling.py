@@ -288,6 +288,7 @@ ROUND_TRIPS = {
     "box and free": LCP(M, Q, lower=[-np.inf, 0.0, -1.0], upper=[np.inf, np.inf, 2.0]),
     "sparse": LCP(sp.csr_array(M), Q, lower=-1.0),
     "one": LCP([[2.0]], [-3.0]),
+    "none": LCP(np.zeros((0, 0)), []),
     "one, upper": LCP([[2.0]], [-3.0], lower=-np.inf, upper=1.0),
 }
 
@@ -318,3 +319,28 @@ def test_round_trip_through_a_quadratic_program(name: str) -> None:
     solution = back.origin.recover(result)
     assert solution.is_optimal(1e-9)
     np.testing.assert_allclose(solution.lower, np.maximum(result.w, 0.0), atol=1e-9)
+
+
+def test_nonnegative_least_squares_by_its_optimality_conditions() -> None:
+    """X ≥ 0 ⟂ Aᵀ(Ax − b) ≥ 0 is NNLS: the answer of scipy's active-set method."""
+    from scipy.optimize import nnls
+
+    rng = np.random.default_rng(3)
+    A, b = rng.standard_normal((40, 6)), rng.standard_normal(40)
+    x = cp.Variable(6)
+    model(complements(x >= 0, A.T @ (A @ x - b) >= 0), algorithm="psor")
+    np.testing.assert_allclose(x.value, nnls(A, b)[0], atol=1e-9)
+
+
+def test_total_variation_by_its_dual_box() -> None:
+    """|u| ≤ λ ⟂ D(Dᵀu − y) in a box denoises: the answer of a convex solver on the primal problem."""
+    rng = np.random.default_rng(4)
+    y = np.repeat([0.0, 1.0, -1.0], 8) + 0.1 * rng.standard_normal(24)
+    D = np.diff(np.eye(24), axis=0)
+    u = cp.Variable(23)
+    model(complements(box(u, -0.3, 0.3), D @ (D.T @ u - y)), algorithm="psor")
+    x = cp.Variable(24)
+    cp.Problem(cp.Minimize(0.5 * cp.sum_squares(x - y) + 0.3 * cp.norm1(cp.diff(x)))).solve(
+        solver=cp.OSQP, eps_abs=1e-10, eps_rel=1e-10, max_iter=100000
+    )
+    np.testing.assert_allclose(y - D.T @ u.value, x.value, atol=1e-6)

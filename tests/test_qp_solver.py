@@ -8,6 +8,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from cvxpy.tests.solver_test_helpers import StandardTestQPs
 
 from lcp_plugin import QPSolver, UnsupportedModel
 
@@ -142,8 +143,7 @@ def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
         cp.Problem(cp.Minimize(cp.sum_squares(y - 0.4))).solve(solver=QPSolver)
 
 
-def test_cvxpy_s_own_quadratic_tests_pass() -> None:
-    """Cvxpy's StandardTestQPs with a strictly convex objective pass with our solver."""
-    from cvxpy.tests.solver_test_helpers import StandardTestQPs
-
-    StandardTestQPs.test_qp_0(solver=QPSolver, tolerance=1e-12)
+@pytest.mark.parametrize("name", [name for name in dir(StandardTestQPs) if name.startswith("test_qp")])
+def test_cvxpy_s_own_quadratic_tests_pass(name: str) -> None:
+    """Each of cvxpy's StandardTestQPs that this version has passes with our solver."""
+    getattr(StandardTestQPs, name)(solver=QPSolver, tolerance=1e-12)

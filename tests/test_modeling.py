@@ -236,11 +236,15 @@ def pair_of(x: Any) -> Any:
     return complements(x >= 0, 2 * x - 1 >= 0)
 
 
+def with_other_bounds(y: Any) -> Any:
+    return complements(y >= 1, 2 * y + cp.sum(y) - 9 >= 0)
+
+
 REFUSED: dict[str, tuple[Any, str]] = {
     "shapes": (lambda x: [complements(x >= 0, cp.sum(x) >= 0)], "same shape"),
     "not affine": (lambda x: [complements(x >= 0, cp.square(x) >= 0)], "affine"),
     "lonely inequality": (lambda x: [pair_of(x), x <= 3], "stands alone"),
-    "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "already paired|paired"),
+    "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "no other pair"),
     "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
     "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknowns without"),
     "too many equations": (lambda x: [pair_of(x), cp.sum(x) == 1], "as many equations"),
@@ -248,7 +252,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "boolean": (lambda x: [pair_of(cp.Variable(3, boolean=True))], "boolean"),
     "PSD": (lambda x: [pair_of(cp.Variable((2, 2), PSD=True))], "PSD"),
     "symmetric": (lambda x: [pair_of(cp.Variable((2, 2), symmetric=True))], "symmetric"),
-    "contradicting bounds": (lambda x: [complements(cp.Variable(3, nonneg=True) >= 1, x >= 0)], "other bounds"),
+    "contradicting bounds": (lambda x: [with_other_bounds(cp.Variable(3, nonneg=True))], "other bounds"),
     "second-order cone": (lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)], "inequality"),
     "box with equality": (lambda x: [complements(box(x, 0, 1), x == 1)], "needs an expression"),
 }
@@ -303,7 +307,8 @@ def test_round_trip_through_cvxpy(name: str) -> None:
         np.testing.assert_array_equal(getattr(back, attribute), getattr(problem, attribute))
     stated = problem.to_cvxpy()
     stated.solve(tolerance=1e-12)
-    np.testing.assert_allclose(stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10)
+    if problem.n:
+        np.testing.assert_allclose(stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["plain", "sparse", "one"])
@@ -344,3 +349,112 @@ def test_total_variation_by_its_dual_box() -> None:
         solver=cp.OSQP, eps_abs=1e-10, eps_rel=1e-10, max_iter=100000
     )
     np.testing.assert_allclose(y - D.T @ u.value, x.value, atol=1e-6)
+
+
+# --- Which side is the variable ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
+    """Where F is itself a multiple of one unknown, both orders mean the same, in every form."""
+    lower, upper = np.array([0.0, -1.0, 0.5]), np.array([1.0, np.inf, 0.75])
+    d, q = np.array([2.0, 3.0, 4.0]), np.array([-1.0, 6.0, -8.0])
+    expected = solve(LCP(np.diag(d), q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
+    plain = solve(LCP(np.diag(d), q), "pgs", tolerance=1e-13)
+
+    def pair(first: Any, second: Any) -> Any:
+        return complements(second, first) if swap else complements(first, second)
+
+    x, y = cp.Variable(3), cp.Variable(3, nonneg=True)
+    z, s = cp.Variable(3, bounds=[lower, upper]), cp.Variable(nonneg=True)
+    pairs = [pair(x >= 0, cp.multiply(d, x) + q), pair(y, cp.multiply(d, y) + q), pair(z, cp.multiply(d, z) + q)]
+    pairs.append(pair(s, 2 * s - 1))
+    for one in pairs:
+        model(one)
+        assert one.violation() < 1e-10
+    np.testing.assert_allclose(x.value, plain.z, atol=1e-11)
+    np.testing.assert_allclose(y.value, plain.z, atol=1e-11)
+    np.testing.assert_allclose(z.value, expected.z, atol=1e-11)
+    assert s.value == pytest.approx(0.5)
+    w = cp.Variable(3, nonneg=True)
+    model(pair(w, cp.multiply(d, w) + q >= 0))
+    np.testing.assert_allclose(w.value, plain.z, atol=1e-11)
+
+
+def test_violation_is_the_natural_residual_of_any_form() -> None:
+    """At any values the violation is ‖x − mid(l, u, x − F)‖, for attributes, slices and both orders."""
+    x = cp.Variable(3, nonneg=True)
+    x.value = np.array([0.5, 0.0, 2.0])
+    F = M @ x + Q
+    natural = np.abs(np.minimum(x.value, M @ x.value + Q))
+    for first, second, expected in ((x, F, natural), (F, x, natural), (x[:2], F[:2], natural[:2])):
+        assert complements(first, second).violation() == pytest.approx(expected.max())
+    y = cp.Variable(3)
+    y.value = np.array([0.5, -2.0, 3.0])
+    inside = np.clip(y.value - (M @ y.value + Q), -1.0, 1.0)
+    assert complements(box(y, -1, 1), M @ y + Q).violation() == pytest.approx(np.abs(y.value - inside).max())
+
+
+def bounded_with_equation() -> Any:
+    x, w = cp.Variable(3, nonneg=True), cp.Variable(3, nonneg=True)
+    return [complements(x, w), w == cp.multiply([2.0, 3.0, 4.0], x) - 1]
+
+
+def slack_pair_of_bounded() -> Any:
+    x = cp.Variable(2, nonneg=True)
+    A, B = np.array([[3.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 1.0], [1.0, 3.0]])
+    return [complements(A @ x - 1 >= 0, B @ x - 2 >= 0)]
+
+
+@pytest.mark.parametrize("make", [bounded_with_equation, slack_pair_of_bounded])
+def test_bounded_unknowns_do_not_go_with_equations(make: Any) -> None:
+    """A bounded unknown matched with an equation would relax it: refused, naming the variable."""
+    with pytest.raises(UnsupportedModel, match="has bounds but belongs to no pair"):
+        model(*make())
+
+
+def test_an_inequality_opposite_two_bounds_is_refused() -> None:
+    """F >= 0 opposite a box would be violated at the upper bound: refused with what to write instead."""
+    x = cp.Variable(2)
+    with pytest.raises(UnsupportedModel, match="F instead of F >= 0"):
+        model(complements(box(x, 0, 1), x - 3 >= 0))
+
+
+def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme() -> None:
+    """complements(x <= 1, F): at the upper bound F ≤ 0."""
+    x = cp.Variable()
+    model(complements(x <= 1, x - 3))
+    assert x.value == pytest.approx(1.0)
+
+
+def test_order_and_sign_of_equations_do_not_matter() -> None:
+    """Equations in any order and with either sign are matched so that the iteration converges."""
+    A = np.array([[2.0, 0.5, 0.1], [0.5, 2.0, 0.5], [0.1, 0.5, 2.0]])
+    for flip in (1.0, -1.0):
+        for order in ((1, 2), (2, 1)):
+            x, a, b = cp.Variable(nonneg=True), cp.Variable(), cp.Variable()
+            F = A @ cp.hstack([x, a, b]) - [1.0, 2.0, 3.0]
+            problem = model(complements(x, F[0]), *[flip * F[k] == 0 for k in order])
+            assert problem.status == "optimal"
+            np.testing.assert_allclose(F.value[1:], 0.0, atol=1e-9)
+
+
+def test_a_bound_is_a_number_or_a_parameter() -> None:
+    """A variable, a text, NaN or a complex number as a bound is refused when the model is built."""
+    x, y = cp.Variable(2), cp.Variable(value=0.5)
+    for wrong in (y, "a", np.nan, 1j):
+        with pytest.raises(UnsupportedModel, match="bound"):
+            model(complements(box(x, wrong, 2), x - 1))
+
+
+def test_solving_again_and_again_keeps_no_more() -> None:
+    """The memo of a problem does not grow from solve to solve."""
+    from lcp_plugin.modeling import model as module
+
+    x, y = cp.Variable(3, nonneg=True), cp.Variable()
+    problem = cp.Problem(cp.Minimize(0), [complements(x, M @ x + Q), cp.sum(x) + 4 * y == 2])
+    sizes = []
+    for _ in range(4):
+        problem.solve(method="LCP")
+        sizes.append(len(module._memos[problem]))
+    assert len(set(sizes[1:])) == 1

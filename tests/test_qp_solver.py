@@ -147,3 +147,21 @@ def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
 def test_cvxpy_s_own_quadratic_tests_pass(name: str) -> None:
     """Each of cvxpy's StandardTestQPs that this version has passes with our solver."""
     getattr(StandardTestQPs, name)(solver=QPSolver, tolerance=1e-12)
+
+
+def test_a_limit_is_never_called_optimal() -> None:
+    """A run that ended at a limit is user_limit, however small its residuals beside a huge coefficient."""
+    x = cp.Variable(3)
+    goal = cp.sum_squares(x - np.array([1.0, 2.0, 3.0])) + 0.9 * cp.square(cp.sum(x)) + 5 * x[1] + 1e7 * x[0]
+    problem = cp.Problem(cp.Minimize(goal), [x >= -1])
+    with pytest.warns(UserWarning, match="inaccurate"):
+        problem.solve(solver=QPSolver, max_iterations=1)
+    assert problem.status == "user_limit"
+
+
+def test_a_saddle_is_not_a_minimum() -> None:
+    """An indefinite matrix that cvxpy was told to trust is refused."""
+    x = cp.Variable(2)
+    goal = cp.quad_form(x, cp.psd_wrap(np.array([[1.0, 2.0], [2.0, 1.0]])))
+    with pytest.raises(UnsupportedModel, match="strictly convex"):
+        cp.Problem(cp.Minimize(goal), [x >= -1, x <= 1]).solve(solver=QPSolver)

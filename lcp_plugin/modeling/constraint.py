@@ -119,8 +119,7 @@ def _side(given: Any, which: str) -> Side:
     if isinstance(given, NonNeg):
         return Side(given.args[0], "nonnegative", given)
     if isinstance(given, (Equality, Zero)):
-        expression = given.args[0] - given.args[1] if len(given.args) == 2 else given.args[0]
-        return Side(expression, "zero", given)
+        return Side(given.expr, "zero", given)
     if isinstance(given, Constraint):
         raise UnsupportedModel(
             f"the {which} side of complements is {given}; it must be an inequality, an equality or an expression"
@@ -171,14 +170,10 @@ class Complements(Constraint):  # type: ignore[misc]
     @property
     def residual(self) -> Any:
         """The natural residual of each row, in the shape of a side; None without values."""
-        a, b = self.first.expression.value, self.second.expression.value
-        if a is None or b is None:
-            return None
-        if {self.first.kind, self.second.kind} == {"nonnegative"}:
-            return np.abs(np.minimum(a, b))
-        if self.second.kind == "box" or self.first.kind == "zero":
-            return _residual(self.second, b, a, self.first)
-        return _residual(self.first, a, b, self.second)
+        from .model import pair_residual
+
+        residual = pair_residual(self)
+        return None if residual is None else residual.reshape(self.shape, order="F")
 
     def violation(self) -> float:
         """Return the largest natural residual.
@@ -240,16 +235,14 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
 def _number(bound: Any, owner: Any) -> Any:
     if bound is None:
         raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
+    if isinstance(bound, cp.Expression) and bound.variables():
+        raise UnsupportedModel(f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter")
     value = bound.value if isinstance(bound, cp.Expression) else bound
     if value is None:
         raise UnsupportedModel(f"the bound {bound} of {owner} has no value; set its parameter first")
     if hasattr(value, "toarray"):
         value = value.toarray()
-    return np.asarray(value, dtype=np.float64)
-
-
-def _residual(side: Side, x: Any, w: Any, other: Side) -> Any:
-    lower, upper = bounds_of(side)
-    if other.kind == "zero":
-        return np.abs(w)
-    return np.abs(np.minimum(np.maximum(w, x - upper), x - lower))
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub" or np.isnan(array).any():
+        raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
+    return array.astype(np.float64)

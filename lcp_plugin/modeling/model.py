@@ -6,16 +6,19 @@ import weakref
 from dataclasses import dataclass, field
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy.constraints.zero import Equality, Zero
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..errors import UnsupportedModel
 from ..problem import LCP, FloatVector
 from .constraint import Complements, Side, attribute_bounds, bounds_of
 from .extract import AffineMap, affine_map
+from .matching import matching
+
+NO_VARIABLE = 9
 
 
 @dataclass(eq=False)
@@ -106,24 +109,34 @@ class _Builder:
 
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
-        maps = [affine_map(side.expression, memo=self.memo) for side in (pair.first, pair.second)]
-        order = (0, 1) if pair.second.kind not in ("box",) and pair.first.kind != "zero" else (1, 0)
         sides = (pair.first, pair.second)
-        for k in order:
-            if sides[k].kind == "zero" or (sides[1 - k].kind == "box"):
-                continue
-            single = self._single_columns(maps[k])
-            if single is not None and not self.is_paired[single[0]].any():
-                self._pair_variable(pair, sides[k], maps[k], sides[1 - k], maps[1 - k], *single)
+        maps = [affine_map(side.expression, memo=self.memo) for side in sides]
+        singles = [self._single_columns(given) for given in maps]
+        ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
+        k = 0 if ranks[0] <= ranks[1] else 1
+        single = singles[k]
+        if ranks[k] == NO_VARIABLE or single is None:
+            if {side.kind for side in sides} == {"nonnegative"} and singles == [None, None]:
+                self._pair_slack(pair, maps)
                 return
-        for k in order:
-            if self._single_columns(maps[k]) is not None and sides[1 - k].kind != "nonnegative":
-                raise UnsupportedModel(f"an entry of {sides[k]} is already paired by another constraint; pair it once")
-        if {side.kind for side in sides} != {"nonnegative"}:
-            raise UnsupportedModel(f"one side of {pair!r} must be a variable or distinct entries of one")
-        if any(single is not None for single in map(self._single_columns, maps)):
-            raise UnsupportedModel(f"an entry of {pair.first} is already paired by another constraint; pair it once")
-        self._pair_slack(pair, maps)
+            raise UnsupportedModel(
+                f"one side of {pair!r} must be a variable, or distinct entries of variables that no other pair holds"
+            )
+        self._pair_variable(pair, sides[k], maps[k], sides[1 - k], maps[1 - k], *single)
+
+    def _rank(self, side: Side, other: Side, single: tuple[NDArray[np.int64], FloatVector] | None) -> int:
+        """Return how naturally this side is the variable: 0 best, NO_VARIABLE not at all."""
+        if single is None or side.kind == "zero" or other.kind == "box" or self.is_paired[single[0]].any():
+            return NO_VARIABLE
+        columns, weights = single
+        is_bounded = bool((np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any())
+        is_bare = isinstance(side.expression, cp.Variable)
+        if side.kind == "box":
+            return 0
+        if side.kind == "value":
+            return 1 if is_bounded and is_bare else 2 if is_bounded else 5 if is_bare else 6
+        # Of two inequalities the plainer one bounds the variable; with its attributes it must not quarrel.
+        return 3 if (weights == 1.0).all() and not is_bounded else 4
 
     def _single_columns(self, given: AffineMap) -> tuple[NDArray[np.int64], FloatVector] | None:
         """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
@@ -151,8 +164,13 @@ class _Builder:
             low, high = (low - own.offset) / weights, (high - own.offset) / weights
             low, high = np.where(positive, low, high), np.where(positive, high, low)
             self._tighten(side, columns, low, high)
+        low, high = self.lower[columns], self.upper[columns]
         sign = np.where(positive, 1.0, -1.0)
-        if other.kind == "zero" and (np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any():
+        if other.kind == "nonnegative" and side.kind != "nonnegative":
+            sign = self._sign_of_inequality(pair, low, high)
+        elif other.kind == "value" and side.kind == "nonnegative":
+            sign = np.ones(columns.size)  # F ≥ 0 at a lower bound, F ≤ 0 at an upper one
+        if other.kind == "zero" and (np.isfinite(low) | np.isfinite(high)).any():
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         self.is_paired[columns] = True
         self.rows.append(_Rows(columns, function, sign))
@@ -162,6 +180,17 @@ class _Builder:
             self.reports.append(_Report(side.constraint, columns, shape, True, sign))
         if other.constraint is not None:
             self.reports.append(_Report(other.constraint, columns, shape, False, weights, own.offset))
+
+    @staticmethod
+    def _sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
+        """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
+        has_low, has_high = np.isfinite(low), np.isfinite(high)
+        if (has_low == has_high).any():
+            raise UnsupportedModel(
+                f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the expression "
+                "alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
+            )
+        return np.where(has_low, 1.0, -1.0)
 
     def _tighten(self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector) -> None:
         """Set the bounds of the columns; the attributes of a variable may repeat them, not contradict them."""
@@ -202,12 +231,14 @@ class _Builder:
         equations = sum(block.shape[0] for block in equation_blocks)
         self._check_square(free, equations)
         if equations:
+            self._refuse_bounded(free)
             stacked = sp.csr_array(sp.vstack(equation_blocks, format="csr"))
-            order = _matching(stacked[:, free])
+            order = matching(stacked[:, free])
             row_blocks.append(stacked)
             offsets.append(np.concatenate(equation_offsets))
             columns.append(free[order])
-            signs.append(np.ones(equations))
+            matched = np.asarray(stacked[np.arange(equations), free[order]]).ravel()
+            signs.append(np.where(matched < 0.0, -1.0, 1.0))
             self._report_equations(owners, free[order])
         return self._assembled(row_blocks, offsets, columns, signs)
 
@@ -258,6 +289,20 @@ class _Builder:
                 self.reports.append(_Report(constraint, part, shape, False))
             first += size
 
+    def _refuse_bounded(self, free: NDArray[np.int64]) -> None:
+        """Raise where an unknown that goes with an equation has a bound, at which the equation need not hold."""
+        bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
+        if bounded.size:
+            name = next(
+                variable.name()
+                for variable in reversed(self.variables)
+                if self.offsets[variable.id] <= bounded[0]
+            )
+            raise UnsupportedModel(
+                f"the variable {name} has bounds but belongs to no pair, only to equations; drop its bounds where a "
+                "pair implies them, or pair it"
+            )
+
     def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
         if free.size == equations:
             return
@@ -272,17 +317,6 @@ class _Builder:
         )
 
 
-def _matching(block: sp.csr_array) -> NDArray[np.int64]:
-    """Return for each equation the unknown it goes with, so that the diagonal has entries where that is possible."""
-    pattern = sp.csr_matrix(
-        (np.ones(block.nnz), block.indices.astype(np.int32), block.indptr.astype(np.int32)), shape=block.shape
-    )
-    matched = np.asarray(maximum_bipartite_matching(pattern, perm_type="column"), dtype=np.int64)
-    missing = np.flatnonzero(matched < 0)
-    matched[missing] = np.setdiff1d(np.arange(block.shape[1]), matched[matched >= 0])
-    return matched
-
-
 def _variables(constraints: list[Any]) -> list[Any]:
     """Return the variables of the constraints in the order of their first appearance."""
     seen: dict[int, Any] = {}
@@ -290,6 +324,23 @@ def _variables(constraints: list[Any]) -> list[Any]:
         for variable in constraint.variables():
             seen.setdefault(variable.id, variable)
     return list(seen.values())
+
+
+def pair_residual(pair: Complements) -> FloatVector | None:
+    """Return the natural residual of each row of a pair at the present values; None where one is missing."""
+    values = [side.expression.value for side in (pair.first, pair.second)]
+    if any(value is None for value in values):
+        return None
+    builder = _Builder([pair], {})
+    builder.add_pair(pair)
+    if builder.slacks:
+        return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
+    rows = builder.rows[-1]
+    z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
+    w = rows.sign * (builder._matrix(rows.function) @ z + rows.function.offset)
+    x, low, high = z[rows.columns], builder.lower[rows.columns], builder.upper[rows.columns]
+    residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
+    return residual
 
 
 def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
@@ -306,8 +357,8 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
             builder.add_pair(constraint)
     for constraint in constraints:
         if isinstance(constraint, (Equality, Zero)):
-            expression = constraint.args[0] - constraint.args[1] if len(constraint.args) == 2 else constraint.args[0]
-            builder.equations.append((affine_map(expression, memo=builder.memo), constraint))
+            # Always the same expression object, so that the memo knows it again.
+            builder.equations.append((affine_map(constraint.expr, memo=builder.memo), constraint))
         elif not isinstance(constraint, Complements):
             raise UnsupportedModel(
                 f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
@@ -318,11 +369,11 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
 
 def stated_in_cvxpy(problem: LCP) -> Any:
     """Return the ComplementarityProblem in one variable z that states an LCP."""
-    import cvxpy as cp
-
     from .constraint import box, complements
     from .registration import ComplementarityProblem
 
+    if problem.n == 0:  # older versions of cvxpy have no empty variables
+        return ComplementarityProblem([])
     z = cp.Variable(problem.n, name="z")
     F = problem.csr @ z + problem.q
     return ComplementarityProblem([complements(box(z, problem.lower, problem.upper), F)])

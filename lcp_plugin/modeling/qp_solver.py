@@ -19,6 +19,7 @@ from ..problem import LCP
 from ..result import Result, Status
 
 KKT_TOLERANCE = 1e-6
+LARGEST_CHECKED = 5000
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NOT_STRICTLY_CONVEX = (
     "this program is not strictly convex, which no algorithm here solves yet; use another cvxpy solver, or add a "
@@ -138,16 +139,18 @@ def strictly_convex_lcp(program: QuadraticProgram) -> LCP:
             problem = lcp_from_qp(program, "dual")
         except UnsuitableMatrix as error:
             raise UnsupportedModel(NOT_STRICTLY_CONVEX) from error
-    if problem.origin.form == "direct" and not (problem.diagonal > 0.0).all():
+    is_small = program.n <= LARGEST_CHECKED  # beyond, cvxpy's own check of convexity has to do
+    if problem.origin.form == "direct" and not (
+        (problem.diagonal > 0.0).all() and not (is_small and program.is_convex is False)
+    ):
         raise UnsupportedModel(NOT_STRICTLY_CONVEX)
     return problem
 
 
 def _status(result: Result, qp: Any) -> str:
-    if qp.is_optimal(KKT_TOLERANCE):
-        return str(settings.OPTIMAL)
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        return str(settings.OPTIMAL_INACCURATE)
+        is_optimal = qp.is_optimal(max(KKT_TOLERANCE, 10.0 * result.tolerance))
+        return str(settings.OPTIMAL if is_optimal else settings.OPTIMAL_INACCURATE)
     if result.status is Status.DIVERGED:
         return str(settings.SOLVER_ERROR)
     return str(settings.USER_LIMIT)

@@ -458,3 +458,33 @@ def test_solving_again_and_again_keeps_no_more() -> None:
         problem.solve(method="LCP")
         sizes.append(len(module._memos[problem]))
     assert len(set(sizes[1:])) == 1
+
+
+def test_parameters_of_a_box_belong_to_the_problem() -> None:
+    """A bound may be a parameter: it is among problem.parameters() and read anew at every solve."""
+    x, low = cp.Variable(2), cp.Parameter(value=-1.0)
+    problem = ComplementarityProblem([complements(box(x, low, 2), x + 5)])
+    assert [parameter.id for parameter in problem.parameters()] == [low.id]
+    for value in (-1.0, 0.5):
+        low.value = value
+        problem.solve()
+        np.testing.assert_allclose(x.value, value)
+
+
+@pytest.mark.parametrize(
+    ("act", "pattern"),
+    [
+        (lambda p: p.solve(method="dccp"), "method"),
+        (lambda p: p.solve(gp=True), "gp"),
+        (lambda p: p.solve(solver="OSQP"), "solver"),
+        (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
+        (lambda p: complements(None, p.variables()[0]), "None"),
+        (lambda p: complements(box(p.variables()[0], [0.0], 1), p.variables()[0]).violation(), "shape"),
+    ],
+)
+def test_misuse_is_told(act: Any, pattern: str) -> None:
+    """Methods, flags and objects that mean nothing here are refused in words."""
+    x = cp.Variable(3)
+    x.value = np.zeros(3)
+    with pytest.raises(UnsupportedModel, match=pattern):
+        act(ComplementarityProblem([pair_of(x)]))

@@ -112,6 +112,8 @@ def complements(first: Any, second: Any) -> Complements:
 
 
 def _side(given: Any, which: str) -> Side:
+    if given is None:
+        raise UnsupportedModel(f"the {which} side of complements is None; it must be an inequality or an expression")
     if isinstance(given, Box):
         return Side(given.expression, "box", None, given.lower, given.upper)
     if isinstance(given, Inequality):
@@ -167,6 +169,15 @@ class Complements(Constraint):  # type: ignore[misc]
         """Return False."""
         return False
 
+    def parameters(self) -> list[Any]:
+        """Return the parameters of both sides, those of the bounds of a box included."""
+        found = {parameter.id: parameter for parameter in super().parameters()}
+        for side in (self.first, self.second):
+            for bound in (side.lower, side.upper):
+                if isinstance(bound, cp.Expression):
+                    found.update({parameter.id: parameter for parameter in bound.parameters()})
+        return list(found.values())
+
     @property
     def residual(self) -> Any:
         """The natural residual of each row, in the shape of a side; None without values."""
@@ -214,10 +225,12 @@ def bounds_of(side: Side) -> tuple[Any, Any]:
         lower, upper = attribute_bounds(side.expression)
     else:
         lower, upper = -np.inf, np.inf
-    try:
-        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
-    except ValueError as error:
-        raise UnsupportedModel(f"the bounds of {side} do not have its shape {shape}") from error
+    for bound in (lower, upper):
+        if np.shape(bound) not in ((), shape):
+            raise UnsupportedModel(
+                f"the bounds of {side} must be numbers or have its shape {shape}, got {np.shape(bound)}"
+            )
+    return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
 
 
 def attribute_bounds(variable: Any) -> tuple[Any, Any]:

@@ -384,6 +384,9 @@ _memos: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictiona
 
 def build_from(problem: Any) -> Model:
     """Return the model of a cvxpy problem; what depends on no parameter is kept for the next call."""
+    if not isinstance(problem, cp.Problem):
+        kind = type(problem).__name__
+        raise UnsupportedModel(f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])")
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
             "a complementarity problem has no objective; write cp.Minimize(0), or state optimality conditions as pairs"

@@ -19,6 +19,7 @@ from .constraint import Complements
 from .model import Model, build_from
 
 METHODS = ("LCP", "lcp")
+CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 CVXPY_STATUS = {
     Status.SOLVED: settings.OPTIMAL,
     Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
@@ -70,7 +71,8 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> Any:
         """Solve as ``cp.Problem.solve(method="LCP")`` does; see :func:`solve_model`."""
-        options.pop("method", None)
+        if options.pop("method", "LCP") not in METHODS:
+            raise UnsupportedModel('a ComplementarityProblem is solved by method="LCP" only; leave the method out')
         return solve_model(self, algorithm=algorithm, **options)
 
     def copy(self, args: Any = None, id_objects: Any = None) -> ComplementarityProblem:
@@ -116,6 +118,9 @@ def solve_model(
         return cp.Problem._solve(
             problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
         )
+    foreign = [name for name in CVXPY_FLAGS if name in options]
+    if foreign:
+        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if start is not None and np.isfinite(start).all():

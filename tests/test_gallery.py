@@ -28,8 +28,22 @@ SMALL = [
     "american_put:size=60,volatility=0.05,rate=0.3",
     "american_put:size=60,volatility=0.5,rate=0.125",
     "american_put_march:size=60,steps=5",
+    "bimatrix_game",
+    "bimatrix_game:game=prisoners_dilemma",
+    "bimatrix_game:game=matching_pennies",
+    "bimatrix_game:game=chicken",
+    "bimatrix_game:game=stag_hunt",
+    "bimatrix_game:game=rock_paper_scissors",
+    "bimatrix_game:game=shapley",
+    "bimatrix_game:game=indifferent",
+    "diode_bridge",
+    "diode_bridge:current=-2",
+    "diode_bridge:current=0",
     "half_active:n=100",
     "half_active:n=81,delta=0,block=2,degenerate=false",
+    "market_equilibrium:goods=6,activities=9",
+    "market_equilibrium:goods=5,activities=3,running=1,seed=2",
+    "market_equilibrium:goods=1,activities=0",
     "murty:n=7",
     "murty:n=7,orientation=lower",
     "murty:n=1",
@@ -46,11 +60,16 @@ SMALL = [
     "random_h_plus:n=40",
     "random_h_plus:n=40,entries_per_row=60,row_scale=100,column_scale=100,active_share=0.8,seed=3",
     "random_h_plus:n=2,active_share=0",
+    "relay_control:n=7",
+    "relay_control:n=1,seed=4",
+    "rigid_stack:blocks=3",
+    "rigid_stack:blocks=4,points=2",
+    "rigid_stack:blocks=2,points=3,mass_ratio=100,push=3",
     "scaling_trap",
 ]
 
-PLANTED = [text for text in SMALL if text.startswith(("half", "murty", "paper", "random", "scaling"))]
-M_MATRICES = [text for text in SMALL if not text.startswith(("random", "murty", "scaling"))]
+PLANTED = [text for text in SMALL if gallery.parse(text).exact is not None and not text.startswith("bimatrix")]
+M_MATRICES = [text for text in SMALL if text.startswith(("american", "half", "obstacle", "optimal", "paper"))]
 
 
 @pytest.fixture(params=SMALL)
@@ -189,6 +208,8 @@ def test_three_ways_to_build_agree() -> None:
         ("random_h_plus", {"n": 1}, "n must be an integer, ≥ 2, got 1"),
         ("random_h_plus", {"row_scale": 101}, "row_scale must be an integer, between 0 and 100, got 101"),
         ("murty", {"orientation": "left"}, "orientation must be a word, 'upper' or 'lower', got 'left'"),
+        ("bimatrix_game", {"game": "poker"}, "game must be a word, 'battle_of_the_sexes' or .*, got 'poker'"),
+        ("rigid_stack", {"points": 1}, "points must be an integer, ≥ 2, got 1"),
         ("american_put", {"volatility": 0.0}, "volatility must be a finite number, > 0, got 0.0"),
         (
             "obstacle_bumps",
@@ -256,13 +277,14 @@ def test_symmetry_is_as_declared(scene: gallery.Scene) -> None:
 
 
 def test_h_plus_is_as_declared(scene: gallery.Scene) -> None:
-    """Declared H+-matrices have a positive diagonal and ρ(D⁻¹|B|) < 1."""
-    assert scene.is_h_plus
+    """The diagonal is positive and ρ(D⁻¹|B|) < 1 exactly where the scene says H+, and nowhere else in this table."""
     M = scene.problem.csr.toarray()
     diagonal = M.diagonal()
-    assert diagonal.min() > 0.0
-    jacobi = np.abs(M) / diagonal[:, None] - np.eye(scene.n)
-    assert np.abs(np.linalg.eigvals(jacobi)).max() < 1.0
+    is_h_plus = bool(diagonal.min() > 0.0)
+    if is_h_plus:
+        jacobi = np.abs(M) / diagonal[:, None] - np.eye(scene.n)
+        is_h_plus = bool(np.abs(np.linalg.eigvals(jacobi)).max() < 1.0)
+    assert is_h_plus == scene.is_h_plus
 
 
 @pytest.mark.parametrize("text", M_MATRICES)
@@ -280,7 +302,9 @@ def test_exact_answers_are_exact(text: str) -> None:
     for row in range(scene.n):
         entries = range(M.indptr[row], M.indptr[row + 1])
         w = Fraction(q[row]) + sum(Fraction(M.data[k]) * exact[M.indices[k]] for k in entries)
-        assert min(exact[row] - Fraction(scene.problem.lower[row]), w) == 0
+        lower, upper = scene.problem.lower[row], scene.problem.upper[row]
+        residual = w if np.isinf(upper) else max(w, exact[row] - Fraction(upper))
+        assert (residual if np.isinf(lower) else min(residual, exact[row] - Fraction(lower))) == 0
 
 
 def test_active_share_is_as_declared(scene: gallery.Scene) -> None:
@@ -289,7 +313,8 @@ def test_active_share_is_as_declared(scene: gallery.Scene) -> None:
     if answer is None:
         assert scene.active_share is None
     else:
-        assert scene.active_share == pytest.approx(np.mean(answer == scene.problem.lower), abs=1e-15)
+        is_active = (answer == scene.problem.lower) | (answer == scene.problem.upper)
+        assert scene.active_share == pytest.approx(np.mean(is_active), abs=1e-15)
 
 
 def test_facts_cannot_be_overwritten(scene: gallery.Scene) -> None:
@@ -550,3 +575,58 @@ def test_binomial_tree_refuses_what_gives_no_probability() -> None:
 def test_nodes_include_both_ends() -> None:
     """The axis holds its interior nodes and the two ends."""
     assert nodes(-1.0, 1.0, 3).tolist() == [-1.0, -0.5, 0.0, 0.5, 1.0]
+
+
+def test_unique_equilibria_are_equilibria() -> None:
+    """The equilibria declared for games leave nobody anything to gain."""
+    declared = 0
+    for game in ("prisoners_dilemma", "matching_pennies", "rock_paper_scissors", "shapley"):
+        scene = gallery.build("bimatrix_game", game=game)
+        equilibrium = scene.problem.origin.recover(scene.exact)
+        assert equilibrium.regret == pytest.approx(0.0, abs=4e-16)
+        assert np.abs(np.minimum(scene.exact, scene.problem.slack(scene.exact))).max() <= 4e-16
+        declared += 1
+    assert declared == 4
+
+
+def test_market_clears_and_nobody_runs_at_a_loss() -> None:
+    """At the planted answer paid goods are in balance, running activities break even, and some goods are free."""
+    scene = gallery.build("market_equilibrium", running=0.2)
+    w = scene.problem.slack(scene.exact)
+    assert w.min() == 0.0
+    assert not (w * scene.exact).any()
+    assert np.any(scene.exact[:30] == 0.0)
+    assert np.count_nonzero(scene.exact[30:]) == 6
+    assert np.linalg.eigvalsh(scene.problem.csr.toarray() + scene.problem.csr.toarray().T).min() > -1e-9
+
+
+def test_stack_carries_its_weight() -> None:
+    """The impulses of any interface at rest add up to the momentum of all blocks above it."""
+    scene = gallery.build("rigid_stack", blocks=5, points=3)
+    momentum = np.repeat(np.arange(5, 0, -1) / 3.0, 3)
+    assert np.abs(scene.problem.slack(momentum)).max() < 1e-14
+    assert np.linalg.matrix_rank(scene.problem.csr.toarray()) == 10
+    heavy = gallery.build("rigid_stack", blocks=5, points=3, mass_ratio=100.0)
+    assert np.linalg.cond(heavy.problem.csr.toarray()[::2, ::2]) > 1e3
+
+
+def test_bridge_rectifies() -> None:
+    """With either sign of the current the load sees the same voltage, and half of the diodes conduct."""
+    for current in (3.0, -3.0):
+        scene = gallery.build("diode_bridge", current=current)
+        z = scene.exact
+        assert (z[2], z[3]) == (6.0, 0.0)
+        assert np.count_nonzero(z[4:]) == 2
+        assert z[0] - z[1] == 2.0 * current
+
+
+def test_relays_saturate_slide_and_switch() -> None:
+    """There are saturated, sliding and just switching relays, and M is positive definite but not dominant."""
+    scene = gallery.build("relay_control")
+    w, saturated = scene.problem.slack(scene.exact), np.abs(scene.exact) == 1.0
+    assert np.any(saturated & (w != 0.0))
+    assert np.any(saturated & (w == 0.0))
+    assert not np.all(saturated)
+    M = scene.problem.csr.toarray()
+    assert np.linalg.eigvalsh(M + M.T).min() > 0.0
+    assert np.any(np.abs(M).sum(axis=1) > 2.0 * M.diagonal())

@@ -100,6 +100,30 @@ def is_positive_semidefinite(P: Any) -> bool | None:
     return _factorised(unit, shift) is not None
 
 
+def condition_estimate(P: Any, solver: Solver, steps: int = 8) -> float:
+    """Return a lower estimate of the condition number of P scaled to a unit diagonal, by power iteration.
+
+    Parameters
+    ----------
+    P : ndarray or CSR array, shape (n, n)
+        Positive definite.
+    solver : callable
+        rhs ↦ P⁻¹ rhs.
+    steps : int
+        Products with P, and as many solves: usually right within a factor of 2.
+    """
+    root: FloatVector = np.sqrt(np.array(P.diagonal()))
+    start = np.random.default_rng(0).standard_normal(root.size)
+    largest = smallest = 1.0
+    forward = backward = start / max(float(np.linalg.norm(start)), 1e-300)
+    for _ in range(steps):
+        forward = (P @ (forward / root)) / root
+        backward = root * solver(root * backward)
+        largest, smallest = float(np.linalg.norm(forward)), float(np.linalg.norm(backward))
+        forward, backward = forward / max(largest, 1e-300), backward / max(smallest, 1e-300)
+    return largest * smallest
+
+
 def is_diagonal(P: Any) -> bool:
     """Return whether all entries beside the diagonal are zero."""
     nonzeros = P.nnz if sp.issparse(P) else np.count_nonzero(P)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, InvalidProblem
 from ..problem import FloatVector
 from .checked import checked_vector
 
 if TYPE_CHECKING:
+    from .qp_certificates import QPInfeasibility, QPUnboundedness
     from .quadratic_program import QuadraticProgram
 
 
@@ -39,7 +41,8 @@ class QPSolution:
     Notes
     -----
     Each residual is relative to 1 + the largest term of the sum it is the residual of. A limit that holds is no such
-    term: a bound of 1e9 that nobody reaches excuses nothing.
+    term: a bound of 1e9 that nobody reaches excuses nothing. ``row_residual`` compares each row with its own terms
+    only, so that a coefficient of 1e7 in one row excuses nothing in another.
 
     Raises
     ------
@@ -108,8 +111,54 @@ class QPSolution:
         """The largest of the primal residual, the dual residual and complementarity."""
         return float(np.max([self.primal_residual, self.dual_residual, self.complementarity]))
 
+    @cached_property
+    def row_residual(self) -> float:
+        """The largest error of any condition, each relative to 1 + the largest term of its own row."""
+        program, x = self.program, self.x
+        rows, equations = _largest_terms(program.G, x), _largest_terms(program.A, x)
+        errors = [np.abs(program.A @ x - program.b) / (1.0 + np.maximum(equations, np.abs(program.b)))]
+        sizes = [rows, np.abs(x), np.abs(x)]
+        for (multiplier, gap, _, limit), value in zip(self._sides[1], sizes, strict=True):
+            is_finite = np.isfinite(limit)
+            room, size = np.where(is_finite, gap, 0.0), np.maximum(value, np.where(is_finite, np.abs(limit), 0.0))
+            violated = np.maximum(-room, 0.0)
+            # A limit that holds is no term of a violation, as above.
+            errors.append(violated / (1.0 + np.where(violated > 0.0, size, 0.0)))
+            errors.append(np.abs(multiplier * room) / (1.0 + np.abs(multiplier) * size))
+            errors.append(np.where(is_finite, np.maximum(-multiplier, 0.0), np.abs(multiplier)))
+        return _largest([*errors, self._stationarity_by_row()])
+
+    def _stationarity_by_row(self) -> FloatVector:
+        program = self.program
+        sums = [program.P @ self.x, program.c, program.G.T @ self.inequality, program.A.T @ self.equality]
+        terms = [
+            _largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(program.G.T, self.inequality),
+            _largest_terms(program.A.T, self.equality), np.abs(self.lower), np.abs(self.upper),
+        ]
+        misses: FloatVector = np.abs(np.sum([*sums, -self.lower, self.upper], axis=0)) / (1.0 + np.max(terms, axis=0))
+        return misses
+
+    @property
+    def row_multipliers(self) -> FloatVector:
+        """Multipliers y of the rows that `QuadraticProgram.from_ranges` was given, P x + c + Aᵀy − lower + upper = 0.
+
+        Positive at a row's upper limit, negative at its lower one.
+
+        Raises
+        ------
+        InvalidProblem
+            Where the program was not made by `from_ranges`.
+        """
+        ranges = self.program.ranges
+        if ranges is None:
+            raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
+        y, m = np.zeros(ranges.count), self.inequality.size
+        y[ranges.equalities] = self.equality
+        np.add.at(y, ranges.inequalities, np.where(np.arange(m) < ranges.upper_count, 1.0, -1.0) * self.inequality)
+        return y
+
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
-        """Return whether all three residuals are at most the tolerance.
+        """Return whether all three residuals and every row's own are at most the tolerance.
 
         For a convex program the conditions are sufficient; otherwise x is stationary.
 
@@ -120,7 +169,21 @@ class QPSolution:
         """
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-        return bool(self.residual <= tolerance)
+        return bool(self.residual <= tolerance) and bool(self.row_residual <= tolerance)
+
+    @cached_property
+    def proof(self) -> QPInfeasibility | QPUnboundedness | None:
+        """A proof that the program has no minimum: looked for, by linear programs, where this is not optimal."""
+        from .qp_certificates import proof_of_no_minimum
+
+        return None if self.is_optimal() else proof_of_no_minimum(self.program)
+
+    @property
+    def status(self) -> str:
+        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown"."""
+        if self.is_optimal():
+            return "optimal"
+        return "unknown" if self.proof is None else self.proof.verdict
 
     @cached_property
     def _sides(
@@ -143,6 +206,7 @@ class QPSolution:
             ("primal residual", f"{self.primal_residual:.3e}"),
             ("dual residual", f"{self.dual_residual:.3e}"),
             ("complementarity", f"{self.complementarity:.3e}"),
+            ("row residual", f"{self.row_residual:.3e}"),
         ]
         return "\n".join(f"{name:<16} {value}" for name, value in lines)
 
@@ -154,3 +218,12 @@ def _relative(errors: list[FloatVector], terms: list[FloatVector]) -> float:
 
 def _largest(vectors: list[FloatVector]) -> float:
     return float(np.max([vector.max(initial=0.0) for vector in vectors], initial=0.0))
+
+
+def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
+    """Return max_j |a_ij v_j| of each row."""
+    if not sp.issparse(matrix):
+        dense: FloatVector = (np.abs(matrix) * np.abs(vector)).max(axis=1, initial=0.0)
+        return dense
+    products = abs(sp.csr_array(matrix)) @ sp.diags_array(np.abs(vector))
+    return np.asarray(products.max(axis=1).toarray()).ravel() if products.shape[1] else np.zeros(matrix.shape[0])

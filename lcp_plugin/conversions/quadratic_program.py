@@ -13,11 +13,39 @@ from ..checks import DENSE_UP_TO_SIZE, FloatVector, check_order, checked_bound
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..problem import LCP
 from .checked import attach_origin, checked_matrix, checked_vector
-from .definiteness import Solver, is_diagonal, is_positive_semidefinite, positive_definite_solver
+from .definiteness import (
+    Solver,
+    condition_estimate,
+    is_diagonal,
+    is_positive_semidefinite,
+    positive_definite_solver,
+)
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
 from .simple_rows import FoldedRows, fold_simple_rows
 
 SYMMETRIC_TO = 1e-12
+WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
+INFINITE_LIMIT = 1e20  # the convention of file formats
+
+
+@dataclass(frozen=True, eq=False)
+class RangeRows:
+    """Which rows l ≤ a x ≤ u became which: G holds the rows with a finite u, then those with a finite l, negated.
+
+    Attributes
+    ----------
+    count : int
+        Number of rows that were given.
+    inequalities, equalities : ndarray of int
+        For each row of G and of A the row it comes from.
+    upper_count : int
+        How many rows of G come from an upper limit.
+    """
+
+    count: int
+    inequalities: Any
+    equalities: Any
+    upper_count: int
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -65,6 +93,7 @@ class QuadraticProgram:
     lower: FloatVector
     upper: FloatVector
     asymmetry: float = field(default=0.0)
+    ranges: RangeRows | None = field(default=None, repr=False)
 
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
@@ -79,10 +108,56 @@ class QuadraticProgram:
         check_order(below, above)
         data = {
             "P": symmetric, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
-            "lower": below, "upper": above, "asymmetry": asymmetry,
+            "lower": below, "upper": above, "asymmetry": asymmetry, "ranges": None,
         }
         for name, value in data.items():
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_ranges(
+        cls, P: Any, c: ArrayLike, A: Any, lower_rows: ArrayLike, upper_rows: ArrayLike,
+        lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    ) -> QuadraticProgram:
+        """Return the program min ½ xᵀP x + cᵀx over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
+
+        Parameters
+        ----------
+        P, c, lower, upper
+            As in the class.
+        A : array or sparse array, shape (m, n)
+        lower_rows, upper_rows : scalar or array, shape (m,)
+            Limits of the rows: an equation where they are equal. 1e20 and beyond means none, for the bounds too.
+
+        Raises
+        ------
+        InvalidProblem
+            As the class, and where a lower limit is above its upper one.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram.from_ranges(np.eye(2), [0, 0], [[1, 1], [1, -1]], [2, -1], [2, 1])
+        >>> program
+        QuadraticProgram(n=2, 2 inequalities, 1 equality)
+        """
+        n = checked_vector(c, "c", None).size
+        rows = sp.csr_array(checked_matrix(A, "A", None, n))
+        m = rows.shape[0]
+        low, high = (
+            _with_infinities(checked_bound(limit, name, m))
+            for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
+        )
+        check_order(low, high)
+        is_equality = low == high
+        above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
+        equal = np.flatnonzero(is_equality)
+        program = cls(
+            P, c, sp.vstack([rows[above], -rows[below]], format="csr"), np.concatenate([high[above], -low[below]]),
+            rows[equal], low[equal],
+            _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
+        )
+        ranges = RangeRows(m, np.concatenate([above, below]), equal, above.size)
+        object.__setattr__(program, "ranges", ranges)
+        return program
 
     @property
     def n(self) -> int:
@@ -123,8 +198,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
         - kkt, any convex program: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
-        auto: direct where it can be; dual where P is positive definite, it has no more rows than kkt, and M is not
-        a dense matrix of more than 5000 rows; else kkt.
+        auto: direct where it can be; dual where P is positive definite with a condition number (at unit diagonal) of
+        at most about 1e6, it has no more rows than kkt, and M is not a dense matrix of more than 5000 rows; else kkt.
 
     Returns
     -------
@@ -171,7 +246,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     if form == "dual" or (form == "auto" and _dual_is_small(program, rows)):
         solver = positive_definite_solver(program.P)
     if form == "auto":
-        form = "direct" if not rows.count else "dual" if solver is not None else "kkt"
+        is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
+        form = "direct" if not rows.count else "dual" if is_dual else "kkt"
     if form == "direct":
         if rows.count:
             raise UnsuitableProblem(
@@ -249,6 +325,11 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
         A=M[free], b=-q[free], lower=lower, upper=upper,
     )
+
+
+def _with_infinities(limit: FloatVector) -> FloatVector:
+    """Return the limit with ±1e20 and beyond read as ±∞."""
+    return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
 
 
 def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:

@@ -11,24 +11,19 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
-from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
-from ..conversions.substitution import substitute_definitions
-from ..driver import solve as solve_lcp
-from ..errors import UnsuitableMatrix, UnsupportedModel
-from ..problem import LCP
+from ..conversions.qp_certificates import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
+from ..conversions.quadratic_program import QuadraticProgram
 from ..result import Result, Status
+from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
 
-KKT_TOLERANCE = 1e-6
-LARGEST_CHECKED = 5000
 SOLVE_OPTIONS = {"tolerance": 1e-9}
-NOT_STRICTLY_CONVEX = (
-    "this program is not strictly convex, which no algorithm here solves yet; use another cvxpy solver, or add a "
-    "small multiple of cp.sum_squares(x) to the objective"
-)
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
-    """Solves strictly convex quadratic programs through their linear complementarity problem.
+    """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
+
+    The status is judged by the program's own residuals; infeasible and unbounded are said only with a proof, which
+    is then found in ``problem.solver_stats.extra_stats``.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds`` and the algorithm's own.
@@ -61,35 +56,33 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
     ) -> Any:
-        """Return (result, solution) of the quadratic program in cvxpy's form."""
+        """Return (result, solution, status, proof of no minimum or None) of the program in cvxpy's form."""
         options = {**SOLVE_OPTIONS, **solver_opts}
         program = quadratic_program(data)
-        substitution = substitute_definitions(program)
-        problem = strictly_convex_lcp(program if substitution is None else substitution.reduced)
         previous = solver_cache.get(self.name()) if warm_start and solver_cache is not None else None
-        if previous is not None and previous.size == problem.n and "z0" not in options:
-            options["z0"] = previous
         algorithm = options.pop("algorithm", "auto")
-        result = solve_lcp(problem, algorithm, **options)
+        result, solution = solve_quadratic_program(program, algorithm, guess=previous, **options)
         if solver_cache is not None:
             solver_cache[self.name()] = result.z
+        proof = None
+        is_optimal = solution.is_optimal(kkt_goal(options["tolerance"]))
+        if not is_optimal and not ended_by_caller(result, options):
+            proof = proof_of_no_minimum(program)
         if verbose:
-            print(result.explain())
-        solution = problem.origin.recover(result)
-        return result, solution if substitution is None else substitution.recover(solution)
+            print(result.explain() if proof is None else f"{result.explain()}\n{proof}")
+        return result, solution, _status(result, is_optimal, proof), proof
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
-        result, qp = solution
+        result, qp, status, proof = solution
         attributes = {
             settings.SOLVE_TIME: result.seconds,
             settings.SETUP_TIME: result.setup_seconds,
             settings.NUM_ITERS: result.iterations,
-            settings.EXTRA_STATS: result,
+            settings.EXTRA_STATS: result if proof is None else proof,
         }
-        status = _status(result, qp)
         if status not in settings.SOLUTION_PRESENT:
-            attributes["message"] = result.status.value
+            attributes["message"] = result.status.value if proof is None else str(proof)
             return failure_solution(status, attributes)
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]
@@ -124,36 +117,14 @@ def _csr(matrix: Any, shape: tuple[int, int]) -> sp.csr_array:
     return sp.csr_array(shape) if matrix is None else sp.csr_array(matrix)
 
 
-def strictly_convex_lcp(program: QuadraticProgram) -> LCP:
-    """Return the direct or the dual complementarity problem of a strictly convex program.
-
-    Raises
-    ------
-    UnsupportedModel
-        Where it is not strictly convex: the KKT form that it needs has zeros on its diagonal, which no
-        splitting method gets over.
-    """
-    problem = lcp_from_qp(program)
-    if problem.origin.form == "kkt":
-        try:
-            problem = lcp_from_qp(program, "dual")
-        except UnsuitableMatrix as error:
-            raise UnsupportedModel(NOT_STRICTLY_CONVEX) from error
-    is_small = program.n <= LARGEST_CHECKED  # beyond, cvxpy's own check of convexity has to do
-    if problem.origin.form == "direct" and not (
-        (problem.diagonal > 0.0).all() and not (is_small and program.is_convex is False)
-    ):
-        raise UnsupportedModel(NOT_STRICTLY_CONVEX)
-    return problem
-
-
-def _status(result: Result, qp: Any) -> str:
+def _status(result: Result, is_optimal: bool, proof: QPInfeasibility | QPUnboundedness | None) -> str:
+    if proof is not None:
+        return str(settings.INFEASIBLE if isinstance(proof, QPInfeasibility) else settings.UNBOUNDED)
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        is_optimal = qp.is_optimal(max(KKT_TOLERANCE, 10.0 * result.tolerance))
         return str(settings.OPTIMAL if is_optimal else settings.OPTIMAL_INACCURATE)
-    if result.status is Status.DIVERGED:
-        return str(settings.SOLVER_ERROR)
-    return str(settings.USER_LIMIT)
+    if is_optimal and result.status is Status.STALLED:  # below the program's tolerance, not the run's own
+        return str(settings.OPTIMAL)
+    return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)
 
 
 QPSolver = _LCPQuadraticSolver()

@@ -5,6 +5,10 @@ same :class:`Scene`; ``describe()`` lists them all.
 """
 
 from .binomial_tree import binomial_put
+from .circuits import diode_bridge, relay_control
+from .contact import rigid_stack
+from .equilibria import market_equilibrium
+from .games import bimatrix_game
 from .matrices import murty, random_h_plus, scaling_trap
 from .obstacle import obstacle_2d, obstacle_3d, obstacle_bumps
 from .option_pricing import american_put, american_put_march
@@ -18,10 +22,13 @@ __all__ = [
     "Scene",
     "american_put",
     "american_put_march",
+    "bimatrix_game",
     "binomial_put",
     "build",
     "describe",
+    "diode_bridge",
     "half_active",
+    "market_equilibrium",
     "murty",
     "names",
     "obstacle_2d",
@@ -32,6 +39,8 @@ __all__ = [
     "paper_example_2",
     "parse",
     "random_h_plus",
+    "relay_control",
+    "rigid_stack",
     "scaling_trap",
     "scene_builder",
 ]

@@ -1,0 +1,64 @@
+"""What a Newton run remembers: where it is, the best iterate, and the active sets it has solved."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..certificates.residuals import scaled_residual
+from ..problem import LCP, FloatVector
+from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
+from .base import Step
+
+
+class NewtonState:
+    """The iterate z with w = M z + q, the best z so far, and the work since the last step.
+
+    Attributes
+    ----------
+    best : float
+        ‖r(best_z)‖∞, the numerator of the relative residual.
+    """
+
+    def __init__(self, problem: LCP, z: FloatVector) -> None:
+        self.problem = problem
+        self.scale = problem.residual_scale
+        self.entries = max(problem.nonzeros, 1)
+        self.work = 0.0
+        self.best = math.inf
+        self.best_z = z
+        self._solved: set[bytes] = set()
+        self._cache = FactorCache()
+        self.move(z)
+
+    def move(self, z: FloatVector) -> None:
+        """Go to z, and keep it where it is the best so far."""
+        self.z, self.w = z, self.slack(z)
+        with np.errstate(all="ignore"):
+            self.residual = np.abs(scaled_residual(self.problem, z, self.w))
+        size = float(np.max(self.residual, initial=0.0))
+        if size < self.best or not self._solved:
+            self.best, self.best_z = size, z
+
+    def slack(self, z: FloatVector) -> FloatVector:
+        """Return M z + q, counted as work."""
+        self.work += 1.0
+        with np.errstate(all="ignore"):
+            return self.problem.slack(z)
+
+    def step(self) -> Step:
+        """Return the best iterate as a step, with the work since the last one."""
+        work, self.work = self.work, 0.0
+        return Step(self.best_z, self.best, work=work)
+
+    def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
+        """Return whether this active set has been solved before."""
+        return signature(at_lower, at_upper) in self._solved
+
+    def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
+        """Return the solution that belongs to an active set; z says which one where its block is singular."""
+        self._solved.add(signature(at_lower, at_upper))
+        solution = solve_active_set(self.problem, at_lower, at_upper, near=self.z, factor_cache=self._cache)
+        self.work += 0.0 if solution is None else solution.work
+        return solution

@@ -1,0 +1,230 @@
+"""The linear program whose answer may be a Farkas vector, and vectors near it that may prove exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..problem import LCP, FloatVector
+from .exact import Rational, integer_matrix, slack_bounds
+from .exact_linear import rank_profile, solve_exactly
+
+NEGLIGIBLE = 1e-12
+VIOLATED = 1e-6  # of the terms of its row
+LARGEST_REPAIR = 300  # unknowns of one exact solve: seconds
+LARGEST_DENOMINATORS = (1, 100, 100_000)
+TIGHT = (1e-9, 1e-7)
+LP_TOLERANCE = 1e-9
+MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
+
+
+@dataclass(frozen=True)
+class FarkasAnswer:
+    """Optimum and y in the scale of the program, the multipliers z in the scale of the problem."""
+
+    optimum: float
+    y: FloatVector
+    z: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class FarkasProgram:
+    """min qᵀy + Σ sup over the bounds of (Mᵀy)_j z_j, y of the signs that a Farkas vector needs, |y| ≤ 1.
+
+    y = 0 is always allowed, so that the program has an optimum ≤ 0; it is 0 if the constraints can be satisfied, and
+    its multipliers are then such a z. Rows and columns are scaled by powers of two first.
+
+    Attributes
+    ----------
+    unit : float or None
+        What q and the bounds are divided by, in the scale of the program; their largest entry by default. With a
+        smaller one, what is huge beside it is cut off: the answer must be checked, as every answer here is.
+    """
+
+    problem: LCP
+    unit: float | None = None
+    rows: FloatVector = field(init=False)
+    columns: FloatVector = field(init=False)
+    matrix: sp.csr_array = field(init=False)
+
+    def __post_init__(self) -> None:
+        rows, columns = equilibration(self.problem.csr)
+        scaled = sp.diags_array(rows) @ self.problem.csr @ sp.diags_array(columns)
+        for name, value in (("rows", rows), ("columns", columns), ("matrix", sp.csr_array(scaled))):
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def _costs(self) -> tuple[FloatVector, FloatVector, FloatVector, float]:
+        """q, lower and upper in the scale of the program, and the unit they were divided by."""
+        q = self.rows * self.problem.q
+        lower, upper = self.problem.lower / self.columns, self.problem.upper / self.columns
+        sizes = np.abs(np.concatenate([q, lower, upper]))
+        largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
+        unit = _power_of_two_near(max(largest, 2.0**-900))
+        q, lower, upper = (_cut_off(side, unit) for side in (q, lower, upper))
+        return q, lower, upper, unit
+
+    def solve(self, pivots: int) -> FarkasAnswer | None:
+        """Return the optimum, or None where it took more pivots."""
+        q, lower, upper, unit = self._costs
+        n = self.problem.n
+        has_upper, has_lower = np.isfinite(upper), np.isfinite(lower)
+        cost = np.concatenate([q, upper[has_upper], -lower[has_lower]])
+        identity = sp.eye_array(n, format="csc")
+        equations = sp.hstack([self.matrix.T, -identity[:, has_upper], identity[:, has_lower]], format="csc")
+        result = _linear_program(cost, equations, self._bounds(cost.size), pivots)
+        if result is None:
+            return None
+        return FarkasAnswer(float(result.fun), result.x[:n], -result.eqlin.marginals * unit * self.columns)
+
+    def with_margin(self, optimum: float, pivots: int) -> FloatVector | None:
+        """Return a y that keeps half of the optimum and satisfies its inequalities with room, or None."""
+        q, lower, upper, _ = self._costs
+        n = self.problem.n
+        has_upper, has_lower = np.isfinite(upper), np.isfinite(lower)
+        if np.all(has_upper == has_lower):
+            return None
+        value = np.concatenate([q, upper[has_upper], -lower[has_lower], [0.0]])
+        identity = sp.eye_array(n, format="csc")
+        room = sp.csc_array((has_lower.astype(float) - has_upper)[:, None])
+        equations = sp.hstack([self.matrix.T, -identity[:, has_upper], identity[:, has_lower], room], format="csc")
+        cost = np.zeros(value.size)
+        cost[-1] = -1.0
+        bounds = self._bounds(value.size)
+        bounds[-1, 1] = 1.0
+        result = _linear_program(cost, equations, bounds, pivots, (value[None, :], np.array([0.5 * optimum])))
+        return None if result is None or result.fun > -LP_TOLERANCE else result.x[:n]
+
+    def unit_of_violation(self, z: FloatVector) -> float | None:
+        """Return the largest size, in the scale of the program, of a row that z leaves violated; None if none is."""
+        problem = self.problem
+        slack_lower, slack_upper = slack_bounds(problem)
+        w = problem.slack(z)
+        size = abs(problem.csr) @ np.abs(z) + np.abs(problem.q)
+        violated = np.maximum(slack_lower - w, w - slack_upper) > VIOLATED * size
+        return float((self.rows * size)[violated].max()) if violated.any() else None
+
+    def nearest(self, y: FloatVector) -> FloatVector:
+        """Return y in the scale of the problem, its signs and negligible entries put right; the largest entry is 1."""
+        slack_lower, slack_upper = slack_bounds(self.problem)
+        y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(), 0.0, y)
+        y = np.clip(y, np.where(slack_upper == 0.0, -1.0, 0.0), np.where(slack_lower == 0.0, 1.0, 0.0)) * self.rows
+        unscaled: FloatVector = y / (np.abs(y).max() or 1.0)
+        return unscaled
+
+    def candidates(self, y: FloatVector) -> Iterator[Sequence[Rational]]:
+        """Yield vectors near y that may be Farkas vectors exactly: rounded to few digits, then solved for."""
+        kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE * np.abs(y).max(initial=0.0)).tolist()
+        if not kept:
+            return
+        sizes = np.abs(y[kept])
+        for base in dict.fromkeys((float(sizes.max()), float(sizes.min()))):
+            for denominator in LARGEST_DENOMINATORS:
+                near = {i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept}
+                if any(near.values()):
+                    yield self._unscaled(near)
+        for tight in TIGHT:
+            repaired = self._repaired(y, tight)
+            if repaired is not None:
+                yield self._unscaled(repaired)
+
+    def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
+        y = [Fraction(0)] * self.problem.n
+        for i, value in entries.items():
+            y[i] = value * Fraction(float(self.rows[i]))
+        return y
+
+    def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
+        """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
+        y = y / np.abs(y).max()
+        support = np.flatnonzero(np.abs(y) > tight)
+        support = support[np.argsort(-np.abs(y[support]), kind="stable")].tolist()
+        size = abs(self.matrix).T @ np.abs(y)
+        is_unbounded = np.isinf(self.problem.lower) | np.isinf(self.problem.upper)
+        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
+        columns = {int(j): k for k, j in enumerate(np.flatnonzero(is_tight))}
+        if min(len(support), len(columns)) > LARGEST_REPAIR or len(support) * len(columns) > LARGEST_REPAIR**2 * 8:
+            return None
+        block = [self._integer_row(i, columns) for i in support]
+        dependent, pivots = rank_profile(block) if columns else ([], [])
+        free = sorted(set(range(len(support))) - set(dependent))
+        if not free or len(dependent) > LARGEST_REPAIR:
+            return None
+        # Any nearby value will do: short ones keep the exact solve short.
+        given = [int(value) for value in np.rint(y[support][free] * 2.0**50)]
+        right = [-sum(block[k][j] * value for k, value in zip(free, given, strict=True)) for j in pivots]
+        found = solve_exactly([[block[k][j] for k in dependent] for j in pivots], right)
+        if found is None:
+            return None
+        entries = {support[k]: value for k, value in zip(dependent, found, strict=True)}
+        return entries | {support[k]: Fraction(value) for k, value in zip(free, given, strict=True)}
+
+    def _integer_row(self, i: int, columns: dict[int, int]) -> list[int]:
+        """Return those columns of row i in integers that are proportional to its row in the scale of the program."""
+        shift = int(np.frexp(self.rows[i])[1]) - int(np.frexp(self.rows.min())[1])
+        row = [0] * len(columns)
+        for j, entry in integer_matrix(self.problem).row(i):
+            if j in columns:
+                row[columns[j]] = entry << shift
+        return row
+
+    def _bounds(self, size: int) -> Any:
+        """Bounds of (y, and multipliers ≥ 0 of finite bounds), shape (size, 2)."""
+        slack_lower, slack_upper = slack_bounds(self.problem)
+        bounds = np.column_stack([np.zeros(size), np.full(size, np.inf)])
+        bounds[: self.problem.n, 0] = np.where(slack_upper == 0.0, -1.0, 0.0)
+        bounds[: self.problem.n, 1] = np.where(slack_lower == 0.0, 1.0, 0.0)
+        return bounds
+
+
+def equilibration(csr: sp.csr_array, passes: int = 4) -> tuple[FloatVector, FloatVector]:
+    """Return powers of two r, c that bring the entries of diag(r) M diag(c) near 1, smallest and largest alike."""
+    n = csr.shape[0]
+    exponents = np.frexp(csr.data)[1].astype(float)
+    places = (np.repeat(np.arange(n), np.diff(csr.indptr)), csr.indices)
+    scales = [np.zeros(n), np.zeros(n)]
+    for share in (0.5,) * passes + (1.0,):
+        for axis, here in enumerate(places):
+            scaled = exponents + scales[0][places[0]] + scales[1][places[1]]
+            largest, smallest = np.full(n, -np.inf), np.full(n, np.inf)
+            np.maximum.at(largest, here, scaled)
+            np.minimum.at(smallest, here, scaled)
+            with np.errstate(invalid="ignore"):
+                middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
+            scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
+    rows, columns = (np.ldexp(1.0, np.clip(scale, -500, 500).astype(np.int64)) for scale in scales)
+    return rows, columns
+
+
+def _cut_off(values: FloatVector, unit: float) -> FloatVector:
+    """Return values / unit, finite ones at most MOST in size."""
+    with np.errstate(over="ignore"):
+        cut: FloatVector = np.where(np.isinf(values), values, np.clip(values / unit, -MOST, MOST))
+    return cut
+
+
+def _power_of_two_near(value: float) -> float:
+    return float(np.ldexp(1.0, np.frexp(value)[1]))
+
+
+def _linear_program(cost: FloatVector, equations: Any, bounds: Any, pivots: int, row: Any = None) -> Any:
+    from scipy.optimize import linprog
+
+    options = {
+        "presolve": True, "maxiter": pivots,
+        "primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE,
+    }
+    A_ub, b_ub = (None, None) if row is None else row
+    right = np.zeros(equations.shape[0])
+    if not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
+        return None
+    result = linprog(
+        cost, A_ub=A_ub, b_ub=b_ub, A_eq=equations, b_eq=right, bounds=bounds, method="highs", options=options
+    )
+    return result if result.status == 0 else None

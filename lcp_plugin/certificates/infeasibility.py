@@ -1,0 +1,285 @@
+"""Proofs that no z lies within the bounds with a w of the signs that they permit (Farkas), found by an LP."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..errors import InvalidOption
+from ..problem import LCP, FloatVector
+from .exact import Rational, farkas_margin, slack_bounds
+from .residuals import MACHINE_EPSILON, SMALLEST
+
+if TYPE_CHECKING:
+    from .farkas_program import FarkasAnswer, FarkasProgram
+
+Verdict = Literal["infeasible", "feasible", "undecided"]
+
+EXACT_NONZEROS = 1_000_000  # about half a second
+LARGEST_EXACT = 500  # above, floating point with margins is tried first
+DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
+UNITS_TRIED = 3
+CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+
+
+@dataclass(frozen=True, eq=False)
+class Infeasibility:
+    """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
+
+    Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
+    zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0.
+
+    Attributes
+    ----------
+    y : ndarray, shape (n,)
+        The vector, its largest entry 1; rounded, where it was proven in fractions.
+    exact_y : tuple of Fraction or None
+        The vector without rounding; None where y itself is proven with rounding margins.
+    kind : str
+        "exact": proven in rational arithmetic; "rounding margins": in floating point, every rounding bounded.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §2.7 (Farkas).
+    """
+
+    problem: LCP = field(repr=False)
+    y: FloatVector = field(repr=False)
+    exact_y: tuple[Fraction, ...] | None = field(repr=False)
+
+    @property
+    def kind(self) -> str:
+        """How it is proven: "exact" or "rounding margins"."""
+        return "rounding margins" if self.exact_y is None else "exact"
+
+    def verify(self) -> bool:
+        """Return whether the proof holds, computed again from the problem's data alone."""
+        if self.exact_y is None:
+            return margin_with_rounding(self.problem, self.y) < 0.0
+        return _is_farkas(self.problem, self.exact_y)
+
+    def __str__(self) -> str:
+        rows = np.flatnonzero(self.y)
+        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if rows.size > 4 else "")
+        combined = f"{rows.size} row{'s' * (rows.size != 1)} ({named})"
+        return f"no z within its bounds gives w the signs it needs: {combined} contradict; proof: {self.kind}"
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """What is known about the linear constraints of a problem.
+
+    Attributes
+    ----------
+    verdict : str
+        "infeasible" (proven), "feasible" (up to the rounding of the linear program: `point`) or "undecided".
+    proof : Infeasibility or None
+    point : ndarray or None, shape (n,)
+        Within the bounds, with w of the permitted signs up to rounding.
+    reason : str
+        A clause for the story of a run.
+    """
+
+    verdict: Verdict
+    proof: Infeasibility | None = None
+    point: FloatVector | None = field(default=None, repr=False)
+    reason: str = ""
+
+
+def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
+    """Return a proof that the linear constraints of the problem contradict each other, or None.
+
+    Such a problem has no solution; a monotone one (M positive semidefinite) without such a proof has one.
+
+    Parameters
+    ----------
+    effort_limit : int, optional
+        Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+
+    Examples
+    --------
+    >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
+    >>> print(proof)
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    >>> proof.verify(), find_infeasibility(LCP([[1]], [-1]))
+    (True, None)
+    """
+    return decide_feasibility(problem, effort_limit=effort_limit).proof
+
+
+def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
+    """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
+
+    Parameters
+    ----------
+    effort_limit : int, optional
+        Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+
+    Raises
+    ------
+    InvalidOption
+        Where the limit is no whole number ≥ 0.
+
+    Examples
+    --------
+    >>> decide_feasibility(LCP([[0, 1], [-1, 0]], [-1, 2])).verdict
+    'feasible'
+    """
+    if effort_limit is None:
+        effort_limit = DEFAULT_EFFORT // max(problem.n, 400)
+    if isinstance(effort_limit, bool) or not isinstance(effort_limit, (int, np.integer)) or effort_limit < 0:
+        raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
+    if problem.n == 0:
+        return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
+    proof = _contradictory_row(problem)
+    if proof is not None:
+        return Feasibility("infeasible", proof, reason="one row contradicts its bounds")
+    if not effort_limit:
+        return Feasibility("undecided", reason="no linear program was tried")
+    return _decided_by_program(problem, int(effort_limit))
+
+
+def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
+    from .farkas_program import FarkasProgram
+
+    unit = None
+    for _ in range(UNITS_TRIED):
+        program = FarkasProgram(problem, unit)
+        answer = program.solve(effort)
+        if answer is None:
+            return Feasibility("undecided", reason=f"the linear program did not end within {effort} pivots")
+        if answer.optimum <= -CONTRADICTION:
+            return _contradiction(program, answer, effort)
+        point = np.clip(answer.z, problem.lower, problem.upper)
+        unit = program.unit_of_violation(point)
+        if unit is None:
+            return Feasibility("feasible", point=point, reason="the linear constraints can be satisfied")
+    return Feasibility("undecided", reason="the linear program is too badly scaled for double precision")
+
+
+def _contradiction(program: FarkasProgram, answer: FarkasAnswer, effort: int) -> Feasibility:
+    """Return the proof of what the program found, if it can be proven."""
+    problem = program.problem
+    proof = _proven(program, answer.y)
+    if proof is None and (roomy := program.with_margin(answer.optimum, effort)) is not None:
+        proof = _proof_near(problem, program.nearest(roomy))
+    if proof is None:
+        return Feasibility("undecided", reason="the linear constraints seem to contradict, which could not be proven")
+    return Feasibility("infeasible", proof, reason=f"linear constraints contradict ({proof.kind} proof)")
+
+
+def prove_infeasibility(problem: LCP, y: FloatVector) -> Infeasibility | None:
+    """Return the proof that lies near a Farkas vector in floating point, however it was found, or None.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        For instance a ray, or multipliers that grew without bound; finite, of any length.
+
+    Examples
+    --------
+    >>> print(prove_infeasibility(LCP([[-3.0]], [-1.0]), np.array([1e9])))
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    """
+    from .farkas_program import FarkasProgram
+
+    if not problem.n or not np.isfinite(y).all() or not np.any(y):
+        return None
+    program = FarkasProgram(problem)
+    scaled = y / np.abs(y).max() / program.rows
+    return _proven(program, scaled / np.abs(scaled).max())
+
+
+def _proven(program: FarkasProgram, y: FloatVector) -> Infeasibility | None:
+    """Return the proof by a y in the scale of the program, or by one near it."""
+    problem = program.problem
+    found = _proof_near(problem, program.nearest(y))
+    return found or next((proof for near in program.candidates(y) if (proof := _exactly_checked(problem, near))), None)
+
+
+def _proof_near(problem: LCP, y: FloatVector) -> Infeasibility | None:
+    """Return the proof by y itself, its rounding bounded where the problem is large."""
+    if problem.nonzeros > EXACT_NONZEROS or problem.n > LARGEST_EXACT:
+        return Infeasibility(problem, y, None) if margin_with_rounding(problem, y) < 0.0 else None
+    return _exactly_checked(problem, y.tolist())
+
+
+def _exactly_checked(problem: LCP, y: Sequence[Rational]) -> Infeasibility | None:
+    if problem.nonzeros > EXACT_NONZEROS or not _is_farkas(problem, y):
+        return None
+    return _exact_proof(problem, y)
+
+
+def margin_with_rounding(problem: LCP, y: FloatVector) -> float:
+    """Return a number that is certainly ≥ sup (Mᵀy)ᵀz − yᵀw + qᵀy over the bounds, in floating point; perhaps ∞."""
+    slack_lower, slack_upper = slack_bounds(problem)
+    if np.any((y < 0.0) & (slack_upper == np.inf)) or np.any((y > 0.0) & (slack_lower == -np.inf)):
+        return np.inf
+    with np.errstate(all="ignore"):
+        low, high = _enclosed_product(problem.csr, y)
+        # Where one end of the product is 0 and the bound infinite, that end contributes nothing.
+        corners = [
+            np.where(end == 0.0, 0.0, end * bound) for end in (low, high) for bound in (problem.lower, problem.upper)
+        ]
+        terms = np.concatenate([np.maximum.reduce(corners), problem.q * y])
+        size = float(np.abs(terms).sum())
+        rounding = (terms.size + 8) * MACHINE_EPSILON * size + (terms.size + 8) * SMALLEST
+        margin = float(terms.sum()) + 2.0 * rounding
+    return margin if np.isfinite(size) else np.inf
+
+
+def _enclosed_product(csr: sp.csr_array, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of Mᵀy that hold in spite of rounding, each of shape (n,)."""
+    product = csr.T @ y
+    size = abs(csr).T @ np.abs(y)
+    terms = np.bincount(csr.indices, minlength=csr.shape[1]) + 8
+    error = np.where(size > 0.0, 2.0 * terms * (MACHINE_EPSILON * size + SMALLEST), 0.0)
+    # Products of nonzeros that all underflow leave a size of 0.
+    touched = np.bincount(csr.indices, weights=(y != 0.0)[_rows_of(csr)], minlength=csr.shape[1]) > 0
+    error = np.where(touched & (size == 0.0), 2.0 * terms * SMALLEST, error)
+    return product - error, product + error
+
+
+def _rows_of(csr: sp.csr_array) -> Any:
+    return np.repeat(np.arange(csr.shape[0]), np.diff(csr.indptr))
+
+
+def _is_farkas(problem: LCP, y: Sequence[Rational]) -> bool:
+    margin = farkas_margin(problem, y, (problem.lower.tolist(), problem.upper.tolist()), _slack_lists(problem))
+    return margin is not None and margin < 0
+
+
+def _slack_lists(problem: LCP) -> tuple[list[float], list[float]]:
+    lower, upper = slack_bounds(problem)
+    return lower.tolist(), upper.tolist()
+
+
+def _contradictory_row(problem: LCP) -> Infeasibility | None:
+    """Return the proof of a row that no z within the bounds can satisfy."""
+    csr, rows = problem.csr, _rows_of(problem.csr)
+    with np.errstate(all="ignore"):
+        ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]
+        highest = np.bincount(rows, weights=np.maximum(*ends), minlength=problem.n) + problem.q
+        lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=problem.n) + problem.q
+    needs_rise, needs_fall = problem.upper == np.inf, problem.lower == -np.inf
+    for sign, suspects in ((1, needs_rise & (highest < 0.0)), (-1, needs_fall & (lowest > 0.0))):
+        for i in np.flatnonzero(suspects)[:8]:
+            y = np.zeros(problem.n)
+            y[i] = sign
+            proof = _proof_near(problem, y)
+            if proof is not None:
+                return proof
+    return None
+
+
+def _exact_proof(problem: LCP, y: Sequence[Rational]) -> Infeasibility:
+    exact = [Fraction(value) for value in y]
+    largest = max(map(abs, exact))
+    exact = [value / largest for value in exact]
+    return Infeasibility(problem, np.array([float(value) for value in exact]), tuple(exact))

@@ -1,0 +1,124 @@
+"""A convex quadratic program solved to its own conditions: by one form of it, and by another where that does not do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import scipy.sparse as sp
+
+from ..conversions.definiteness import EPSILON, is_positive_semidefinite
+from ..conversions.qp_solution import QPSolution
+from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from ..conversions.substitution import Substitution, substitute_definitions
+from ..driver import solve as solve_lcp
+from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ..problem import LCP, FloatVector
+from ..result import Result, Status
+
+KKT_TOLERANCE = 1e-6
+LARGEST_CHECKED = 5000  # variables; beyond, the convexity of what comes is the caller's word
+TIGHTER = 1e-4
+ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
+
+
+def solve_quadratic_program(
+    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
+    **options: Any,
+) -> tuple[Result, QPSolution]:
+    """Return the run and the answer with the smallest residuals in the program's own terms.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex; merely convex and linear programs included.
+    algorithm, tolerance, **options
+        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
+        and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
+
+    guess : array, optional
+        An earlier run's z: the start where it has the right length.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    """
+    refuse_nonconvex(program)
+    best: tuple[Result, QPSolution] | None = None
+    refusal: Exception | None = None
+    for problem, substitution in _forms(program, algorithm):
+        for factor in (1.0, TIGHTER):
+            start = {"z0": guess} if guess is not None and guess.size == problem.n else {}
+            try:
+                result = solve_lcp(problem, algorithm, tolerance=factor * tolerance, **{**start, **options})
+            except (UnsuitableMatrix, UnsuitableProblem) as error:
+                refusal = refusal or error
+                break
+            solution = problem.origin.recover(result)
+            solution = solution if substitution is None else substitution.recover(solution)
+            if best is None or _error(solution) < _error(best[1]):
+                best = result, solution
+            if solution.is_optimal(kkt_goal(tolerance)) or ended_by_caller(result, options):
+                return best
+            guess = result.z
+            options.pop("z0", None)
+            if not result.is_solved:  # a smaller tolerance would change nothing
+                break
+    if best is None:
+        raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
+    return best
+
+
+def kkt_goal(tolerance: float) -> float:
+    """Return the size of a program's own residuals that is called optimal at this tolerance of the run."""
+    return max(KKT_TOLERANCE, 10.0 * tolerance)
+
+
+def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
+    """Return whether a limit that the caller set, or the caller, ended the run."""
+    limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
+    return result.status is Status.INTERRUPTED or limits.get(result.status) in options
+
+
+def refuse_nonconvex(program: QuadraticProgram) -> None:
+    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries."""
+    n = program.n
+    if n > LARGEST_CHECKED or program.is_convex is not False:
+        return
+    P = sp.csr_array(program.P)
+    shift = n * (n + 4) * EPSILON * float(abs(P).max())
+    # A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
+    if is_positive_semidefinite(sp.csr_array(P + shift * sp.eye_array(n))) is False:
+        raise UnsupportedModel(
+            "this program is not convex: P has a negative eigenvalue, so that stationary points need not be minima; "
+            "state the objective as a convex one, or use a solver for nonconvex programs"
+        )
+
+
+def _forms(program: QuadraticProgram, algorithm: Any) -> Iterator[tuple[LCP, Substitution | None]]:
+    """Yield problems and the substitution before each, the most promising first."""
+    substitution = substitute_definitions(program)
+    problem = _first_form(program if substitution is None else substitution.reduced, algorithm)
+    yield problem, substitution
+    if substitution is not None or problem.origin.form == "dual":
+        yield lcp_from_qp(program, "kkt"), None
+
+
+def _first_form(program: QuadraticProgram, algorithm: Any) -> LCP:
+    """Return the form that auto chooses; for an algorithm that needs a diagonal the dual one where P allows it."""
+    problem = lcp_from_qp(program)
+    name = getattr(algorithm, "name", algorithm)
+    if problem.origin.form == "kkt" and name not in ANY_DIAGONAL:
+        try:
+            return lcp_from_qp(program, "dual")
+        except UnsuitableMatrix:
+            pass
+    return problem
+
+
+def _error(solution: QPSolution) -> float:
+    error = max(solution.residual, solution.row_residual)
+    return math.inf if math.isnan(error) else error

@@ -1,0 +1,266 @@
+"""A simplex method without rounding: is there a point within bounds with w = M z + q, and if not, why not."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from ..certificates.exact import integer_matrix, integers, power_of_two, slack_bounds
+from ..problem import LCP
+
+Bound = int | None  # None: no bound
+
+
+class ExactSimplex:
+    """Bounds on the variables x = (z, w) of w = M z + q, and a basic point that is within them.
+
+    Variable i < n is z_i, variable n + i is w_i times a positive `row_scale`; all values are integers (nonbasic) or
+    integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
+    time; :meth:`refutation` then repairs the point or proves that there is none.
+
+    Notes
+    -----
+    Integer-preserving pivots (Edmonds, Bareiss): each entry is a minor of the scaled matrix, so that numbers stay as
+    short as they can without common factors being looked for.
+
+    References
+    ----------
+    B. Dutertre, L. de Moura, *A fast linear-arithmetic solver for DPLL(T)*, CAV 2006, doi:10.1007/11817963_11 (bounds
+    that come and go); R. G. Bland, *New finite pivoting rules*, Math. Oper. Res. 2 (1977), doi:10.1287/moor.2.2.103.
+    """
+
+    def __init__(self, problem: LCP) -> None:
+        n = self.n = problem.n
+        self.unit, bounds = _integer_bounds(problem)
+        slack = [[None if math.isinf(value) else 0 for value in side] for side in slack_bounds(problem)]
+        self.lower: list[Bound] = bounds[0] + slack[0]
+        self.upper: list[Bound] = bounds[1] + slack[1]
+        self.rows, self.row_scale = _integer_rows(problem, self.unit)
+        self.denominator = 1
+        self.basic = list(range(n, 2 * n))
+        self.nonbasic = list(range(n))
+        self.value = [_clipped(0, *self.bounds(x)) for x in range(2 * n)]  # of nonbasic ones
+        self.numerator: list[int] = []  # of basic ones, over the denominator
+        self.pivots = 0
+        self._evaluate()
+
+    def bounds(self, x: int) -> tuple[Bound, Bound]:
+        """Return both bounds of a variable."""
+        return self.lower[x], self.upper[x]
+
+    def set_bounds(self, x: int, lower: Bound, upper: Bound) -> None:
+        """Give a variable other bounds; `refutation` must run before the point is looked at."""
+        self.lower[x], self.upper[x] = lower, upper
+        self.value[x] = _clipped(self.value[x], lower, upper)
+
+    def refutation(self) -> list[Fraction] | None:
+        """Move to a point within all bounds and return None, or return a Farkas vector y that there is none.
+
+        sup (Mᵀy)ᵀz − yᵀw + qᵀy over the bounds is negative; shape (n,).
+        """
+        self._evaluate()
+        tries = 0
+        while (leaving := self._violated(tries)) is not None:
+            row, target, direction = leaving
+            column = self._entering(row, direction)
+            if column is None:
+                return self.farkas(row, direction)
+            self._pivot(row, column, target)
+            tries += 1
+        return None
+
+    def implied_range(self, row: int) -> tuple[int | None, int | None]:
+        """Return bounds of a basic variable, times the denominator, that its row and the other bounds imply."""
+        low: int | None = self.numerator[row]
+        high = low
+        for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
+            if not entry:
+                continue
+            ends = [None if bound is None else entry * (bound - self.value[x]) for bound in self.bounds(x)]
+            down, up = ends if entry > 0 else ends[::-1]
+            low = None if low is None or down is None else low + down
+            high = None if high is None or up is None else high + up
+            if low is None and high is None:
+                break
+        return low, high
+
+    def farkas(self, row: int, direction: int) -> list[Fraction]:
+        """Return the multipliers y of the equations that make up a row; direction +1: it cannot rise to its bound."""
+        multipliers = [Fraction(0)] * self.n
+        if self.basic[row] >= self.n:
+            multipliers[self.basic[row] - self.n] = Fraction(direction * self.denominator)
+        for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
+            if x >= self.n and entry:
+                multipliers[x - self.n] = Fraction(-direction * entry)
+        return [y * scale for y, scale in zip(multipliers, self.row_scale, strict=True)]
+
+    def can_leave(self, x: int, direction: int) -> bool:
+        """Return whether a variable can rise (+1) or fall (−1) within the bounds; the point may move to show it."""
+        start = self.position(x)
+        while (self.position(x) - start) * direction <= 0:
+            step = self._improving(x, direction)
+            if step is None:
+                return False
+            if not self._move(*step):
+                return True
+        return True
+
+    def go_to_vertex(self) -> None:
+        """Move every nonbasic variable to a bound, as far as the set has one there."""
+        for column in range(self.n):
+            low, high = self.bounds(x := self.nonbasic[column])
+            if self.value[x] not in (low, high) and not self._move(column, -1):
+                self._move(column, 1)
+
+    def release_fixed(self) -> int:
+        """Pivot variables with equal bounds out of the basis; return the dimension that is left."""
+        for row in range(self.n):
+            if self._is_fixed(self.basic[row]):
+                for column, x in enumerate(self.nonbasic):
+                    if self.rows[row][column] and not self._is_fixed(x):
+                        self._pivot(row, column, self.lower[self.basic[row]] or 0)
+                        break
+        return sum(not self._is_fixed(x) for x in self.nonbasic)
+
+    def position(self, x: int) -> Fraction:
+        """Return the value of a variable at the present point, in the unit."""
+        if x in self.nonbasic:
+            return Fraction(self.value[x])
+        return Fraction(self.numerator[self.basic.index(x)], self.denominator)
+
+    def numerators(self) -> list[int]:
+        """Return the values of all variables at the present point, in the unit over the denominator, shape (2n,)."""
+        values = [value * self.denominator for value in self.value]
+        for x, numerator in zip(self.basic, self.numerator, strict=True):
+            values[x] = numerator
+        return values
+
+    def point(self) -> list[Fraction]:
+        """Return z of the present point, shape (n,)."""
+        return [Fraction(value, self.denominator) * self.unit for value in self.numerators()[: self.n]]
+
+    def _is_fixed(self, x: int) -> bool:
+        return self.lower[x] is not None and self.lower[x] == self.upper[x]
+
+    def _evaluate(self) -> None:
+        moved = [(k, self.value[x]) for k, x in enumerate(self.nonbasic) if self.value[x]]
+        self.numerator = [row[-1] + sum(row[k] * value for k, value in moved) for row in self.rows]
+
+    def _violated(self, tries: int) -> tuple[int, int, int] | None:
+        """Return row, bound and direction of a basic variable out of bounds: the farthest, later Bland's."""
+        found, worst = None, 0
+        for row, x in enumerate(self.basic):
+            numerator, (low, high) = self.numerator[row], self.bounds(x)
+            if low is not None and (gap := low * self.denominator - numerator) > 0:
+                candidate = (row, low, 1)
+            elif high is not None and (gap := numerator - high * self.denominator) > 0:
+                candidate = (row, high, -1)
+            else:
+                continue
+            size = -x - 1 if tries > 2 * self.n else gap
+            if found is None or size > worst:
+                found, worst = candidate, size
+        return found
+
+    def _entering(self, row: int, direction: int) -> int | None:
+        """Return the column of the first nonbasic variable that can push the row's variable in that direction."""
+        best = None
+        for column, x in enumerate(self.nonbasic):
+            entry = self.rows[row][column]
+            if entry and self._can_move(x, direction if entry > 0 else -direction) and (
+                best is None or x < self.nonbasic[best]
+            ):
+                best = column
+        return best
+
+    def _can_move(self, x: int, direction: int) -> bool:
+        bound = self.upper[x] if direction > 0 else self.lower[x]
+        return bound is None or self.value[x] != bound
+
+    def _improving(self, x: int, direction: int) -> tuple[int, int] | None:
+        """Return column and direction of a nonbasic variable whose move moves x in the direction, Bland's first."""
+        if x in self.nonbasic:
+            return (self.nonbasic.index(x), direction) if self._can_move(x, direction) else None
+        row = self.basic.index(x)
+        column = self._entering(row, direction)
+        return None if column is None else (column, direction if self.rows[row][column] > 0 else -direction)
+
+    def _move(self, column: int, direction: int) -> bool:
+        """Move a nonbasic variable as far as all bounds allow; return False, unmoved, where nothing stops it."""
+        entering = self.nonbasic[column]
+        best: tuple[Fraction, int, int, int] | None = None
+        end = self.upper[entering] if direction > 0 else self.lower[entering]
+        if end is not None:
+            best = (Fraction(abs(end - self.value[entering])), entering, -1, end)
+        for row, x in enumerate(self.basic):
+            speed = self.rows[row][column] * direction
+            bound = self.upper[x] if speed > 0 else self.lower[x]
+            if speed and bound is not None:
+                limit = (Fraction(bound * self.denominator - self.numerator[row], speed), x, row, bound)
+                best = limit if best is None or limit[:2] < best[:2] else best
+        if best is None:
+            return False
+        if best[1] == entering:
+            self.value[entering] = best[3]
+            self._evaluate()
+        else:
+            self._pivot(best[2], column, best[3])
+        return True
+
+    def _pivot(self, row: int, column: int, target: int) -> None:
+        """Exchange the row's basic variable, which comes to stand at the target, with the column's."""
+        pivot, old = self.rows[row][column], self.denominator
+        sign = 1 if pivot > 0 else -1
+        pivot_row = self.rows[row]
+        for i, other in enumerate(self.rows):
+            if i != row:
+                factor = other[column]
+                if factor:
+                    self.rows[i] = [
+                        sign * ((a * pivot - factor * b) // old) for a, b in zip(other, pivot_row, strict=True)
+                    ]
+                    self.rows[i][column] = sign * factor
+                elif pivot != old * sign or sign < 0:
+                    self.rows[i] = [sign * (a * pivot // old) if a else 0 for a in other]
+        self.rows[row] = [-sign * a for a in pivot_row]
+        self.rows[row][column] = sign * old
+        self.denominator = sign * pivot
+        leaving, entering = self.basic[row], self.nonbasic[column]
+        self.basic[row], self.nonbasic[column] = entering, leaving
+        self.value[leaving] = target
+        self.pivots += 1
+        self._evaluate()
+
+
+def _integer_bounds(problem: LCP) -> tuple[Fraction, list[list[Bound]]]:
+    """Return a unit and the bounds of z as multiples of it."""
+    both = np.concatenate([problem.lower, problem.upper])
+    is_finite = np.isfinite(both)
+    whole, exponent = integers(np.where(is_finite, both, 0.0))
+    bounds = [number if finite else None for number, finite in zip(whole, is_finite.tolist(), strict=True)]
+    return power_of_two(exponent), [bounds[: problem.n], bounds[problem.n :]]
+
+
+def _integer_rows(problem: LCP, unit: Fraction) -> tuple[list[list[int]], list[Fraction]]:
+    """Return the rows of (M, q/unit) as integers without a common factor, and what each was multiplied by."""
+    matrix = integer_matrix(problem)
+    rows, scales = [], []
+    for i, q in enumerate(problem.q.tolist()):
+        constant = Fraction(q) / unit
+        step = min(power_of_two(matrix.exponent), Fraction(1, constant.denominator))
+        factor = int(power_of_two(matrix.exponent) / step)
+        row = [0] * problem.n + [int(constant / step)]
+        for j, entry in matrix.row(i):
+            row[j] = entry * factor
+        divisor = math.gcd(*row) or 1
+        rows.append([entry // divisor for entry in row])
+        scales.append(1 / (step * divisor))
+    return rows, scales
+
+
+def _clipped(value: int, lower: Bound, upper: Bound) -> int:
+    if lower is not None and value < lower:
+        return lower
+    return upper if upper is not None and value > upper else value

@@ -1,0 +1,72 @@
+"""Presolve on thousands of tiny problems with every kind of row, against all solutions in exact fractions.
+
+Run as ``python tests/campaigns/presolve.py --cases 3000 --seed 0``. Exit code 1 where a solution does not come back
+exactly, or one is lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lcp_plugin import LCP
+from lcp_plugin.presolve import presolve
+
+BOUNDS = [(0.0, np.inf), (0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-np.inf, 2.0)]
+
+
+def truth() -> Any:
+    """The exact solver of the test of the same name."""
+    path = Path(__file__).parent.parent / "test_presolve.py"
+    spec = importlib.util.spec_from_file_location("test_presolve", path)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def problem(rng: np.random.Generator) -> LCP:
+    """Return a problem of up to four rows with many zeros and numbers that sometimes round."""
+    n = int(rng.integers(1, 5))
+    M = rng.choice([0.0, 0.0, 0.0, 1.0, -1.0, 2.0, -3.0, 0.1, 5e-17], (n, n))
+    if rng.random() < 0.6:
+        M[np.arange(n), np.arange(n)] = rng.choice([1.0, 2.0, 0.1, -1.0], n)
+    low, high = np.array([BOUNDS[k] for k in rng.integers(0, len(BOUNDS), n)]).T
+    return LCP(M, rng.choice([0.0, 1.0, -1.0, 3.0, 0.3, -2.0], n), lower=low, upper=high)
+
+
+def fractions(values: Any) -> Any:
+    """Return an array of fractions."""
+    return np.array([*(Fraction(value) for value in values), None], dtype=object)[:-1]
+
+
+def main() -> int:
+    """Run the campaign and print what was found."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--cases", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    exact, rng = truth(), np.random.default_rng(options.seed)
+    rows = left = solvable = wrong = lost = 0
+    for _ in range(options.cases):
+        case = problem(rng)
+        smaller = presolve(case, equilibrate=bool(rng.random() < 0.5))
+        rows, left = rows + case.n, left + smaller.problem.n
+        wrong += sum(not exact.solves(case, smaller.restore(z)) for z in exact.solutions(smaller.problem))
+        found = exact.solutions(case)
+        solvable += bool(found)
+        lost += sum(not exact.solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found)
+    print(f"{options.cases} problems, {solvable} with solutions; {left} of {rows} rows left;"
+          f" {wrong} wrong, {lost} lost")
+    return int(wrong + lost > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,225 @@
+"""Random small problems of all kinds: search, infeasibility proofs and enumeration against an independent enumeration.
+
+Run ``python tests/campaigns/search.py --cases 3000 --seed 0``; exit code 1 on any violation. The truth comes from
+Fourier–Motzkin elimination over all 3ⁿ patterns in fractions, written here and used nowhere else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+
+from lcp_plugin import LCP
+from lcp_plugin.certificates.forced_bounds import find_forced_contradiction
+from lcp_plugin.certificates.infeasibility import decide_feasibility
+from lcp_plugin.search import Found, NoSolution, Solution, search
+
+# An inequality is (coefficients, constant, strict): coefficients·z + constant ≥ 0, or > 0.
+Inequality = tuple[tuple[Fraction, ...], Fraction, bool]
+
+
+def is_satisfiable(system: list[Inequality]) -> bool:
+    """Whether inequalities have a common point: Gaussian steps on opposite pairs, then Fourier–Motzkin."""
+    while system:
+        system = list(dict.fromkeys(map(normalised, system)))
+        if any(not any(a) and (c < 0 or (s and c == 0)) for a, c, s in system):
+            return False
+        system = [row for row in system if any(row[0])]
+        if not system:
+            return True
+        n = len(system[0][0])
+        known = {(a, c) for a, c, s in system if not s}
+        equation = next(((a, c) for a, c in known if (tuple(-x for x in a), -c) in known), None)
+        if equation is not None:
+            j = next(k for k in range(n) if equation[0][k])
+            system = [combined(row, (*equation, False), -row[0][j] / equation[0][j]) for row in system]
+            continue
+        used = [k for k in range(n) if any(a[k] for a, _, _ in system)]
+        j = min(used, key=lambda k: sum(a[k] > 0 for a, _, _ in system) * sum(a[k] < 0 for a, _, _ in system))
+        above = [row for row in system if row[0][j] > 0]
+        below = [row for row in system if row[0][j] < 0]
+        rest = [row for row in system if not row[0][j]]
+        system = rest + [combined(p, m, -p[0][j] / m[0][j]) for p in above for m in below]
+    return True
+
+
+def normalised(row: Inequality) -> Inequality:
+    a, c, strict = row
+    scale = next((abs(x) for x in a if x), Fraction(1))
+    return tuple(x / scale for x in a), c / scale, strict
+
+
+def combined(p: Inequality, m: Inequality, factor: Fraction) -> Inequality:
+    a = tuple(x + factor * y for x, y in zip(p[0], m[0], strict=True))
+    return a, p[1] + factor * m[1], p[2] or (m[2] and factor != 0)
+
+
+class Enumeration:
+    """All patterns of a problem, each as a system of inequalities."""
+
+    def __init__(self, M, q, lower, upper):
+        n = self.n = len(q)
+        self.lower, self.upper = lower.tolist(), upper.tolist()
+        self.z = [(tuple(Fraction(int(i == j)) for j in range(n)), Fraction(0)) for i in range(n)]
+        self.w = [(tuple(Fraction(float(x)) for x in M[i]), Fraction(float(q[i]))) for i in range(n)]
+        self.choices = [self.row_choices(i) for i in range(n)]
+
+    def row_choices(self, i):
+        if self.lower[i] == self.upper[i]:
+            return ["fixed"]
+        return ["lower"] * (self.lower[i] > -np.inf) + ["zero"] + ["upper"] * (self.upper[i] < np.inf)
+
+    def at_least(self, form, bound, sign=1, strict=False):
+        """sign·(form − bound) ≥ 0 (or > 0); nothing for an infinite bound."""
+        if np.isinf(float(bound)):
+            return []
+        return [(tuple(sign * x for x in form[0]), sign * (form[1] - Fraction(bound)), strict)]
+
+    def row(self, i, choice):
+        z, w, low, high = self.z[i], self.w[i], float(self.lower[i]), float(self.upper[i])
+        box = self.at_least(z, low) + self.at_least(z, high, -1)
+        if choice == "zero":
+            return box + self.at_least(w, 0) + self.at_least(w, 0, -1)
+        if choice == "lower":
+            return box + self.at_least(z, low, -1) + self.at_least(w, 0)
+        return box + (self.at_least(z, high) + self.at_least(w, 0, -1) if choice == "upper" else [])
+
+    def system(self, pattern):
+        return [inequality for i, choice in enumerate(pattern) for inequality in self.row(i, choice)]
+
+    def solvable_patterns(self):
+        return [pattern for pattern in product(*self.choices) if is_satisfiable(self.system(pattern))]
+
+    def is_linearly_feasible(self):
+        system = []
+        for i in range(self.n):
+            low, high = float(self.lower[i]), float(self.upper[i])
+            system += self.at_least(self.z[i], low) + self.at_least(self.z[i], high, -1)
+            system += self.at_least(self.w[i], 0) if np.isinf(high) else []
+            system += self.at_least(self.w[i], 0, -1) if np.isinf(low) else []
+        return is_satisfiable(system)
+
+    def lies_in(self, inner, outer):
+        """Whether each point of one pattern satisfies the other."""
+        system = self.system(inner)
+        opposite = [
+            (tuple(-x for x in a), -c, True)
+            for i, choice in enumerate(outer)
+            if choice != inner[i]
+            for a, c, _ in self.row(i, choice)
+        ]
+        return not any(is_satisfiable([*system, row]) for row in opposite)
+
+    def is_a_point(self, pattern, z):
+        system = self.system(pattern)
+        moved = [self.at_least(self.z[i], z[i], sign, True) for i in range(self.n) for sign in (1, -1)]
+        return not any(is_satisfiable(system + row) for row in moved)
+
+    def satisfies(self, pattern, z):
+        return all(
+            sum((x * y for x, y in zip(a, z, strict=True)), c) >= 0 for a, c, _ in self.system(pattern)
+        )
+
+
+def random_problem(rng, largest=4):
+    """M, q, lower, upper: small integers or doubles; degenerate, singular, skew, with zero rows, boxes, free rows."""
+    n = int(rng.choice([0, 1, 1, *range(2, largest + 1), *range(2, largest + 1)]))
+    spread = int(rng.integers(1, 5))
+    M = rng.integers(-spread, spread + 1, (n, n)).astype(float)
+    q = rng.integers(-spread, spread + 1, n).astype(float)
+    kind = int(rng.integers(0, 8))
+    if kind == 0:
+        M, q = rng.standard_normal((n, n)), rng.standard_normal(n)
+    elif kind == 1:
+        M = M @ M.T
+    elif kind == 2:
+        M = M - M.T
+    elif kind == 3:
+        M[rng.random((n, n)) < 0.6] = 0.0
+    elif kind == 4 and n:
+        M[rng.integers(n)] = 0.0
+        M[:, rng.integers(n)] = 0.0
+    elif kind == 5 and n > 1:
+        M[-1], q[-1] = M[0], q[0]
+    elif kind == 6:
+        M, q = M * 10.0 ** rng.integers(-12, 12, (n, 1)) / 3, q * 0.1
+    q[rng.random(n) < 0.2] = 0.0
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if rng.random() < 0.6:
+        for i in range(n):
+            a, b = sorted(rng.integers(-2, 3, 2).astype(float))
+            lower[i], upper[i] = [(0, np.inf), (a, b), (-np.inf, b), (-np.inf, np.inf), (a, np.inf), (a, a)][
+                rng.choice(6, p=[0.3, 0.25, 0.15, 0.1, 0.15, 0.05])
+            ]
+    return M, q, lower, upper
+
+
+def violations(M, q, lower, upper):
+    """Compare everything claimed about one problem with the enumeration; return complaints and the verdict."""
+    problem = LCP(M, q, lower=lower, upper=upper)
+    truth = Enumeration(M, q, lower, upper)
+    patterns = truth.solvable_patterns()
+    bad: list[str] = []
+    first, every = search(problem), search(problem, first_only=False)
+    for outcome in (first, every):
+        if isinstance(outcome, NoSolution) != (not patterns):
+            bad.append(f"{type(outcome).__name__}, but {len(patterns)} patterns have solutions")
+        if isinstance(outcome, NoSolution) and not outcome.verify():
+            bad.append("proof of no solution does not verify")
+        if isinstance(outcome, Found):
+            bad += [complaint for s in outcome.solutions for complaint in wrong_with(truth, s, outcome is every)]
+    if isinstance(every, Found):
+        listed = [s.pattern for s in every.solutions]
+        bad += [f"{p} is not covered" for p in patterns if not any(truth.lies_in(p, other) for other in listed)]
+        bad += [f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)]
+    feasibility = decide_feasibility(problem)
+    is_feasible = truth.is_linearly_feasible()
+    if feasibility.proof is not None and (is_feasible or not feasibility.proof.verify()):
+        bad.append("false INFEASIBLE")
+    if feasibility.verdict == "feasible" and not is_feasible:
+        bad.append("infeasible, called feasible")
+    chain = find_forced_contradiction(problem)
+    if chain is not None and (patterns or not chain.verify()):
+        bad.append("false chain of forced bounds")
+    verdict = "solvable" if patterns else "unsolvable" if is_feasible else "infeasible"
+    return bad, verdict, feasibility.verdict, chain is not None
+
+
+def wrong_with(truth: Enumeration, s: Solution, is_listed: bool) -> list[str]:
+    bad = []
+    if not truth.satisfies(s.pattern, s.exact_z):
+        bad.append(f"{s} does not solve the problem")
+    if any(Fraction(float(v)) != Fraction(float(e)) for v, e in zip(s.z, s.exact_z, strict=True)):
+        bad.append(f"{s} is rounded wrongly")
+    if is_listed and truth.is_a_point(s.pattern, s.exact_z) != s.is_isolated:
+        bad.append(f"{s}: wrong flag")
+    return bad
+
+
+def main(cases: int, seed: int) -> int:
+    counts: Counter[tuple[str, str, bool]] = Counter()
+    failed = 0
+    for case in range(cases):
+        bad, *outcome = violations(*random_problem(np.random.default_rng([seed, case])))
+        counts[tuple(outcome)] += 1
+        failed += bool(bad)
+        for complaint in bad:
+            print(f"case {case} (seed {seed}): {complaint}")
+    print(f"{'truth':<12}{'linear program':<16}{'chain':<8}{'cases':>6}")
+    for (truth, verdict, chain), count in sorted(counts.items()):
+        print(f"{truth:<12}{verdict:<16}{'yes' if chain else 'no':<8}{count:>6}")
+    print(f"{cases} cases, {failed} with violations")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.cases, arguments.seed))

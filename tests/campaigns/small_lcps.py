@@ -1,0 +1,276 @@
+"""Random small problems of all kinds, the truth by an exact search that knows nothing of the solver.
+
+Run ``python tests/campaigns/small_lcps.py --cases 20000 --seed 0 --algorithm auto``. Prints for each kind how many
+problems are solvable, infeasible, or feasible without a solution, and what became of them. Exit code 1 on a false claim
+(SOLVED, PRECISION_LIMIT, INFEASIBLE, NO_SOLUTION), on an exception, and for auto where less than 99.9 % of the solvable
+are solved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from collection.judgement import false_claim, shortfall
+from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, decide
+
+from lcp_plugin import LCP, solve
+from lcp_plugin.errors import LCPError
+
+Matrix = np.ndarray
+Generator = np.random.Generator
+
+LARGEST = 6
+NEEDED = 0.999
+
+
+# --- The problems ---------------------------------------------------------------------------------------------------
+
+
+def integers(n: int, rng: Generator) -> Matrix:
+    spread = int(rng.integers(1, 6))
+    return rng.integers(-spread, spread + 1, (n, n)).astype(float)
+
+
+def factor(n: int, rng: Generator, columns: int) -> Matrix:
+    return rng.integers(-3, 4, (n, columns)).astype(float)
+
+
+def skew(n: int, rng: Generator) -> Matrix:
+    upper = np.triu(integers(n, rng), 1)
+    return upper - upper.T
+
+
+def p_matrix(n: int, rng: Generator) -> Matrix:
+    """By rejection, now and then triangular."""
+    while True:
+        M = integers(n, rng) + np.diag(rng.integers(1, 6, n)).astype(float)
+        if all(np.linalg.det(M[np.ix_(rows, rows)]) > 0.5 for rows in subsets(n)):
+            return M
+        if rng.random() < 0.3:
+            return np.tril(integers(n, rng), -1) + np.diag(rng.integers(1, 4, n))
+
+
+def subsets(n: int) -> list[list[int]]:
+    return [[i for i in range(n) if mask >> i & 1] for mask in range(1, 2**n)]
+
+
+def positive_definite(n: int, rng: Generator) -> Matrix:
+    half = factor(n, rng, n)
+    return half @ half.T + np.eye(n)
+
+
+def symmetric(n: int, rng: Generator) -> Matrix:
+    M = integers(n, rng)
+    return M + M.T
+
+
+def psd_singular(n: int, rng: Generator) -> Matrix:
+    half = factor(n, rng, max(n // 2, 1))
+    return half @ half.T
+
+
+def z_matrix(n: int, rng: Generator) -> Matrix:
+    M = -np.abs(integers(n, rng))
+    np.fill_diagonal(M, rng.integers(-2, 8, n))
+    return M
+
+
+def bimatrix(n: int, rng: Generator) -> Matrix:
+    half = n // 2
+    M = np.zeros((n, n))
+    M[:half, half:] = rng.integers(1, 5, (half, n - half))
+    M[half:, :half] = rng.integers(1, 5, (n - half, half))
+    return M
+
+
+def sparse(n: int, rng: Generator) -> Matrix:
+    return integers(n, rng) * (rng.random((n, n)) < 0.4)
+
+
+def zero_rows(n: int, rng: Generator) -> Matrix:
+    M = integers(n, rng)
+    if n:
+        M[rng.integers(n)] = 0.0
+        M[:, rng.integers(n)] *= rng.integers(0, 2)
+    return M
+
+
+def repeated_rows(n: int, rng: Generator) -> Matrix:
+    M = integers(n, rng)
+    if n > 1:
+        M[-1] = rng.choice([-1, 1, 2]) * M[0]
+        M[:, -1] = M[:, 0]
+    return M
+
+
+def copositive(n: int, rng: Generator) -> Matrix:
+    return psd_singular(n, rng) + np.abs(integers(n, rng))
+
+
+def program(n: int, rng: Generator) -> Matrix:
+    rows = n // 2
+    M = np.zeros((n, n))
+    A = integers(n, rng)[:rows, : n - rows]
+    M[n - rows :, : n - rows], M[: n - rows, n - rows :] = A, -A.T
+    half = factor(n - rows, rng, 1) if n - rows else np.zeros((0, 1))
+    M[: n - rows, : n - rows] = half @ half.T * rng.integers(0, 2)
+    return M
+
+
+def badly_scaled(n: int, rng: Generator) -> Matrix:
+    return np.ldexp(integers(n, rng), rng.integers(-20, 21, (n, 1)))
+
+
+def doubles(n: int, rng: Generator) -> Matrix:
+    return rng.standard_normal((n, n)) + rng.integers(0, 3) * np.eye(n)
+
+
+KINDS: dict[str, Callable[[int, Generator], Matrix]] = {
+    "P": p_matrix,
+    "PSD": positive_definite,
+    "PSD singular": psd_singular,
+    "PSD nonsymmetric": lambda n, rng: psd_singular(n, rng) + skew(n, rng),
+    "skew": skew,
+    "indefinite": integers,
+    "symmetric": symmetric,
+    "Z": z_matrix,
+    "nonnegative": lambda n, rng: np.abs(integers(n, rng)),
+    "nonpositive": lambda n, rng: -np.abs(integers(n, rng)),
+    "copositive": copositive,
+    "bimatrix": bimatrix,
+    "program": program,
+    "sparse": sparse,
+    "zero rows": zero_rows,
+    "repeated rows": repeated_rows,
+    "badly scaled": badly_scaled,
+    "doubles": doubles,
+}
+
+
+def random_problem(kind: str, rng: Generator) -> LCP:
+    """Integers but for the last kind; q random, degenerate or planted; half of the problems with bounds."""
+    n = int(rng.choice([0, 1, 1, *[n for n in range(2, LARGEST + 1) for _ in range(4)]]))
+    M = KINDS[kind](n, rng)
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if rng.random() < 0.5:
+        lower, upper = random_bounds(n, rng)
+    return LCP(M, random_offset(kind, M, lower, upper, rng), lower=lower, upper=upper)
+
+
+def random_bounds(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    a = rng.integers(-2, 2, n).astype(float)
+    b = a + rng.integers(1, 4, n)
+    shape = rng.choice(6, n, p=[0.35, 0.2, 0.15, 0.1, 0.15, 0.05])  # plain, box, upper only, free, shifted, fixed
+    lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], a)
+    upper = np.select([(shape == 1) | (shape == 2), shape == 5], [b, a], np.inf)
+    return lower, upper
+
+
+def random_offset(kind: str, M: Matrix, lower: Matrix, upper: Matrix, rng: Generator) -> Matrix:
+    n = len(M)
+    if kind == "bimatrix" and rng.random() < 0.7:
+        return -np.ones(n)
+    choice = rng.random()
+    if choice < 0.35 and kind != "doubles":  # planted without rounding, and as degenerate as it comes
+        z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
+        w = rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
+        w = np.where(lower == upper, rng.integers(-3, 4, n), w)
+        return w - M @ z
+    q = rng.integers(-6, 7, n).astype(float)
+    if kind == "badly scaled":
+        q *= 2.0 ** rng.integers(-3, 4)
+    if choice < 0.5:
+        q[rng.random(n) < 0.6] = 0.0
+    return q + rng.standard_normal(n) if kind == "doubles" else q
+
+
+# --- The truth ------------------------------------------------------------------------------------------------------
+
+
+def judged(problem: LCP, algorithm: str, tolerance: float) -> tuple[str, str, str]:
+    """Return the truth, the status, and what is false about it."""
+    truth = decide(problem).verdict
+    try:
+        result = solve(problem, algorithm, tolerance=tolerance)
+    except LCPError as error:
+        return truth, "refused", "" if algorithm != "auto" else str(error)
+    except Exception as error:  # whatever is raised here is a finding, and the campaign goes on
+        return truth, "raised", f"{type(error).__name__}: {error}"
+    complaint = false_claim(problem, truth, result, tolerance)
+    status = "right" if not complaint and not shortfall(problem, truth, result) else result.status.name
+    return truth, status, complaint
+
+
+def main(cases: int, seed: int, algorithm: str, tolerance: float, only: str, show: int) -> int:
+    kinds = [only] if only else list(KINDS)
+    counts: Counter[tuple[str, str, str]] = Counter()
+    short: Counter[str] = Counter()
+    false, slowest, began = 0, (0.0, ""), time.perf_counter()
+    for case in range(cases):
+        kind = kinds[case % len(kinds)]
+        problem = random_problem(kind, np.random.default_rng([seed, case]))
+        start = time.perf_counter()
+        truth, status, complaint = judged(problem, algorithm, tolerance)
+        slowest = max(slowest, (time.perf_counter() - start, f"case {case} ({kind}, n = {problem.n}, {truth})"))
+        counts[kind, truth, "right" if status == "right" else "not"] += 1
+        if complaint:
+            false += 1
+            print(f"case {case} ({kind}, n = {problem.n}, {truth}): {complaint}")
+        elif status != "right":
+            short[f"{truth}: {status}"] += 1
+            if truth == SOLVABLE and (show := show - 1) >= 0:
+                print(f"case {case} ({kind}, n = {problem.n}): solvable, {status}")
+    return report(kinds, counts, short, false, slowest, time.perf_counter() - began, algorithm)
+
+
+def report(
+    kinds: list[str],
+    counts: Counter[tuple[str, str, str]],
+    short: Counter[str],
+    false: int,
+    slowest: tuple[float, str],
+    seconds: float,
+    algorithm: str,
+) -> int:
+    def row(title: str, chosen: list[str]) -> tuple[int, int]:
+        cells, right = [], 0
+        for truth in (SOLVABLE, INFEASIBLE, NO_SOLUTION):
+            good, bad = (sum(counts[kind, truth, verdict] for kind in chosen) for verdict in ("right", "not"))
+            cells.append(f"{good:>8} of {good + bad:>6}")
+            if truth == SOLVABLE:
+                right, total = good, good + bad
+        print(f"{title:<18}" + "".join(cells))
+        return right, total
+
+    print(f"{'right answers':<18}{'solvable':>18}{'infeasible':>18}{'no solution':>18}")
+    for kind in kinds:
+        row(kind, [kind])
+    right, total = row("all", kinds)
+    for what, count in short.most_common():
+        print(f"{count:>8} × {what}")
+    share = right / max(total, 1)
+    print(f"{share:.4%} of the solvable solved; {false} false claims")
+    print(f"{seconds:.0f} s; slowest {slowest[0]:.2f} s: {slowest[1]}")
+    return int(false > 0 or (algorithm == "auto" and share < NEEDED))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--algorithm", default="auto")
+    parser.add_argument("--tolerance", type=float, default=1e-9)
+    parser.add_argument("--kind", default="", choices=["", *KINDS], help="one kind only; all in turn by default")
+    parser.add_argument("--show", type=int, default=20, help="how many unsolved solvable cases to print")
+    given = parser.parse_args()
+    warnings.simplefilter("error")
+    sys.exit(main(given.cases, given.seed, given.algorithm, given.tolerance, given.kind, given.show))

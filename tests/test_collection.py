@@ -1,0 +1,178 @@
+"""The collection: what its entries claim is true, and auto solves, refutes or certifies every one of them."""
+
+from __future__ import annotations
+
+import itertools
+from fractions import Fraction
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from collection import all_entries
+from collection.entry import Entry
+from collection.judgement import false_claim, judge
+from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, decide, is_farkas
+
+from lcp_plugin import LCP, solve
+
+TOLERANCE = 1e-9
+ENTRIES = all_entries()
+
+
+def named(entry: Entry) -> str:
+    return entry.name
+
+
+# --- What the entries claim -----------------------------------------------------------------------------------------
+
+
+def test_names_are_unique_and_sources_are_given() -> None:
+    """Every entry has a name of its own and says where it comes from; there are at least 150."""
+    assert len({entry.name for entry in ENTRIES}) == len(ENTRIES) >= 150
+    assert all(entry.source for entry in ENTRIES)
+
+
+def test_declared_solutions_are_exact() -> None:
+    """Each declared solution is complementary in rational arithmetic, without any tolerance."""
+    wrong = [e.name for e in ENTRIES if e.solution is not None and not ExactData(e.problem).is_solution(e.solution)]
+    assert not wrong
+
+
+def test_exhaustive_search_agrees_with_every_small_entry() -> None:
+    """Up to twelve unknowns the declared truth is what an exact, independent search finds."""
+    for entry in ENTRIES:
+        if entry.is_small:
+            truth = decide(entry.problem)
+            assert truth.verdict == entry.truth, entry.name
+            assert truth.z is None or ExactData(entry.problem).is_solution(truth.z), entry.name
+
+
+def test_every_large_entry_has_a_reason() -> None:
+    """Where search is out of reach there is an exact solution, a theorem, or an exact Farkas vector."""
+    for entry in ENTRIES:
+        if entry.is_small:
+            continue
+        assert entry.truth != NO_SOLUTION, entry.name
+        if entry.truth == SOLVABLE:
+            assert entry.solution is not None or entry.theorem, entry.name
+        else:
+            assert entry.farkas is not None, entry.name
+            assert is_farkas(entry.problem, entry.farkas), entry.name
+
+
+def test_flags_are_true() -> None:
+    """Flags on the class of a matrix hold: P by exact minors, PSD by eigenvalues, Z and symmetric by looking."""
+    for entry in ENTRIES:
+        M = entry.problem.csr.toarray()
+        n = len(M)
+        if "P" in entry.flags and n <= 7:
+            assert all(minor > 0 for minor in principal_minors(M)), entry.name
+        if "PSD" in entry.flags and n <= 200:
+            assert np.linalg.eigvalsh(M + M.T).min() >= -1e-12 * np.abs(M).max() * n, entry.name
+        if "Z" in entry.flags or "M" in entry.flags:
+            assert (M - np.diag(np.diag(M))).max() <= 0.0, entry.name
+        if "symmetric" in entry.flags:
+            assert np.array_equal(M, M.T), entry.name
+        if "nonnegative" in entry.flags:
+            assert M.min() >= 0.0, entry.name
+        if "rounded" in entry.flags and n <= 100:
+            assert np.linalg.eigvalsh(M + M.T).min() < 0.0, entry.name
+
+
+def principal_minors(M: np.ndarray) -> list[Fraction]:
+    n = len(M)
+    sets = itertools.chain.from_iterable(itertools.combinations(range(n), k) for k in range(1, n + 1))
+    return [determinant([[Fraction(float(M[i, j])) for j in rows] for i in rows]) for rows in sets]
+
+
+def determinant(A: list[list[Fraction]]) -> Fraction:
+    """By elimination; a zero pivot ends it, for then the minor before was zero."""
+    result = Fraction(1)
+    for k, row in enumerate(A):
+        if not row[k]:
+            return Fraction(0)
+        result *= row[k]
+        for other in A[k + 1 :]:
+            factor = other[k] / row[k]
+            other[k:] = [x - factor * y for x, y in zip(other[k:], row[k:], strict=True)]
+    return result
+
+
+def test_plain_newton_cycles_where_the_source_says_so() -> None:
+    """On the Newton-min examples the undamped iteration comes back to an earlier active set from some start."""
+    cyclic = [entry for entry in ENTRIES if entry.name.startswith("newton_min_")]
+    assert len(cyclic) >= 8
+    for entry in cyclic:
+        n = entry.problem.n
+        starts = [np.arange(n) == 0, np.arange(n) % 3 == 0, np.arange(n) >= n - 2, *np.eye(n, dtype=bool)]
+        assert any(plain_newton_cycles(entry.problem, free) for free in starts), entry.name
+
+
+def plain_newton_cycles(problem: LCP, free: np.ndarray) -> bool:
+    M, seen = problem.csr.toarray(), set()
+    while free.tobytes() not in seen:
+        seen.add(free.tobytes())
+        z = np.zeros(problem.n)
+        z[free] = np.linalg.solve(M[np.ix_(free, free)], -problem.q[free])
+        following = z > M @ z + problem.q
+        if np.array_equal(following, free):
+            return False
+        free = following
+    return True
+
+
+def test_search_decides_by_hand_made_cases() -> None:
+    """The search itself tells apart solvable, infeasible and merely unsolvable problems of one and two rows."""
+    cases = [
+        ([[1.0]], [-1.0], SOLVABLE),
+        ([[-1.0]], [-1.0], INFEASIBLE),
+        ([[0.0]], [1.0], SOLVABLE),
+        ([[-1.0, 1.0], [0.0, 0.0]], [-1.0, 1.0], NO_SOLUTION),
+        ([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0], SOLVABLE),
+    ]
+    for M, q, truth in cases:
+        assert decide(LCP(M, q)).verdict == truth
+
+
+@pytest.mark.parametrize(
+    ("truth", "status", "z", "complaint"),
+    [
+        (SOLVABLE, "SOLVED", [2.0, 0.0], ""),
+        (SOLVABLE, "SOLVED", [2.0 + 1e-15, 0.0], ""),
+        (SOLVABLE, "SOLVED", [2.0 + 1e-7, 0.0], "lie"),
+        (SOLVABLE, "SOLVED", [2.0, np.nan], "lie"),
+        (INFEASIBLE, "SOLVED", [2.0, 0.0], "false SOLVED"),
+        (SOLVABLE, "PRECISION_LIMIT", [2.0, 0.0], ""),
+        (SOLVABLE, "PRECISION_LIMIT", [2.0 + 1e-7, 0.0], "rounding does not explain"),
+        (SOLVABLE, "INFEASIBLE", [2.0, 0.0], "false INFEASIBLE"),
+        (INFEASIBLE, "INFEASIBLE", [2.0, 0.0], "without a proof"),
+        (SOLVABLE, "NO_SOLUTION", [2.0, 0.0], "false NO_SOLUTION"),
+        (SOLVABLE, "STALLED", [0.0, 0.0], ""),
+    ],
+)
+def test_false_claims_are_noticed(truth: str, status: str, z: list[float], complaint: str) -> None:
+    """The judge of this file and of the campaigns objects to each kind of false claim, and to no honest one."""
+    claim = SimpleNamespace(status=SimpleNamespace(name=status), z=np.array(z), infeasibility=None)
+    said = false_claim(LCP([[2.0, 1.0], [1.0, 2.0]], [-4.0, -2.0]), truth, claim, TOLERANCE)
+    assert complaint in said
+    assert bool(complaint) == bool(said)
+
+
+def test_farkas_vectors_are_checked() -> None:
+    """A contradiction is accepted, its neighbours are not: wrong sign, unbounded column, margin of zero."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
+    assert is_farkas(problem, [Fraction(1), Fraction(1)])
+    assert not is_farkas(problem, [Fraction(1), Fraction(2)])
+    assert not is_farkas(problem, [Fraction(-1), Fraction(-1)])
+    assert not is_farkas(problem.with_q([1.0, -1.0]), [Fraction(1), Fraction(1)])
+    assert not is_farkas(problem.with_q([-1.0, -1.0], upper=4.0), [Fraction(1), Fraction(1)])
+
+
+# --- What auto makes of them ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=named)
+def test_auto_says_the_truth(entry: Entry) -> None:
+    """Solvable: solved to 1e-9 or as far as rounding permits; else proven infeasible, or searched without a find."""
+    result = solve(entry.problem, tolerance=TOLERANCE)
+    assert judge(entry, result, TOLERANCE) == ""

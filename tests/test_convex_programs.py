@@ -1,0 +1,383 @@
+"""Convex programs of every kind: solved to their own conditions, or proven to have no minimum."""
+
+from __future__ import annotations
+
+import importlib.util
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from cvxpy.tests.solver_test_helpers import StandardTestLPs
+
+from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
+from lcp_plugin.algorithms.interior_point import InteriorPoint
+from lcp_plugin.conversions.linear_program import lcp_from_lp
+from lcp_plugin.conversions.qp_certificates import (
+    QPInfeasibility,
+    QPUnboundedness,
+    proof_of_no_minimum,
+    prove_infeasible,
+    prove_unbounded,
+)
+from lcp_plugin.conversions.qp_solution import QPSolution
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.conversions.rational import solved_nearby
+from lcp_plugin.modeling.model import build
+from lcp_plugin.modeling.qp_attempts import solve_quadratic_program
+
+INF = np.inf
+INTERIOR = InteriorPoint()
+
+
+def campaign() -> Any:
+    """The generator of the campaign of the same name."""
+    path = Path(__file__).parent / "campaigns" / "convex_programs.py"
+    spec = importlib.util.spec_from_file_location("convex_programs", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+CAMPAIGN = campaign()
+
+
+# --- Solvable programs -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
+    """Three planted programs of each kind: KKT residuals at most 1e-6, measured here, by interior_point."""
+    for seed in range(3):
+        case = CAMPAIGN.program(kind, np.random.default_rng([seed, 77]), 25)
+        result, answer = solve_quadratic_program(case, INTERIOR)
+        assert CAMPAIGN.error(case, answer) <= 1e-6, result
+        assert answer.status == "optimal"
+
+
+@pytest.mark.parametrize("form", ["kkt", "auto"])
+def test_linear_programs_agree_with_highs(form: str) -> None:
+    """Linear programs with all kinds of rows have HiGHS's value, through lcp_from_lp and the KKT form."""
+    from scipy.optimize import linprog
+
+    for seed in range(4):
+        case = CAMPAIGN.program("linear", np.random.default_rng(seed), 20)
+        expected = linprog(
+            case.c, case.G, case.h, case.A if case.b.size else None, case.b if case.b.size else None,
+            bounds=np.column_stack([case.lower, case.upper]),
+        )
+        if form == "kkt":
+            problem = lcp_from_qp(case, "kkt")
+        else:
+            problem = lcp_from_lp(case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
+        solution = problem.origin.recover(solve(problem, INTERIOR, tolerance=1e-10))
+        assert solution.is_optimal(1e-7)
+        assert solution.objective == pytest.approx(expected.fun, rel=1e-7, abs=1e-7)
+
+
+def test_ranges_say_what_they_say() -> None:
+    """Rows with limits on both sides, one side, none, and equal ones; multipliers come back in that shape."""
+    A = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]])
+    low, high = [-1.0, 0.5, -1e20, -INF, 1.0], [1.0, 0.5, 2.0, 1e30, INF]
+    P, c = np.diag([1.0, 0.0, 2.0]), np.array([-3.0, -1.0, 1.0])
+    program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
+    assert (program.h.size, program.b.size) == (4, 1)
+    assert program.lower[0] == -INF
+    _, solution = solve_quadratic_program(program, INTERIOR)
+    assert solution.is_optimal(1e-9)
+    y = solution.row_multipliers
+    assert y.shape == (5,)
+    np.testing.assert_allclose(P @ solution.x + c + A.T @ y - solution.lower + solution.upper, 0.0, atol=1e-9)
+    x = cp.Variable(3)
+    rows = [A[0] @ x <= 1, A[0] @ x >= -1, A[1] @ x == 0.5, A[2] @ x <= 2, A[4] @ x >= 1, x <= 5, x[1:] >= -5]
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P, assume_PSD=True) + c @ x), rows)
+    assert solution.objective == pytest.approx(problem.solve(solver=cp.HIGHS), abs=1e-6)
+    value = A @ solution.x
+    assert (y[value < np.array(high) - 1e-6] <= 1e-9).all()
+    with pytest.raises(InvalidProblem, match="lower"):
+        QuadraticProgram.from_ranges(P, c, A, 1.0, 0.0)
+    plain = lcp_from_qp(QuadraticProgram(np.eye(1), [1.0])).origin.recover([-1.0])
+    with pytest.raises(InvalidProblem, match="from_ranges"):
+        plain.row_multipliers  # noqa: B018
+
+
+def test_the_dual_form_is_for_good_condition_only() -> None:
+    """Of two programs without bounds, the well conditioned one is dual, the one with κ = 1e8 is kkt."""
+    rng = np.random.default_rng(0)
+    Q = np.linalg.qr(rng.normal(size=(30, 30)))[0]
+    G = rng.normal(size=(5, 30))
+    for decay, form in ((1e-2, "dual"), (1e-8, "kkt")):
+        P = Q * np.geomspace(1.0, decay, 30) @ Q.T
+        assert lcp_from_qp(QuadraticProgram((P + P.T) / 2, np.ones(30), G, np.ones(5))).origin.form == form
+
+
+# --- Residuals row by row ----------------------------------------------------------------------------------------
+
+
+def test_a_huge_coefficient_hides_no_error_in_another_row() -> None:
+    """Beside a cost of 1e7 an error of 1 in another row is relatively small, and not optimal all the same."""
+    program = QuadraticProgram(np.eye(2), [1e7, -1.0], lower=[0.0, -INF])
+    wrong = QPSolution(program, [0.0, 0.0], [], [], [1e7, 0.0], [0.0, 0.0])
+    assert wrong.residual < 2e-7
+    assert wrong.row_residual == pytest.approx(0.5)
+    assert not wrong.is_optimal()
+    right = QPSolution(program, [0.0, 1.0], [], [], [1e7, 0.0], [0.0, 0.0])
+    assert right.row_residual == 0.0
+    assert right.is_optimal(0.0)
+
+
+@pytest.mark.parametrize("part", ["primal", "equation", "bound", "complementarity", "sign", "infinite"])
+def test_the_row_residual_sees_every_condition(part: str) -> None:
+    """A violation of one condition by 1e-3 in a row of its own is seen at about that size."""
+    huge = 1e9
+    program = QuadraticProgram(
+        np.zeros((3, 3)), [0.0, 0.0, huge], [[1.0, 0.0, 0.0]], [0.0], [[0.0, 1.0, 0.0]], [0.0], lower=[-1.0, -INF, 0.0]
+    )
+    x, y, v, low = np.zeros(3), np.zeros(1), np.zeros(1), np.array([0.0, 0.0, huge])
+    if part == "primal":
+        x[0] = 1e-3
+    elif part == "equation":
+        x[1] = 1e-3
+    elif part == "bound":
+        x[0] = -1.001
+    elif part == "complementarity":
+        x[0], y[0], low[0] = -1e-3, 1.0, 1.0
+    elif part == "sign":
+        y[0] = -1e-3
+    else:
+        low[1] = 1e-3
+    solution = QPSolution(program, x, y, v, low, np.zeros(3))
+    assert 1e-4 < solution.row_residual < 1.1
+    assert not solution.is_optimal(1e-5)
+
+
+# --- No minimum, proven ------------------------------------------------------------------------------------------
+
+
+def highs_verdict(case: QuadraticProgram) -> str:
+    """What HiGHS says of the constraints, and of the directions along which the objective is linear."""
+    from scipy.optimize import linprog
+
+    has_rows = case.b.size > 0
+    A, b = (case.A, case.b) if has_rows else (None, None)
+    bounds = np.column_stack([case.lower, case.upper])
+    if linprog(np.zeros(case.n), case.G, case.h, A, b, bounds=bounds).status == 2:
+        return "infeasible"
+    # P d = 0 with cᵀd < 0 is what a linear objective sees where P x is held at 0.
+    flat = sp.vstack([sp.csr_array(case.A), sp.csr_array(case.P)])
+    cone = np.where(np.isinf(bounds), bounds, 0.0)
+    answer = linprog(case.c, case.G, 0.0 * case.h, flat, np.zeros(flat.shape[0]), bounds=cone)
+    return "unbounded" if answer.status == 3 else "solvable"
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
+def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
+    """Planted infeasible and unbounded programs get their proof, which holds exactly and breaks when tampered with."""
+    case = CAMPAIGN.program(kind, np.random.default_rng([seed, 5]), 20)
+    proof = proof_of_no_minimum(case)
+    assert proof is not None
+    assert proof.verdict == kind
+    assert proof.holds()
+    assert highs_verdict(case) == kind
+    if isinstance(proof, QPInfeasibility):
+        flipped = tuple(-y for y in proof.inequality)
+        broken: Any = QPInfeasibility(case, flipped, proof.equality, proof.lower, proof.upper)
+    else:
+        broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction), True)
+    assert not broken.holds()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
+    """Programs with a planted minimum have no proof that there is none."""
+    assert proof_of_no_minimum(CAMPAIGN.program(kind, np.random.default_rng([seed, 6]), 10)) is None
+
+
+def test_numbers_that_are_not_integers() -> None:
+    """Dense random data: the multipliers and the direction are exact rationals, though nothing cancels by itself."""
+    rng = np.random.default_rng(2)
+    n, m = 12, 20
+    G, y = rng.normal(size=(m, n)), rng.random(m)
+    G[0] = -(G[1:].T @ y[1:]) / y[0]
+    h = rng.normal(size=m)
+    h[0] -= (h @ y + 1.0) / y[0]
+    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), G, h))
+    assert proof is not None
+    assert proof.holds()
+    F, d = rng.normal(size=(n, 4)), rng.normal(size=n)
+    F -= np.outer(d, d @ F) / (d @ d)
+    A = rng.normal(size=(3, n))
+    unbounded = prove_unbounded(QuadraticProgram(F @ F.T, rng.normal(size=n), A=A, b=A @ d))
+    assert unbounded is not None
+    assert unbounded.holds()
+
+
+def test_an_unbounded_direction_needs_a_feasible_point() -> None:
+    """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0])
+    assert prove_unbounded(program) is None
+    assert isinstance(proof_of_no_minimum(program), QPInfeasibility)
+
+
+def test_recover_tells_the_status() -> None:
+    """origin.recover(result).status: optimal by residuals, infeasible and unbounded by proof, otherwise unknown."""
+    infeasible = lcp_from_qp(QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [0.0, -1.0]), "kkt")
+    assert infeasible.origin.recover(np.zeros(4)).status == "infeasible"
+    unbounded = lcp_from_lp([-1.0, 0.0], G=[[1.0, -1.0]], h=[0.0])
+    assert unbounded.origin.recover(np.zeros(3)).status == "unbounded"
+    fine = LCP.from_qp(np.eye(2), [-1.0, 0.0])
+    assert fine.origin.recover([1.0, 0.0]).status == "optimal"
+    assert fine.origin.recover([0.5, 0.0]).status == "unknown"
+    assert fine.origin.recover([0.5, 0.0]).proof is None
+
+
+@pytest.mark.parametrize("size", [3, 14])
+def test_repair_solves_exactly_and_moves_only_what_it_may(size: int) -> None:
+    """The repaired vector satisfies redundant equations exactly, near the guess; fixed entries stay; or None."""
+    rng = np.random.default_rng(size)
+    A = rng.normal(size=(size, size + 4))
+    rows = [{j: Fraction(a) for j, a in enumerate(row)} for row in [*A, A[0] * 2.0]]
+    y = [Fraction(int(v)) for v in rng.integers(-5, 5, size + 4)]
+    right = [sum((a * y[j] for j, a in row.items()), Fraction(0)) for row in rows]
+    guess = [value + Fraction(1, 10**6) for value in y]
+    movable = [j != 1 for j in range(size + 4)]
+    exact = solved_nearby(rows, right, guess, movable)
+    assert exact is not None
+    assert exact[1] == guess[1]
+    products = [sum((a * exact[j] for j, a in row.items()), Fraction(0)) for row in rows]
+    assert products == right
+    assert max(abs(a - b) for a, b in zip(exact, y, strict=True)) < Fraction(1, 1000)
+    assert solved_nearby(rows, [*right[:-1], right[-1] + 1], guess, movable) is None
+
+
+# --- Inside cvxpy ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [n for n in dir(StandardTestLPs) if n.startswith("test_lp") and n != "test_lp_7"])
+def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
+    """Each of cvxpy's StandardTestLPs passes, infeasible and unbounded ones included (lp_7 needs another package)."""
+    getattr(StandardTestLPs, name)(solver=QPSolver, algorithm=INTERIOR)
+
+
+@pytest.mark.parametrize("objective", ["linear", "merely convex", "absolute values"])
+def test_merely_convex_models(objective: str) -> None:
+    """Linear and merely convex cvxpy models agree with HiGHS or Clarabel in value and are feasible."""
+    x = cp.Variable(3)
+    goal = {
+        "linear": cp.sum(x), "merely convex": cp.square(x[0] - x[1]) + cp.sum(x),
+        "absolute values": cp.norm1(x - np.array([3.0, -1.0, 0.5])) + cp.sum_squares(x[:2]),
+    }[objective]
+    constraints = [x >= 0, x[0] + x[1] + x[2] >= 1, x[0] - x[2] <= 3, x[1] - x[2] == -0.25]
+    problem = cp.Problem(cp.Minimize(goal), constraints)
+    value = problem.solve(solver=QPSolver, algorithm=INTERIOR)
+    assert problem.status == "optimal"
+    assert max(float(c.violation().max()) for c in constraints) < 1e-8
+    assert value == pytest.approx(problem.solve(solver=cp.CLARABEL), abs=1e-5)
+
+
+def test_infeasible_and_unbounded_carry_their_proof() -> None:
+    """The status comes with a proof that can be checked again, in extra_stats; values are None."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.sum(x) >= 1, cp.sum(x) <= 0.5])
+    problem.solve(solver=QPSolver, algorithm=INTERIOR)
+    assert problem.status == "infeasible"
+    assert x.value is None
+    assert problem.solver_stats.extra_stats.holds()
+    problem = cp.Problem(cp.Minimize(cp.square(x[0]) - x[1]), [x[1] - x[2] <= 0])
+    assert problem.solve(solver=QPSolver, algorithm=INTERIOR) == -INF
+    assert problem.status == "unbounded"
+    assert problem.solver_stats.extra_stats.holds()
+
+
+def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
+    """A named method that needs a positive diagonal says so on a linear program, and what to do."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
+    with pytest.raises(UnsupportedModel, match="merely convex"):
+        problem.solve(solver=QPSolver, algorithm="psor")
+
+
+def test_a_sparse_dense_and_empty_program() -> None:
+    """Dense and sparse data give the same answer; no rows at all and one variable work."""
+    rng = np.random.default_rng(1)
+    P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
+    answers = [
+        solve_quadratic_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR)[1]
+        for wrap in (np.asarray, sp.csr_array)
+    ]
+    np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
+    single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
+    assert solve_quadratic_program(single, INTERIOR)[1].x.tolist() == [-3.0]
+
+
+def test_rounding_does_not_make_a_program_nonconvex() -> None:
+    """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
+    P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
+    program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
+    _, answer = solve_quadratic_program(program, INTERIOR)
+    np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
+    with pytest.raises(UnsupportedModel, match="not convex"):
+        solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+
+
+# --- Optimality conditions written by hand ----------------------------------------------------------------------
+
+
+def is_monotone(constraints: list[Any]) -> bool:
+    M = build(constraints).problem.csr.toarray()
+    return bool(np.linalg.eigvalsh(M + M.T).min() > -1e-10 * np.abs(M).max())
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+@pytest.mark.parametrize("rank", [8, 3, 0])
+def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: float) -> None:
+    """Stationarity, feasibility and pairs of a QP, whichever way its equations are turned: monotone, right value."""
+    rng = np.random.default_rng(rank)
+    F, G, A, x0 = rng.normal(size=(8, rank)), rng.normal(size=(5, 8)), rng.normal(size=(3, 8)), rng.normal(size=8)
+    P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
+    c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
+    x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)
+    constraints = [
+        complements(inequality >= 0, h - G @ x >= 0), turned * (A @ x - b) == 0,
+        turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
+    ]
+    assert is_monotone(constraints)
+    problem = ComplementarityProblem(constraints)
+    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    assert problem.status == "optimal"
+    _, answer = solve_quadratic_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR)
+    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("model", ["support vectors", "portfolio"])
+def test_models_declared_with_complements(model: str) -> None:
+    """The dual of a support vector machine and a portfolio agree with Clarabel's value and are monotone."""
+    rng = np.random.default_rng(0)
+    x, offset, price = cp.Variable(20), cp.Variable(), cp.Variable()
+    if model == "support vectors":
+        points = rng.normal(size=(20, 3))
+        y = np.sign(points[:, 0] + 0.3 * rng.normal(size=20))
+        Q = (y[:, None] * points) @ (y[:, None] * points).T
+        constraints = [complements(box(x, 0.0, 1.0), Q @ x - 1 + y * offset), y @ x == 0]
+        goal, ordinary = 0.5 * cp.quad_form(x, Q, assume_PSD=True) - cp.sum(x), [x >= 0, x <= 1, y @ x == 0]
+    else:
+        gain, S = rng.uniform(0.0, 0.2, 20), rng.normal(size=(20, 15))
+        S = S @ S.T / 20
+        constraints = [
+            complements(x >= 0, S @ x - gain * price + offset >= 0), complements(price >= 0, gain @ x - 0.1 >= 0),
+            cp.sum(x) == 1,
+        ]
+        goal, ordinary = 0.5 * cp.quad_form(x, S, assume_PSD=True), [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1]
+    assert is_monotone(constraints)
+    problem = ComplementarityProblem(constraints)
+    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    assert problem.status == "optimal"
+    value = float(goal.value)
+    assert value == pytest.approx(cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6)

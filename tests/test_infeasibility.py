@@ -1,0 +1,260 @@
+"""Proofs that constraints contradict: found where they do, never where they do not, checked by other code."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, InvalidOption, InvalidProblem
+from lcp_plugin.certificates.exact import exact_slack, farkas_margin, integers, is_exact_solution
+from lcp_plugin.certificates.exact_linear import rank_profile, solve_exactly
+from lcp_plugin.certificates.forced_bounds import ForcedContradiction, find_forced_contradiction
+from lcp_plugin.certificates.infeasibility import (
+    Infeasibility,
+    decide_feasibility,
+    find_infeasibility,
+    margin_with_rounding,
+    prove_infeasibility,
+)
+
+
+def refutes(problem: LCP, y: list[Fraction]) -> bool:
+    """Whether sup (Mᵀy)ᵀz − yᵀw + qᵀy < 0 over the permitted z and w, written out here with fractions."""
+    M = [[Fraction(float(x)) for x in row] for row in problem.csr.toarray()]
+    total = sum((Fraction(float(q)) * v for q, v in zip(problem.q, y, strict=True)), Fraction(0))
+    for j, (low, high) in enumerate(zip(problem.lower, problem.upper, strict=True)):
+        slope = sum((row[j] * v for row, v in zip(M, y, strict=True)), Fraction(0))
+        if slope and math.isinf(high if slope > 0 else low):
+            return False
+        total += slope * Fraction(float(high if slope > 0 else low)) if slope else 0
+        if (y[j] > 0 and low == -math.inf < high < math.inf) or (y[j] < 0 and high == math.inf > low > -math.inf):
+            return False
+        if y[j] and low > -math.inf and high < math.inf:
+            return False
+    return total < 0
+
+
+def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
+    """Integers M, q with yᵀw < 0 for all z: the last row completes an integer combination of the others."""
+    y = rng.integers(1, 4, n)
+    y[-1] = 1
+    M = rng.integers(-4, 5, (n, n))
+    q = rng.integers(-4, 5, n)
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    lower[:free] = -np.inf
+    slack = rng.integers(0, 2, n)
+    slack[:free] = 0
+    if boxes:
+        upper[free : free + boxes] = 2.0
+        y[free : free + boxes] = 0
+    M[-1] -= y @ M + slack
+    q[-1] -= y @ q + 1
+    return LCP(M.astype(float), q.astype(float), lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
+@pytest.mark.parametrize("n", [5, 12])
+def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> None:
+    """Problems built to contradict get a proof that independent fractions confirm."""
+    for seed in range(8):
+        problem = contradicting(np.random.default_rng(seed), n, free, boxes)
+        proof = find_infeasibility(problem)
+        assert proof is not None
+        assert proof.kind == "exact"
+        assert proof.exact_y is not None
+        assert refutes(problem, list(proof.exact_y))
+        assert proof.verify()
+        assert "contradict" in str(proof)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_feasible_problems_are_never_called_infeasible(seed: int) -> None:
+    """A problem built around a feasible point gets no proof, and the point returned is feasible."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 7))
+    M, z = rng.integers(-5, 6, (n, n)), rng.integers(0, 3, n)
+    lower = np.where(rng.random(n) < 0.2, -np.inf, 0.0)
+    upper = np.where(rng.random(n) < 0.3, 3.0, np.inf)
+    w = np.where(upper == np.inf, rng.integers(0, 2, n), -rng.integers(0, 2, n))
+    w[(lower == -np.inf) & (upper == np.inf)] = 0
+    problem = LCP(M, w - M @ z, lower=lower, upper=upper)
+    known = decide_feasibility(problem)
+    assert known.proof is None
+    assert known.verdict == "feasible"
+    assert known.point is not None
+    slack = problem.slack(known.point)
+    assert np.all(slack[upper == np.inf] >= -1e-6)
+    assert np.all(slack[lower == -np.inf] <= 1e-6)
+
+
+def test_random_doubles_are_repaired_exactly() -> None:
+    """A Farkas vector that exists only as a solution of linear equations is solved for, not rounded."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((40, 12))
+    y = np.abs(rng.standard_normal(40))
+    b = rng.standard_normal(40)
+    b -= y * (b @ y + 1.0) / (y @ y)
+    M = np.block([[np.eye(12), A.T], [-A, np.zeros((40, 40))]])
+    M[12:, :12] += np.outer(y, A.T @ y) / (y @ y)
+    lower = np.r_[np.full(12, -np.inf), np.zeros(40)]
+    problem = LCP(M, np.r_[np.zeros(12), b], lower=lower)
+    proof = find_infeasibility(problem)
+    assert proof is not None
+    assert proof.exact_y is not None
+    assert refutes(problem, list(proof.exact_y))
+
+
+def test_the_proof_does_not_depend_on_units() -> None:
+    """Rows and columns in units apart by many powers of ten leave a contradiction provable."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        plain = contradicting(rng, 6)
+        rows, columns = 10.0 ** rng.integers(-9, 9, (6, 1)), 2.0 ** rng.integers(-20, 20, 6)
+        problem = LCP(plain.csr.toarray() * rows * columns - 1e-16 * rows * columns, plain.q * rows[:, 0])
+        proof = find_infeasibility(problem)
+        assert proof is not None
+        assert refutes(problem, list(proof.exact_y or ()))
+
+
+def test_a_large_problem_is_proven_with_rounding_margins() -> None:
+    """For n = 3000 a proof in floating point with margins is found, and fractions confirm its very doubles."""
+    n = 3000
+    laplacian = sp.diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    problem = LCP(-laplacian, np.random.default_rng(0).standard_normal(n) - 0.5)
+    known = decide_feasibility(problem)
+    assert known.proof is not None
+    assert known.proof.verify()
+    by_hand = Infeasibility(problem, np.ones(n), None)
+    assert by_hand.kind == "rounding margins"
+    assert by_hand.verify()
+    exact = farkas_margin(
+        problem, [1] * n, ([0.0] * n, [math.inf] * n), ([0.0] * n, [math.inf] * n)
+    )
+    assert exact is not None
+    assert exact <= margin_with_rounding(problem, np.ones(n)) < 0.0
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_rounding_margins_bound_the_exact_margin(seed: int) -> None:
+    """The margin in floating point is never below the exact one."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    M = rng.standard_normal((n, n)) * 10.0 ** rng.integers(-8, 9, (n, n))
+    kind = rng.integers(0, 3, n)
+    lower, upper = np.where(kind == 2, -1.5, 0.0), np.where(kind == 0, np.inf, 0.7)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    y = np.where(kind == 0, rng.random(n), 0.0)
+    slack_upper = [math.inf] * n
+    slack_lower = np.where(kind == 0, 0.0, -np.inf).tolist()
+    exact = farkas_margin(problem, y.tolist(), (lower.tolist(), upper.tolist()), (slack_lower, slack_upper))
+    rounded = margin_with_rounding(problem, y)
+    assert rounded == np.inf if exact is None else exact <= Fraction(rounded) if math.isfinite(rounded) else True
+
+
+def test_a_wrong_vector_does_not_verify() -> None:
+    """Proofs with a changed entry, a wrong sign or another problem's data are refused."""
+    problem = LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0])
+    assert Infeasibility(problem, np.array([1.0, 0.0]), (Fraction(1), Fraction(0))).verify()
+    assert not Infeasibility(problem, np.array([1.0, 1.0]), (Fraction(1), Fraction(1))).verify()
+    assert not Infeasibility(problem, np.array([-1.0, 0.0]), (Fraction(-1), Fraction(0))).verify()
+    assert not Infeasibility(problem.with_q([1.0, 2.0]), np.array([1.0, 0.0]), None).verify()
+    assert not Infeasibility(problem, np.array([1.0, np.nan]), None).verify()
+
+
+@pytest.mark.parametrize("limit", [-1, 1.5, True, "many"])
+def test_effort_limits_are_checked(limit: object) -> None:
+    """An effort limit that is no whole number is refused with what was given."""
+    with pytest.raises(InvalidOption, match="effort_limit"):
+        find_infeasibility(LCP([[1]], [1]), effort_limit=limit)  # type: ignore[arg-type]
+
+
+def test_tiny_and_limited_problems_end_well() -> None:
+    """An empty problem is feasible; without effort nothing is decided unless a row speaks for itself."""
+    assert decide_feasibility(LCP(np.zeros((0, 0)), [])).verdict == "feasible"
+    assert decide_feasibility(LCP([[1, -1], [-1, 1]], [-1, -1]), effort_limit=0).verdict == "undecided"
+    assert decide_feasibility(LCP([[0]], [-1]), effort_limit=0).verdict == "infeasible"
+
+
+def test_forced_bounds_prove_what_no_linear_program_can() -> None:
+    """A feasible problem whose forced bounds contradict gets a chain that verifies; a changed one does not."""
+    problem = LCP([[0.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
+    assert decide_feasibility(problem).verdict == "feasible"
+    proof = find_forced_contradiction(problem)
+    assert proof is not None
+    assert proof.steps == ((0, 1), (1, -1))
+    assert proof.verify()
+    assert not ForcedContradiction(problem, proof.steps[1:]).verify()
+    assert not ForcedContradiction(problem, proof.steps[:1]).verify()
+    assert not ForcedContradiction(problem, ((0, -1), (1, -1))).verify()
+    assert find_forced_contradiction(LCP([[2, 1], [1, 2]], [-5, 1])) is None
+
+
+def test_a_long_chain_keeps_only_the_rows_it_needs() -> None:
+    """In a chain of forced bounds, rows that the contradiction does not rest on are left out."""
+    n = 8
+    M = np.zeros((n, n))
+    M[1, 0], M[2, 1] = -1.0, 1.0
+    q = np.ones(n)
+    q[1], q[2] = 1.0, -2.0
+    proof = find_forced_contradiction(LCP(M, q, upper=[1.0, *[np.inf] * (n - 1)]))
+    assert proof is not None
+    assert {row for row, _ in proof.steps} == {0, 1, 2}
+
+
+def test_exact_solutions_are_told_from_rounded_ones() -> None:
+    """A third solves 3 z = 1 exactly, the double next to it does not."""
+    problem = LCP([[3.0, 0.0], [0.0, 1.0]], [-1.0, 5.0], lower=[0.0, -1.0], upper=[np.inf, -1.0])
+    z = [Fraction(1, 3), -1]
+    assert is_exact_solution(problem, z)
+    assert exact_slack(problem, z) == [0, 4]
+    assert not is_exact_solution(problem, [1 / 3, -1.0])
+    assert not is_exact_solution(problem, [Fraction(1, 3), -2])
+    with pytest.raises(InvalidProblem, match="length 2"):
+        exact_slack(problem, [1])
+    with pytest.raises(InvalidProblem, match="finite"):
+        exact_slack(problem, [np.nan, 0.0])
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=6))
+def test_integers_lose_nothing(values: list[float]) -> None:
+    """Doubles of any size, subnormal ones included, are integers times one power of two, exactly."""
+    whole, exponent = integers(np.array(values, dtype=float))
+    assert [Fraction(x) * Fraction(2) ** exponent for x in whole] == [Fraction(value) for value in values]
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_exact_solves_satisfy_their_equations(seed: int) -> None:
+    """p-adic lifting returns the exact solution, or None just where the determinant is 0."""
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(1, 7))
+    big = int(10 ** rng.integers(1, 30))
+    A = [[int(x) * big + int(x) ** 3 for x in row] for row in rng.integers(-3, 4, (k, k))]
+    b = [int(x) for x in rng.integers(-9, 10, k)]
+    x = solve_exactly(A, b)
+    rank = len(rank_profile(A)[0])
+    assert (x is None) == (rank < k)
+    if x is not None:
+        assert [sum(a * v for a, v in zip(row, x, strict=True)) for row in A] == b
+
+
+def test_a_vector_found_elsewhere_is_proven() -> None:
+    """A Farkas vector with rounding errors and any length, from whatever source, leads to an exact proof."""
+    problem = contradicting(np.random.default_rng(5), 8)
+    proof = find_infeasibility(problem)
+    assert proof is not None
+    rng = np.random.default_rng(0)
+    noisy = 1e7 * proof.y * (1.0 + 1e-11 * rng.standard_normal(8))
+    again = prove_infeasibility(problem, noisy)
+    assert again is not None
+    assert refutes(problem, list(again.exact_y or ()))
+    assert prove_infeasibility(problem, -noisy) is None
+    assert prove_infeasibility(problem, np.full(8, np.nan)) is None

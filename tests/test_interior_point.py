@@ -1,0 +1,257 @@
+"""The interior point reaches rounding level on every monotone problem, whatever its bounds and its rank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from lcp_plugin import LCP, solve
+from lcp_plugin.algorithms.interior_linear_algebra import (
+    DenseNewtonMatrix,
+    SparseNewtonMatrix,
+    equilibration,
+    is_symmetric,
+    scaled_by,
+)
+from lcp_plugin.algorithms.interior_point import InteriorPoint
+from lcp_plugin.algorithms.primal_active_set import BorderedFactor, NotConvex, PrimalActiveSet
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.result import Status
+
+
+def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
+    """A monotone matrix of the kind."""
+    B = rng.standard_normal((n, n))
+    half = B[:, : max(1, n // 2)]
+    return {
+        "definite": B @ B.T + 0.1 * np.eye(n),
+        "rank-deficient": half @ half.T,
+        "nonsymmetric": half @ half.T + B - B.T,
+        "skew": B - B.T,
+        "zero": np.zeros((n, n)),
+    }[kind]
+
+
+def random_bounds(kind: str, n: int, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Bounds: plain, or one-sided of both kinds, boxed, free and fixed rows mixed."""
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if kind == "mixed":
+        row = rng.integers(0, 5, n)
+        lower = np.where(row <= 1, -np.inf, rng.integers(-3, 3, n).astype(float))
+        upper = np.where((row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.random(n) + 0.1))
+        upper = np.where(row == 4, lower, upper)
+    return lower, upper
+
+
+def with_answer(M: Any, lower: Any, upper: Any, rng: np.random.Generator, degenerate: float = 0.2) -> LCP:
+    """A problem whose answer was chosen first, part of its rows with both distance and slack 0."""
+    n = lower.size
+    bound = np.where(rng.random(n) < 0.5, lower, upper)
+    z = np.where((rng.random(n) < 0.5) & np.isfinite(bound), bound, np.clip(rng.standard_normal(n), lower, upper))
+    size = np.where(rng.random(n) < degenerate, 0.0, rng.random(n))
+    w = np.where(z == lower, size, 0.0) - np.where((z == upper) & (z != lower), size, 0.0)
+    return LCP(M, w - M @ z, lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize("bounds", ["plain", "mixed"])
+@pytest.mark.parametrize("storage", ["dense", "sparse"])
+@pytest.mark.parametrize("kind", ["definite", "rank-deficient", "nonsymmetric", "skew", "zero"])
+def test_solves_monotone_problems(kind: str, storage: str, bounds: str) -> None:
+    """Every monotone problem with a known answer is solved to 1e-10, degenerate rows included."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        n = [1, 2, 5, 12, 30, 200][seed]
+        M = random_matrix(kind, n, rng)
+        if storage == "sparse":
+            M = sp.csr_array(np.where(rng.random((n, n)) < 0.2, M, 0.0)) if kind == "zero" else sp.csr_array(M)
+        result = solve(with_answer(M, *random_bounds(bounds, n, rng), rng), InteriorPoint(), tolerance=1e-10)
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.certificate)
+        assert result.iterations <= 40
+
+
+def test_empty_and_fixed_problems() -> None:
+    """Nothing to decide is no special case: n = 0, and all rows fixed."""
+    assert solve(LCP(np.zeros((0, 0)), []), InteriorPoint()).status is Status.SOLVED
+    fixed = LCP([[1.0, 2.0], [3.0, 4.0]], [-9.0, 9.0], lower=[1.0, 2.0], upper=[1.0, 2.0])
+    assert solve(fixed, InteriorPoint()).z.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("condition", [1e2, 1e6, 1e8])
+@pytest.mark.parametrize("active", [0.3, 0.7])
+def test_ill_conditioned_dense_problem_needs_few_factors(condition: float, active: float) -> None:
+    """Dense SPD, n = 200: natural residual at rounding level after work of less than ten full Cholesky factors."""
+    n, rng = 200, np.random.default_rng(1)
+    vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (vectors * np.geomspace(1.0, 1.0 / condition, n)) @ vectors.T
+    M = 0.5 * (M + M.T)
+    is_active = rng.random(n) < active
+    z, w = np.where(is_active, 0.0, rng.random(n)), np.where(is_active, rng.random(n), 0.0)
+    result = solve(LCP(M, w - M @ z), InteriorPoint(), tolerance=1e-13)
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - z)) <= 1e-13 * condition
+    assert result.work <= 10 * n / 6 + 60
+
+
+def test_contact_matrix_of_low_rank() -> None:
+    """A Delassus matrix J W Jᵀ with more contacts than freedoms: w is the known one, z one of many."""
+    rng = np.random.default_rng(3)
+    J = rng.standard_normal((60, 24))
+    M = J @ np.diag(rng.random(24) + 0.1) @ J.T
+    z = np.maximum(rng.standard_normal(60), 0.0)
+    w = np.where(z > 0.0, 0.0, rng.random(60))
+    result = solve(LCP(M, w - M @ z), InteriorPoint(), tolerance=1e-12)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.w, w, atol=1e-11)
+
+
+def test_interior_steps_take_over_where_the_first_guess_is_poor() -> None:
+    """With no budget for the guess the interior point alone arrives at the same answer."""
+    problem = with_answer(random_matrix("definite", 50, np.random.default_rng(0)), np.zeros(50), np.full(50, np.inf),
+                          np.random.default_rng(1), degenerate=0.0)
+    guessed = solve(problem, InteriorPoint(), tolerance=1e-12)
+    sparse = solve(LCP(sp.csr_array(problem.M) + sp.csr_array(([1e-9], ([0], [49])), shape=(50, 50)), problem.q),
+                   InteriorPoint(), tolerance=1e-12)
+    assert guessed.iterations <= 3 < sparse.iterations
+    np.testing.assert_allclose(guessed.z, sparse.z, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_linear_programs_agree_with_highs(seed: int) -> None:
+    """P = 0, redundant equalities, a degenerate vertex: the objective is that of HiGHS."""
+    rng = np.random.default_rng(seed)
+    n, m = 20, 12
+    G, A = rng.standard_normal((m, n)), rng.standard_normal((3, n))
+    A = np.vstack([A, A[0] + A[1], 2.0 * A[2]])
+    x = np.where(rng.random(n) < 0.5, 0.0, rng.random(n))
+    multiplier = np.maximum(rng.standard_normal(m), 0.0)
+    c = -(G.T @ multiplier + A.T @ rng.standard_normal(5) - np.where(x == 0.0, rng.random(n), 0.0))
+    h = G @ x + np.where(multiplier > 0.0, 0.0, rng.random(m) * (rng.random(m) < 0.5))
+    problem = lcp_from_qp(QuadraticProgram(np.zeros((n, n)), c, G, h, A, A @ x, lower=0.0), "kkt")
+    solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-10))
+    truth = linprog(c, G, h, A, A @ x, bounds=(0.0, None), method="highs").fun
+    assert solution.residual <= 1e-9
+    assert abs(solution.objective - truth) <= 1e-8 * (1.0 + abs(truth))
+
+
+def test_unsolvable_problem_ends_by_itself() -> None:
+    """Where w = −1 whatever z ≥ 0 is, the run ends without success and without a limit."""
+    result = solve(LCP(np.zeros((2, 2)), [-1.0, 1.0]), InteriorPoint())
+    assert result.status is not Status.SOLVED
+    assert result.iterations < 500
+
+
+def test_units_do_not_matter() -> None:
+    """Congruence by powers of two leaves the number of steps and the answer alone."""
+    rng = np.random.default_rng(4)
+    M, n = random_matrix("nonsymmetric", 40, rng), 40
+    problem = with_answer(M, *random_bounds("mixed", n, rng), rng)
+    c = np.ldexp(1.0, rng.integers(-10, 10, n))
+    other = LCP(M * c[:, None] * c, problem.q * c, lower=problem.lower / c, upper=problem.upper / c)
+    first, second = (solve(p, InteriorPoint(), tolerance=1e-11) for p in (problem, other))
+    assert (first.status, second.status) == (Status.SOLVED, Status.SOLVED)
+    np.testing.assert_allclose(second.w / c, first.w, atol=1e-8)
+
+
+def test_bordered_factor_solves_like_a_fresh_one() -> None:
+    """After any sequence of joins and leaves the border gives what LAPACK gives on the present rows."""
+    rng = np.random.default_rng(0)
+    n = 30
+    M = random_matrix("definite", n, rng)
+    present = rng.random(n) < 0.5
+    factor = BorderedFactor(M, np.flatnonzero(present))
+    for _ in range(40):
+        j = int(rng.integers(n))
+        (factor.fix if present[j] else factor.free)(j)
+        present[j] = not present[j]
+        right = np.where(present, rng.standard_normal(n), 0.0)
+        expected = np.zeros(n)
+        expected[present] = np.linalg.solve(M[np.ix_(present, present)], right[present])
+        np.testing.assert_allclose(factor.solve(right), expected, atol=1e-9)
+        assert len(factor.rows) <= n
+
+
+def test_bordered_factor_refuses_an_indefinite_block() -> None:
+    """A block with a clearly negative eigenvalue is refused, a singular one shifted."""
+    with pytest.raises(NotConvex):
+        BorderedFactor(np.array([[1.0, 2.0], [2.0, 1.0]]), np.arange(2))
+    assert 0.0 < BorderedFactor(np.ones((2, 2)), np.arange(2)).shift <= 1e-9
+
+
+def test_energy_falls_at_every_factor() -> None:
+    """The primal active set method never raises ½ zᵀM z + qᵀz, and ends at a point without wrong signs."""
+    rng = np.random.default_rng(7)
+    n = 120
+    M, q = random_matrix("rank-deficient", n, rng), rng.standard_normal(n)
+    q = M @ q + np.abs(rng.standard_normal(n))
+    primal = PrimalActiveSet(M, q, np.zeros(n), np.full(n, 2.0))
+    primal.start(rng.random(n), rng.random(n) < 0.5)
+    energies = [primal.z @ (0.5 * M @ primal.z + q)]
+    for _ in primal.steps(10_000):
+        energies.append(primal.z @ (0.5 * M @ primal.z + q))
+        assert np.all((primal.z >= 0.0) & (primal.z <= 2.0))
+    assert primal.is_solved
+    assert np.all(np.diff(energies) <= 1e-9 * np.abs(energies[:-1]))
+
+
+@pytest.mark.parametrize("n", [1, 7, 200])
+def test_newton_matrices_solve_their_system(n: int) -> None:
+    """Dense and sparse factors agree with LAPACK on M + diag, at the first and at later factorisations."""
+    rng = np.random.default_rng(n)
+    B = sp.random_array((n, n), density=min(1.0, 5.0 / n), rng=rng)
+    M = sp.csr_array(B @ B.T + B - B.T)
+    for matrix in (DenseNewtonMatrix(M.toarray(), False), SparseNewtonMatrix(M)):
+        for _ in range(3):
+            diagonal, right = 10.0 ** rng.uniform(-3, 3, n), rng.standard_normal(n)
+            assert matrix.factorise(diagonal)
+            expected = np.linalg.solve(M.toarray() + np.diag(diagonal), right)
+            np.testing.assert_allclose(matrix.solve(right), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_singular_newton_matrix_is_regularised() -> None:
+    """A singular, consistent system is solved although its factor is that of a regularised one."""
+    A = np.ones((2, 3))
+    M = sp.csr_array(np.block([[np.eye(3), A.T], [-A, np.zeros((2, 2))]]))
+    right = M @ np.arange(5.0)
+    for matrix in (SparseNewtonMatrix(M), DenseNewtonMatrix(M.toarray(), False)):
+        assert matrix.factorise(np.zeros(5))
+        np.testing.assert_allclose(M @ matrix.solve(right), right, atol=1e-9)
+
+
+def test_equilibration_evens_rows_and_keeps_symmetry() -> None:
+    """The factors are powers of two, and rows differ afterwards by no more than 16."""
+    rng = np.random.default_rng(0)
+    size = 10.0 ** rng.uniform(-6, 6, 20)
+    M = random_matrix("definite", 20, rng) * size[:, None] * size
+    M = np.maximum(M, M.T)
+    for matrix in (M, sp.csr_array(M)):
+        c = equilibration(matrix)
+        assert c is not None
+        assert np.all(np.frexp(c)[0] == 0.5)
+        scaled = scaled_by(matrix, c)
+        largest = abs(scaled).max(axis=1)
+        largest = largest.toarray().ravel() if sp.issparse(largest) else largest
+        assert largest.max() <= 16.0 * largest.min()
+    assert is_symmetric(scaled_by(M, equilibration(M)))
+    M[0, 19] *= 1.0 + 1e-9
+    assert not is_symmetric(M)
+
+
+def test_steps_never_get_worse() -> None:
+    """Each step carries the best z so far and exactly its residual."""
+    from lcp_plugin.certificates.residuals import Certificate
+
+    rng = np.random.default_rng(5)
+    problem = with_answer(random_matrix("nonsymmetric", 30, rng), *random_bounds("mixed", 30, rng), rng)
+    last = np.inf
+    for k, step in enumerate(InteriorPoint().iterates(problem, problem.nearest_to_zero.copy())):
+        assert np.all((step.z >= problem.lower) & (step.z <= problem.upper))
+        if step.residual is not None:
+            assert step.residual == Certificate.of(problem, step.z).scaled_residual
+            assert step.residual <= last
+            last = step.residual
+        assert k < 300
+    assert last <= 1e-12

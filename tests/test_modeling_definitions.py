@@ -1,0 +1,156 @@
+"""Free variables that an equation defines disappear from the model, and come back with their values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import ComplementarityProblem, box, complements
+from lcp_plugin.modeling.model import build
+
+N = 6
+
+
+def planted(seed: int = 0, n: int = N) -> tuple[Any, Any, Any, Any]:
+    """M, q, x, w with x ≥ 0, w = M x + q ≥ 0 complementary; M strictly diagonally dominant, not symmetric."""
+    rng = np.random.default_rng(seed)
+    M = rng.normal(size=(n, n)) + 4 * n * np.eye(n)
+    x = np.where(np.arange(n) % 3 == 0, rng.uniform(1, 2, n), 0.0)
+    w = np.where(np.arange(n) % 3 == 1, rng.uniform(1, 2, n), 0.0)
+    return M, w - M @ x, x, w
+
+
+def solved(constraints: list[Any], **options: Any) -> Any:
+    problem = ComplementarityProblem(constraints)
+    problem.solve(tolerance=1e-12, **options)
+    assert problem.status == "optimal"
+    return problem
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("side", ["w == F", "F == w", "w - F == 0", "-3 w == -3 F", "first"])
+def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) -> None:
+    """A slack w == M x + q beside x ≥ 0 ⟂ w ≥ 0 is the problem (M, q), in either order of the sides."""
+    M, q, x_true, w_true = planted()
+    x, w = cp.Variable(N, name="x"), cp.Variable(N, name="w")
+    F = M @ x + q
+    equation = {
+        "w == F": w == F, "F == w": F == w,  # noqa: SIM300
+        "w - F == 0": w - F == 0, "-3 w == -3 F": -3 * w == -3 * F, "first": w == F,
+    }[side]
+    pair = complements(x >= 0, w >= 0) if order == 0 else complements(w >= 0, x >= 0)
+    constraints = [equation, pair] if side == "first" else [pair, equation]
+    model = build(constraints)
+    np.testing.assert_allclose(model.problem.csr.toarray(), M, rtol=1e-15)
+    np.testing.assert_allclose(model.problem.q, q, rtol=1e-15)
+    solved(constraints)
+    np.testing.assert_allclose(x.value, x_true, atol=1e-9)
+    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+    np.testing.assert_allclose(pair.dual_value, w_true, atol=1e-8)
+    np.testing.assert_allclose(np.abs(equation.dual_value), w_true, atol=1e-8)
+
+
+def test_chains_in_any_order() -> None:
+    """Three definitions u == M x, v == 2 u + 1, w == v + q − 1: all three go, whichever order they are stated in."""
+    M, q, x_true, w_true = planted(1)
+    x, u, v, w = (cp.Variable(N, name=name) for name in "xuvw")
+    equations = [w == v + q - 1, v == 2 * u + 1, M @ x == 2 * u]
+    for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
+        constraints = [*(equations[k] for k in order), complements(x >= 0, w >= 0)]
+        model = build(constraints)
+        assert model.problem.n == N
+        solved(constraints)
+        np.testing.assert_allclose(x.value, x_true, atol=1e-9)
+        np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+        np.testing.assert_allclose(2 * u.value, M @ x_true, atol=1e-8)
+        np.testing.assert_allclose(v.value, M @ x_true + 1, atol=1e-8)
+
+
+def test_several_definitions_and_a_true_equation() -> None:
+    """Two defined slacks go; an equation that defines nothing alone stays, with its free variable."""
+    M, q, x_true, w_true = planted(2)
+    rng = np.random.default_rng(5)
+    B = rng.normal(size=(N, N)) + 10 * np.eye(N)
+    y_true = rng.normal(size=N)
+    x, w, y = (cp.Variable(N, name=name) for name in "xwy")
+    u = cp.Variable(N, name="u")
+    constraints = [
+        complements(w >= 0, x >= 0), complements(u >= 0, cp.multiply(2.0, u) + y - y_true + 1 >= 0),
+        w == M @ x + q, B @ y == B @ y_true,
+    ]
+    model = build(constraints)
+    assert model.problem.n == 3 * N
+    solved(constraints)
+    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+    np.testing.assert_allclose(x.value, x_true, atol=1e-8)
+    np.testing.assert_allclose(y.value, y_true, atol=1e-8)
+    np.testing.assert_allclose(u.value, 0.0, atol=1e-8)
+
+
+def test_part_of_a_variable_and_shapes() -> None:
+    """Single entries and matrices can be defined too, and slices of one variable in different ways."""
+    M, q, x_true, w_true = planted(3)
+    x, w = cp.Variable((2, 3), name="x"), cp.Variable(N, name="w")
+    constraints = [
+        complements(cp.vec(x, order="F")[:4] >= 0, w[:4] >= 0),
+        complements(cp.vec(x, order="F")[4:] >= 0, (M @ cp.vec(x, order="F") + q)[4:] >= 0),
+        w == M @ cp.vec(x, order="F") + q,
+    ]
+    assert build(constraints).problem.n == N
+    solved(constraints)
+    np.testing.assert_allclose(x.value.ravel(order="F"), x_true, atol=1e-9)
+    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+
+
+def test_a_box_beside_a_defined_function() -> None:
+    """The value of a defined variable may stand opposite a box, where its sign is free."""
+    M, _, _, _ = planted(4)
+    z = np.array([-1.0, 1.0, 0.3, -1.0, 1.0, -0.2])
+    w_true = np.where(z == -1.0, 2.0, np.where(z == 1.0, -3.0, 0.0))
+    x, w = cp.Variable(N), cp.Variable(N)
+    pair = complements(box(x, -1.0, 1.0), w)
+    constraints = [pair, w == M @ x + (w_true - M @ z)]
+    assert build(constraints).problem.n == N
+    solved(constraints)
+    np.testing.assert_allclose(x.value, z, atol=1e-9)
+    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+
+
+def test_parameters_and_a_second_solve() -> None:
+    """A parameter in the definition has its new value at the second solve, which starts from the first."""
+    M, q, x_true, w_true = planted(5)
+    shift = cp.Parameter(N, value=np.zeros(N))
+    x, w = cp.Variable(N), cp.Variable(N)
+    problem = ComplementarityProblem([complements(x >= 0, w >= 0), w == M @ x + q - shift])
+    problem.solve(tolerance=1e-12)
+    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
+    shift.value = M @ np.ones(N)
+    problem.solve(tolerance=1e-12)
+    np.testing.assert_allclose(np.minimum(x.value, w.value), 0.0, atol=1e-9)
+    np.testing.assert_allclose(w.value, M @ x.value + q - shift.value, atol=1e-9)
+    assert np.abs(x.value - x_true).max() > 0.1
+
+
+def test_a_cycle_of_definitions_is_an_equation() -> None:
+    """Two equations u == v + 1 and v == 2 u define each other: u = −1, v = −2, found without a special case."""
+    u, v, x = cp.Variable(3), cp.Variable(3), cp.Variable(3)
+    solved([u == v + 1, v == 2 * u, complements(x >= 0, 2 * x + v >= 0)])
+    np.testing.assert_allclose(u.value, -1.0, atol=1e-12)
+    np.testing.assert_allclose(v.value, -2.0, atol=1e-12)
+    np.testing.assert_allclose(x.value, 1.0, atol=1e-9)
+
+
+def test_a_definition_that_would_fill_the_matrix_stays() -> None:
+    """A mean that every row uses stays an unknown of its own: the matrix keeps its few entries."""
+    n = 400
+    x, mean = cp.Variable(n), cp.Variable()
+    D = sp.diags_array([np.full(n, 3.0), -np.ones(n - 1)], offsets=[0, 1], format="csr")
+    constraints = [complements(x >= 0, D @ x + mean - 1 >= 0), mean == cp.sum(x) / n]
+    model = build(constraints)
+    assert model.problem.nonzeros < 10 * n
+    solved(constraints)
+    assert float(mean.value) == pytest.approx(float(np.mean(x.value)), abs=1e-8)

@@ -1,0 +1,238 @@
+"""Presolve: what it takes out can be put back exactly, and a solvable problem stays solvable."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+
+from lcp_plugin import LCP, Certificate, InvalidProblem
+from lcp_plugin.presolve import presolve
+
+INF = np.inf
+
+
+# --- Truth: all complementary assignments of a tiny problem, in Fractions -----------------------------------------
+
+
+def eliminated(rows: list[list[Fraction]]) -> list[Fraction] | None:
+    """One solution of [A | b], unknowns that are left open at 0; None where there is none."""
+    n = len(rows[0]) - 1 if rows else 0
+    rows, pivots = [list(row) for row in rows], []
+    for column in range(n):
+        at = next((k for k in range(len(pivots), len(rows)) if rows[k][column]), None)
+        if at is None:
+            continue
+        rows[len(pivots)], rows[at] = rows[at], rows[len(pivots)]
+        top = rows[len(pivots)] = [entry / rows[len(pivots)][column] for entry in rows[len(pivots)]]
+        for k in range(len(rows)):
+            if k != len(pivots) and rows[k][column]:
+                factor = rows[k][column]
+                rows[k] = [a - factor * b for a, b in zip(rows[k], top, strict=True)]
+        pivots.append(column)
+    if any(row[n] and not any(row[:n]) for row in rows):
+        return None
+    solution = [Fraction(0)] * n
+    for k, column in enumerate(pivots):
+        solution[column] = rows[k][n]
+    return solution
+
+
+def slack(problem: LCP, z: Any) -> list[Fraction]:
+    M = problem.csr.toarray()
+    return [sum((Fraction(M[i, j]) * z[j] for j in range(problem.n)), Fraction(problem.q[i])) for i in range(problem.n)]
+
+
+def solves(problem: LCP, z: Any) -> bool:
+    """Whether z is a solution, exactly."""
+    for zi, wi, low, high in zip(z, slack(problem, z), problem.lower, problem.upper, strict=True):
+        if (low > -INF and zi < Fraction(low)) or (high < INF and zi > Fraction(high)):
+            return False
+        at_low, at_high = low > -INF and zi == Fraction(low), high < INF and zi == Fraction(high)
+        if not (wi == 0 or (wi > 0 and at_low) or (wi < 0 and at_high)):
+            return False
+    return True
+
+
+def solutions(problem: LCP) -> list[Any]:
+    """A solution of each complementary assignment that has one; a singular assignment may be missed."""
+    M, found = problem.csr.toarray(), []
+    for states in product(("low", "free", "high"), repeat=problem.n):
+        z: list[Any] = [None] * problem.n
+        for i, state in enumerate(states):
+            bound = {"low": problem.lower[i], "high": problem.upper[i]}.get(state)
+            if bound is not None:
+                z[i] = Fraction(bound) if np.isfinite(bound) else None
+        free = [i for i, state in enumerate(states) if state == "free"]
+        if any(z[i] is None and state != "free" for i, state in enumerate(states)):
+            continue
+        rows = [
+            [Fraction(M[i, j]) for j in free]
+            + [-Fraction(problem.q[i]) - sum(Fraction(M[i, j]) * z[j] for j in range(problem.n) if j not in free)]
+            for i in free
+        ]
+        values = eliminated(rows) if free else []
+        if values is None:
+            continue
+        for i, value in zip(free, values, strict=True):
+            z[i] = value
+        if solves(problem, z):
+            found.append(np.array([*z, None], dtype=object)[:-1])
+    return found
+
+
+@st.composite
+def sparse_lcps(draw: Any) -> LCP:
+    """Small problems with many zeros, every kind of bounds, and numbers that sometimes round."""
+    n = draw(st.integers(1, 4))
+    number = st.sampled_from([0.0, 0.0, 0.0, 1.0, -1.0, 2.0, -3.0, 0.1, 5e-17])
+    M = np.array(draw(st.lists(number, min_size=n * n, max_size=n * n))).reshape(n, n)
+    if draw(st.booleans()):
+        M[np.arange(n), np.arange(n)] = draw(st.lists(st.sampled_from([1.0, 2.0, 0.1]), min_size=n, max_size=n))
+    q = np.array(draw(st.lists(st.sampled_from([0.0, 1.0, -1.0, 3.0, 0.3, -2.0]), min_size=n, max_size=n)))
+    bounds = st.sampled_from([(0.0, INF), (0.0, INF), (-INF, INF), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-INF, 2.0)])
+    low, high = np.array(draw(st.lists(bounds, min_size=n, max_size=n))).T
+    return LCP(sp.csr_array(M) if draw(st.booleans()) else M, q, lower=low, upper=high)
+
+
+@settings(max_examples=120, deadline=None)
+@given(sparse_lcps(), st.booleans())
+def test_solutions_come_back_exactly_and_none_is_lost(problem: LCP, equilibrate: bool) -> None:
+    """Each solution of the smaller problem restores to one of the original in Fractions; solvable stays solvable."""
+    smaller = presolve(problem, equilibrate=equilibrate)
+    below = solutions(smaller.problem)
+    for z in below:
+        assert solves(problem, smaller.restore(z))
+    for z in solutions(problem):
+        part = z[smaller.kept] / np.array([Fraction(s) for s in smaller.scale] + [None], dtype=object)[:-1]
+        assert solves(smaller.problem, part)
+        assert solves(problem, smaller.restore(part))
+
+
+@settings(max_examples=40, deadline=None)
+@given(sparse_lcps())
+def test_doubles_and_fractions_go_the_same_way(problem: LCP) -> None:
+    """What restore makes of doubles is what it makes of Fractions, to rounding."""
+    smaller = presolve(problem)
+    for z in solutions(smaller.problem)[:3]:
+        exact = np.array([*smaller.restore(z).astype(float)])
+        np.testing.assert_allclose(smaller.restore(z.astype(float)), exact, atol=1e-12)
+
+
+# --- The rules one by one --------------------------------------------------------------------------------------
+
+
+def test_nothing_to_do_is_the_same_object() -> None:
+    """Where no rule applies the problem that comes out is the one that went in, dense or sparse."""
+    M = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+    for matrix in (M, sp.csr_array(M)):
+        problem = LCP(matrix, [-1.0, 1.0, -1.0])
+        smaller = presolve(problem)
+        assert smaller.problem is problem
+        z = np.ones(3)
+        assert smaller.restore(z) is z
+        assert presolve(problem, equilibrate=True).problem is not None
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+def test_a_triangular_matrix_is_taken_apart(transpose: bool) -> None:
+    """Murty's problem of 200 rows in either orientation, and shuffled, leaves no rows; z = (…, 0, 1) exactly."""
+    n = 200
+    M = np.tril(np.full((n, n), 2.0), -1) + np.eye(n)
+    M = M.T if transpose else M
+    expected = np.zeros(n)
+    expected[-1 if transpose else 0] = 1.0
+    order = np.random.default_rng(0).permutation(n)
+    for place in (np.arange(n), order):
+        smaller = presolve(LCP(M[np.ix_(place, place)], -np.ones(n)))
+        assert smaller.problem.n == 0
+        np.testing.assert_array_equal(smaller.restore(np.zeros(0)), expected[place])
+
+
+def test_nonnegative_rows_are_decided() -> None:
+    """A row without negative entries beside q_i ≥ 0 and m_ii > 0 is at its bound, and frees the rows beside it."""
+    M = [[1.0, 2.0, 0.5], [-1.0, 1.0, 3.0], [-4.0, -1.0, 1.0]]
+    smaller = presolve(LCP(M, [0.0, 1.0, -1.0]))
+    assert smaller.decided == 2
+    np.testing.assert_array_equal(smaller.restore(np.zeros(smaller.problem.n)), [0.0, 0.0, 1.0])
+
+
+def test_a_zero_diagonal_decides_nothing_by_a_weak_sign() -> None:
+    """With m_ii = 0 and w_i ≥ 0 only, z_i may be needed elsewhere: its row stays."""
+    problem = LCP([[0.0, 0.0], [1.0, 0.0]], [0.0, -1.0])  # z = (1, ·) is a solution, z_1 = 0 is none
+    assert 0 in presolve(problem).kept
+
+
+def test_the_upper_bound_mirrors_the_lower() -> None:
+    """A row whose w is negative throughout is at its upper bound."""
+    problem = LCP([[1.0, 1.0], [2.0, -1.0]], [-10.0, 0.0], lower=-1.0, upper=1.0)
+    smaller = presolve(problem)
+    z = smaller.restore(np.zeros(smaller.problem.n)) if smaller.problem.n == 0 else None
+    assert z is not None
+    assert z[0] == 1.0
+    assert Certificate.of(problem, z).natural_residual == 0.0
+
+
+def test_a_value_that_would_round_stays() -> None:
+    """A fixed 0.1 times 0.3 cannot go into q exactly: the row stays; times 2 beside q = 0 it goes."""
+    stays = presolve(LCP([[1.0, 0.0], [0.3, 0.0]], [0.0, 1.0], lower=[0.1, -INF], upper=[0.1, INF]))
+    assert stays.fixed == 0
+    goes = presolve(LCP([[1.0, -1.0], [2.0, 0.0]], [0.0, 0.0], lower=[0.1, -INF], upper=[0.1, INF]))
+    assert goes.fixed == 1
+    assert goes.problem.q.tolist() == [0.2]
+
+
+def test_an_infeasible_row_is_left_alone() -> None:
+    """An empty row with q < 0 and no upper bound stays for those who can prove that it has no solution."""
+    smaller = presolve(LCP([[0.0, 0.0], [0.0, 1.0]], [-1.0, -1.0]))
+    assert smaller.problem.n == 1
+    assert smaller.problem.q.tolist() == [-1.0]
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_equilibration_is_exact(dense: bool) -> None:
+    """Scaling by powers of two narrows the entries and gives back the very same z, symmetry kept."""
+    rng = np.random.default_rng(3)
+    D = np.exp2(rng.integers(-20, 20, 30))
+    factor = rng.normal(size=(30, 30))
+    M = D[:, None] * (factor @ factor.T) * D
+    M = (M + M.T) / 2
+    z = np.where(rng.random(30) < 0.5, rng.random(30), 0.0) / D
+    problem = LCP(M if dense else sp.csr_array(M), np.where(z > 0, 0.0, 1.0) - M @ z)
+    smaller = presolve(problem, equilibrate=True)
+    scaled = smaller.problem.csr.toarray()
+    assert np.array_equal(scaled, scaled.T)
+    assert 0.05 < abs(scaled).max(axis=1).min() <= abs(scaled).max() < 20
+    np.testing.assert_array_equal(smaller.restore(smaller.reduce(z)), z)
+    w = smaller.problem.slack(smaller.reduce(z))
+    np.testing.assert_array_equal(w, smaller.scale * problem.slack(z))
+
+
+def test_huge_ranges_are_not_scaled_into_overflow() -> None:
+    """Entries over the whole range of doubles are left as they are, or stay finite and exact."""
+    M = np.diag([1e300, 1e-300, 1.0]) + 1e-310 * np.ones((3, 3))
+    smaller = presolve(LCP(M, [-1.0, -1e-300, 1e300]), equilibrate=True)
+    assert np.isfinite(smaller.problem.csr.data).all()
+    assert smaller.problem.nonzeros in (0, 4, 9)
+
+
+def test_misuse_is_told() -> None:
+    """Something else than an LCP, and a z of the wrong length, are refused with what is needed."""
+    with pytest.raises(InvalidProblem, match="LCP"):
+        presolve(np.eye(2))  # type: ignore[arg-type]
+    with pytest.raises(InvalidProblem, match="length 0"):
+        presolve(LCP([[1.0]], [-1.0])).restore([1.0])
+
+
+def test_empty_and_single() -> None:
+    """An empty problem stays as it is; a single row is decided or computed."""
+    empty = LCP(np.zeros((0, 0)), [])
+    assert presolve(empty, equilibrate=True).problem is empty
+    assert presolve(LCP([[4.0]], [-1.0])).restore([]).tolist() == [0.25]
+    assert presolve(LCP([[4.0]], [1.0])).restore([]).tolist() == [0.0]

@@ -141,6 +141,21 @@ def check(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
+@app.command()
+@_speaks_plainly
+def analyze(
+    target: Annotated[
+        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
+) -> None:
+    """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
+    from .analysis_command import content, story
+
+    problem, _ = _read_target(target)
+    typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
+
+
 @app.command("list")
 @_speaks_plainly
 def list_everything() -> None:

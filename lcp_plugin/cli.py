@@ -91,6 +91,10 @@ def solve(
         list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
     ] = None,
     tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    tolerance_on: Annotated[
+        str, typer.Option(help="residual, or error: SOLVED then means a proved relative error of at most the tolerance.")
+    ] = "residual",
+    error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
@@ -102,8 +106,9 @@ def solve(
     _check_outputs(target, plot, out)
     problem, scene = _read_target(target)
     settings = dict(
-        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance, measure=measure,
-        max_iterations=max_iterations, max_seconds=max_seconds, record=plot is not None,
+        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance,
+        tolerance_on=tolerance_on, error_bound=error_bound, measure=measure, max_iterations=max_iterations,
+        max_seconds=max_seconds, record=plot is not None,
     )
     with _Progress() as progress:
         results = _solve_all(problem, scene, settings, progress)

@@ -226,7 +226,7 @@ class _Run:
     def _passes(self, z: FloatVector, residual: float) -> bool:
         if self.settings.is_on_error:
             return self.errors.proves(z, residual * self.reference)
-        return residual <= self.settings.tolerance
+        return bool(residual <= self.settings.tolerance)
 
     # --- measuring --------------------------------------------------------------------------------------
 

@@ -129,10 +129,10 @@ def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool
         guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
     if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts:
         return
-    key = f"warned of {algorithm!r}"
-    if problem.shared(key, list):
+    warned: set[str] = problem.shared("warned of", set)
+    if repr(algorithm) in warned:
         return
-    problem.shared(key, list).append(guarantee.verdict)
+    warned.add(repr(algorithm))
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
         f"{algorithm.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",

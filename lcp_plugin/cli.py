@@ -92,7 +92,7 @@ def solve(
     ] = None,
     tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
     tolerance_on: Annotated[
-        str, typer.Option(help="residual, or error: SOLVED then means a proved relative error of at most the tolerance.")
+        str, typer.Option(help="residual, or error: SOLVED then means a proved relative error.")
     ] = "residual",
     error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",

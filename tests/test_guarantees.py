@@ -110,7 +110,7 @@ def test_no_contraction_bound_without_a_rate_of_z() -> None:
 def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
     M: np.ndarray, alpha: float, share: float, sweep: str
 ) -> None:
-    """With scaling="auto", α > 0 and 0 ≤ β ≤ α every NP method is guaranteed on every H₊-matrix; steps shrink at its rate."""
+    """With scaling="auto", α > 0 and 0 ≤ β ≤ α NP methods are guaranteed on every H₊-matrix; steps shrink."""
     problem = with_matrix(M)
     algorithm = create("npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep})
     guarantee = convergence_guarantee(problem, algorithm)

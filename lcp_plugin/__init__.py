@@ -12,11 +12,17 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .certificates.error_bounds import ErrorBound as ErrorBound
+    from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .driver import solve as solve
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
+    from .guarantees import Guarantee as Guarantee
+    from .guarantees import convergence_guarantee as convergence_guarantee
+    from .matrix_classes import MatrixReport as MatrixReport
+    from .matrix_classes import analyze as analyze
     from .modeling.constraint import box as box
     from .modeling.constraint import complements as complements
     from .modeling.qp_solver import QPSolver as QPSolver
@@ -31,6 +37,12 @@ if TYPE_CHECKING:
 _HOME = {
     "LCP": "problem",
     "Certificate": "certificates.residuals",
+    "ErrorBound": "certificates.error_bounds",
+    "error_bound": "certificates.error_bounds",
+    "Guarantee": "guarantees",
+    "convergence_guarantee": "guarantees",
+    "MatrixReport": "matrix_classes",
+    "analyze": "matrix_classes",
     "Result": "result",
     "Sample": "result",
     "Status": "result",
@@ -49,7 +61,7 @@ _HOME = {
     **{
         error: "errors"
         for error in (
-            "InvalidOption", "InvalidProblem", "LCPError", "NotConverged", "UnknownAlgorithm",
+            "ConvergenceWarning", "InvalidOption", "InvalidProblem", "LCPError", "NotConverged", "UnknownAlgorithm",
             "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",
         )
     },

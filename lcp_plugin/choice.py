@@ -2,7 +2,7 @@
 
 | so far | next |
 |---|---|
-| nothing | npsor, relaxation 1.7, row scaling "diagonal" (converges for every H₊-matrix) |
+| nothing | npsor, relaxation 1.7, its guaranteed row scaling (converges for every H₊-matrix) |
 | after 10 sweeps, and every 20 from then on: npsor will arrive within 20 sweeps at its own rate | npsor goes on |
 | npsor is slower than that, or fails, and the diagonal is positive | psor with automatic relaxation |
 | psor fails | npsor again, for good |
@@ -94,7 +94,7 @@ class Auto:
 
     def first(self, problem: LCP) -> Algorithm:
         """Return NPSOR at the row scaling that is proved to converge for every H₊-matrix."""
-        return NPSOR(scaling="diagonal")
+        return NPSOR()
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
         """Return PSOR after a slow trial of NPSOR, NPSOR after PSOR failed, else None."""

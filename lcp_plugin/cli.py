@@ -91,6 +91,10 @@ def solve(
         list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
     ] = None,
     tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    tolerance_on: Annotated[
+        str, typer.Option(help="residual, or error: SOLVED then means a proved relative error.")
+    ] = "residual",
+    error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
@@ -102,8 +106,9 @@ def solve(
     _check_outputs(target, plot, out)
     problem, scene = _read_target(target)
     settings = dict(
-        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance, measure=measure,
-        max_iterations=max_iterations, max_seconds=max_seconds, record=plot is not None,
+        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance,
+        tolerance_on=tolerance_on, error_bound=error_bound, measure=measure, max_iterations=max_iterations,
+        max_seconds=max_seconds, record=plot is not None,
     )
     with _Progress() as progress:
         results = _solve_all(problem, scene, settings, progress)
@@ -139,6 +144,21 @@ def check(
     typer.echo(str(outcome))
     if not outcome.agrees:
         raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command()
+@_speaks_plainly
+def analyze(
+    target: Annotated[
+        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
+) -> None:
+    """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
+    from .analysis_command import content, story
+
+    problem, _ = _read_target(target)
+    typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
 
 
 @app.command("list")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
@@ -13,18 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .algorithms import Algorithm, Step
-from .algorithms.base import is_number
-from .certificates.residuals import MEASURES, Certificate, ratio, reference_residual, scaled_residual
-from .checks import FloatVector, real_vector
-from .choice import Policy, Stage, policy_for
-from .errors import InvalidOption, InvalidProblem, did_you_mean
-from .pacing import CheckSchedule, Progress
+from .algorithms.rehearsal import rehearse
+from .certificates.residuals import Certificate, ratio, reference_residual, scaled_residual
+from .checks import FloatVector
+from .choice import Policy, Single, Stage, policy_for
+from .errors import InvalidOption
+from .guarantees import warn_where_uncovered
+from .pacing import CheckSchedule, ErrorWatch, Progress
 from .problem import LCP
 from .result import Result, Sample, Status
+from .settings import Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-DEFAULT_MAX_ITERATIONS = 100_000
 DIVERGED_BEYOND = 1e8
 SAMPLE_GROWTH = 1.05
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
@@ -37,11 +37,13 @@ def solve(
     *,
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,
+    tolerance_on: str = "residual",
     measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     record: bool = False,
     callback: Callback | None = None,
+    error_bound: bool = False,
     **options: Any,
 ) -> Result:
     """Return the best z an algorithm finds, judged by a certificate on the problem's own data.
@@ -56,6 +58,8 @@ def solve(
         Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
     tolerance : float
         SOLVED means that the measured residual of the returned z is at most this.
+    tolerance_on : {"residual", "error"}
+        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved, z* the solution.
     measure : {"relative", "euclidean"}
         The residual to stop on: ``Certificate.relative_residual`` (without unit) or the paper's
         ``Certificate.euclidean_residual``.
@@ -69,6 +73,9 @@ def solve(
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value
         ends the run with status INTERRUPTED. What it raises is passed on.
+    error_bound : bool
+        Bound |z − z*| in the result (and, with ``record=True``, along the run), the clock stopped. None where
+        nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
     **options
         Options of the named algorithm.
 
@@ -81,7 +88,8 @@ def solve(
     Raises
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        Before the first iteration.
+        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and nothing about M
+        allows an error bound.
 
     Examples
     --------
@@ -93,34 +101,31 @@ def solve(
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
     policy = policy_for(algorithm, options)
-    run = _Run(problem, policy, tolerance, measure, max_iterations, max_seconds, record, callback)
-    start = _checked_start(problem, z0)
+    settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
+    start = checked_start(problem, z0)
+    run = _Run(problem, policy, settings, callback)
+    if isinstance(policy, Single):
+        warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
     try:
-        return run.judged(start, run.drive(start))
+        result = run.judged(start, run.drive(start))
     except KeyboardInterrupt:
         return run.judged(start, Status.INTERRUPTED)
+    if isinstance(policy, Single) and result.status in (Status.STALLED, Status.DIVERGED):
+        warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
+    return result
 
 
 class _Run:
     """The state of one run: its clock, its best iterate, its record."""
 
-    def __init__(
-        self, problem: LCP, policy: Policy, tolerance: float, measure: str, max_iterations: int | None,
-        max_seconds: float | None, record: bool, callback: Callback | None,
-    ) -> None:
+    def __init__(self, problem: LCP, policy: Policy, settings: Settings, callback: Callback | None) -> None:
         self._began = self._now = time.perf_counter()
         self._stopped = self._compiling = 0.0
-        self.problem, self.policy, self.callback = problem, policy, callback
+        self.problem, self.policy, self.settings, self.callback = problem, policy, settings, callback
         if callback is not None and not callable(callback):
             raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
-        self.tolerance = _checked_number(tolerance, "tolerance")
-        if measure not in MEASURES:
-            raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
-        self.measure = measure
-        self.max_iterations = _checked_count(max_iterations)
-        self.max_seconds = math.inf if max_seconds is None else _checked_number(max_seconds, "max_seconds")
-        self.record = record
         self.reference = reference_residual(problem)
+        self.errors = ErrorWatch(problem, settings)
         self.stages: list[Stage] = []
         self.iteration, self.work = -1, 0.0
         self.seconds = self.setup_seconds = 0.0  # up to the present step, the clock's pauses taken off
@@ -129,9 +134,9 @@ class _Run:
         self.best = math.inf
         self.start_residual = math.inf
         # Near the answer an increment is about as large as the scaled residual.
-        per_increment = ratio(1.0, self.reference) if measure == "relative" else 1.0
-        self.checks = CheckSchedule(per_increment, self.tolerance)
-        self.progress = Progress(problem.n, self.max_iterations)
+        per_increment = ratio(1.0, self.reference) if settings.measure == "relative" else 1.0
+        self.checks = CheckSchedule(per_increment, settings.tolerance)
+        self.progress = Progress(problem.n, settings.max_iterations)
         self._last_certificate: Certificate | None = None
         self._unmeasured: FloatVector | None = None
         self._next_sample = 0
@@ -145,7 +150,7 @@ class _Run:
             start = self.problem.nearest_to_zero
         while algorithm is not None:
             with _Paused(self) as pause:
-                _rehearse(algorithm, self.problem)
+                rehearse(algorithm, self.problem)
             self._compiling += pause.seconds
             self.stages.append(Stage(algorithm))
             z = (start if self.best_z is None else self.best_z).copy()
@@ -172,7 +177,7 @@ class _Run:
             failed = reason is Status.DIVERGED or reason is Status.STALLED
             if reason is not None and not failed:
                 return None, reason
-            following = self.policy.next_step(self.problem, self.stages, self.tolerance, failed)
+            following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, failed)
             if following is not None:
                 return following, None
             if reason is not None:
@@ -186,7 +191,7 @@ class _Run:
         wanted = is_first_step or self.checks.is_due(self.iteration, step.increment)
         residual = self._residual(step, wanted)
         if residual is not None:
-            if residual <= self.tolerance:  # a kernel adds in another order, and only the certificate counts
+            if residual <= self.settings.tolerance:  # a kernel adds in another order, and only the certificate counts
                 residual = self._certified_residual(step.z)
             if step.residual is None and step.increment is not None:
                 self.checks.learn(self.iteration, step.increment, residual)
@@ -200,15 +205,15 @@ class _Run:
 
     def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
         if residual is not None:
-            if residual <= self.tolerance:
+            if self._passes(step.z, residual):
                 return Status.SOLVED
             if not residual <= DIVERGED_BEYOND * self.start_residual and not residual <= DIVERGED_BEYOND * self._unit:
                 return Status.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return Status.DIVERGED
-        if self.iteration >= self.max_iterations:
+        if self.iteration >= self.settings.max_iterations:
             return Status.MAX_ITERATIONS
-        if self._now - self._began - self._compiling >= self.max_seconds:
+        if self._now - self._began - self._compiling >= self.settings.max_seconds:
             return Status.MAX_SECONDS
         if step.is_settling:
             self.progress.restart(self.iteration, self.best)
@@ -216,13 +221,18 @@ class _Run:
             return None
         if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():
             return Status.PRECISION_LIMIT
-        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.tolerance) else None
+        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
+
+    def _passes(self, z: FloatVector, residual: float) -> bool:
+        if self.settings.is_on_error:
+            return self.errors.proves(z, residual * self.reference)
+        return bool(residual <= self.settings.tolerance)
 
     # --- measuring --------------------------------------------------------------------------------------
 
     def _residual(self, step: Step, wanted: bool) -> float | None:
         """Return the residual of the step in the run's measure: the algorithm's own, or measured when wanted."""
-        if self.measure == "relative":
+        if self.settings.measure == "relative":
             if step.residual is not None:
                 return ratio(step.residual, self.reference)
         elif step.euclidean is not None and SAFE_TO_SQUARE[0] < step.euclidean < SAFE_TO_SQUARE[1]:
@@ -234,7 +244,7 @@ class _Run:
         return self._measure(step.z)
 
     def _measure(self, z: FloatVector) -> float:
-        if self.measure == "euclidean":
+        if self.settings.measure == "euclidean":
             return Certificate.of(self.problem, z).euclidean_residual
         with np.errstate(all="ignore"):
             residual = scaled_residual(self.problem, z, self.problem.slack(z))
@@ -243,7 +253,7 @@ class _Run:
 
     def _certified_residual(self, z: FloatVector) -> float:
         self._last_certificate = Certificate.of(self.problem, z)
-        return self._last_certificate.measured(self.measure)
+        return self._last_certificate.measured(self.settings.measure)
 
     def _is_at_floor(self) -> bool:
         if self.best_z is None:
@@ -254,7 +264,7 @@ class _Run:
     @cached_property
     def _unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
-        return 1.0 if self.measure == "relative" else self._measure(self.problem.nearest_to_zero)
+        return 1.0 if self.settings.measure == "relative" else self._measure(self.problem.nearest_to_zero)
 
     def _keep_if_better(self, z: FloatVector | None, residual: float | None = None) -> None:
         """Keep a copy of the best iterate; measure z where its residual is not given."""
@@ -274,7 +284,7 @@ class _Run:
 
     def _report(self, step: Step, residual: float | None, *, is_last: bool) -> bool:
         """Record and call back, the clock stopped; return whether the caller wants to stop."""
-        due = self.record and (is_last or self.iteration >= self._next_sample)
+        due = self.settings.record and (is_last or self.iteration >= self._next_sample)
         if not due and self.callback is None:
             return False
         with _Paused(self):
@@ -285,10 +295,11 @@ class _Run:
                 view.flags.writeable = False
                 sample = Sample(self.iteration, self.work, self.seconds, residual, name)
                 wants_to_stop = bool(self.callback(sample, view))
-            if due or (self.record and wants_to_stop):
+            if due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self._measure(step.z) if residual is None else residual
-                self.history.append(Sample(self.iteration, self.work, self.seconds, residual, name))
+                bound = self.errors.along_the_run(step.z)
+                self.history.append(Sample(self.iteration, self.work, self.seconds, residual, name, bound))
             return wants_to_stop
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
@@ -300,11 +311,17 @@ class _Run:
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
-        if self.stages and may_finish and self.measure == "relative" and np.isfinite(z).all():
+        if self.stages and may_finish and self.settings.measure == "relative" and np.isfinite(z).all():
             cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
             if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
                 certificate = cleaned
-        if certificate.measured(self.measure) <= self.tolerance:
+        with _Paused(self):
+            bound, no_bound = self.errors.final(certificate.z)
+        if self.settings.is_on_error:
+            is_solved = bound is not None and bound.proves(self.settings.tolerance)
+        else:
+            is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
+        if is_solved:
             reason = Status.SOLVED
         elif certificate.relative_residual <= GAINED and certificate.is_at_rounding_level:
             reason = Status.PRECISION_LIMIT
@@ -316,7 +333,8 @@ class _Run:
         return Result(
             z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
             iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
-            tolerance=self.tolerance, measure=self.measure, history=tuple(self.history),
+            tolerance=self.settings.tolerance, tolerance_on=self.settings.tolerance_on, measure=self.settings.measure,
+            history=tuple(self.history), error_bound=bound, no_error_bound=no_bound,
             work_shares=tuple((stage.algorithm.name, stage.work) for stage in self.stages),
         )
 
@@ -334,55 +352,3 @@ class _Paused:
     def __exit__(self, *_: object) -> None:
         self.seconds = time.perf_counter() - self.began
         self.run._stopped += self.seconds
-
-
-_rehearsed: set[tuple[type[Algorithm], str]] = set()
-_rehearsal_lock = threading.Lock()
-
-
-def _rehearse(algorithm: Algorithm, problem: LCP) -> None:
-    """Run the algorithm once on a 1 × 1 problem of the same index width, so that compilation is off the clock."""
-    if not algorithm.is_compiled:
-        return
-    width = problem.csr.indices.dtype.name
-    key = (type(algorithm), width)
-    if key in _rehearsed:
-        return
-    with _rehearsal_lock:
-        tiny = LCP([[1.0]], [-1.0])
-        if width != tiny.csr.indices.dtype.name:
-            return  # compiled on first use; such a matrix has two billion entries
-        rehearsal = algorithm.rehearsal()
-        steps = rehearsal.iterates(tiny, np.zeros(1))
-        for _ in range(3):
-            next(steps, None)
-        rehearsal.finish(tiny, np.zeros(1))
-        _rehearsed.add(key)
-
-
-def _checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
-    if z0 is None:
-        return problem.nearest_to_zero
-    try:
-        start = real_vector(z0, "z0", problem.n)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
-    if not np.isfinite(start).all():
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got NaN or infinite entries")
-    return np.clip(start, problem.lower, problem.upper)
-
-
-def _checked_number(value: Any, name: str) -> float:
-    if not is_number(value):
-        raise InvalidOption(f"{name} must be a finite number, got {value!r}")
-    if not 0.0 <= value < math.inf:
-        raise InvalidOption(f"{name} must be finite and not negative, got {value!r}")
-    return float(value)
-
-
-def _checked_count(value: Any) -> int:
-    if value is None:
-        return DEFAULT_MAX_ITERATIONS
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise InvalidOption(f"max_iterations must be a whole number ≥ 0, got {value!r}")
-    return int(value)

@@ -42,6 +42,10 @@ class NotConverged(LCPError, RuntimeError):
     """The run ended without a solution and the caller asked for one."""
 
 
+class ConvergenceWarning(UserWarning):
+    """Nothing proves that the chosen algorithm converges on this matrix."""
+
+
 def did_you_mean(word: object, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words.
 

@@ -1,14 +1,28 @@
-"""When the driver measures a residual that no algorithm gave it, and when it concludes that nothing falls any more."""
+"""When the driver measures a residual or bounds the error, and when it concludes that nothing falls any more."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .checks import FloatVector
+from .errors import UnsuitableMatrix
+from .problem import LCP
+from .settings import Settings
+
+if TYPE_CHECKING:
+    from .certificates.error_bounds import ErrorBound
 
 FIRST_CHECK = 10
 CHECK_GROWTH = 1.5
 FIRST_FLOOR_CHECK = 25
 PROGRESS = 0.99
 LONGEST_FRONT = 2000
+WORTH_BOUNDING = 100.0  # times the tolerance: a larger residual belongs to a larger error
+CHEAP_EVERY = 0.5
+SHARP_EVERY = 0.1
 
 
 class CheckSchedule:
@@ -74,3 +88,49 @@ class Progress:
         fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
         needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
         return needed > fall * (self.max_iterations - iteration)
+
+
+class ErrorWatch:
+    """When to bound the error of an iterate: seldom, since a sharp bound costs about a linear solve."""
+
+    def __init__(self, problem: LCP, settings: Settings) -> None:
+        self.problem, self.settings = problem, settings
+        self.last_cheap = self.last_sharp = math.inf
+        if settings.is_on_error:
+            self._bound(problem.nearest_to_zero, sharp=False)  # refuses what can never be proved before the first step
+
+    def proves(self, z: FloatVector, residual: float) -> bool:
+        """Return whether a bound proves the tolerance for z, which has that scaled residual (its unit is that of z)."""
+        largest = float(np.max(np.abs(z), initial=0.0))
+        if residual > WORTH_BOUNDING * self.settings.tolerance * largest or residual > CHEAP_EVERY * self.last_cheap:
+            return False
+        self.last_cheap = residual
+        if self._bound(z, sharp=False).proves(self.settings.tolerance):
+            return True
+        if residual > SHARP_EVERY * self.last_sharp:
+            return False
+        self.last_sharp = residual
+        return self._bound(z, sharp=True).proves(self.settings.tolerance)
+
+    def along_the_run(self, z: FloatVector) -> float | None:
+        """Return the cheap bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
+        if not (self.settings.error_bound or self.settings.is_on_error):
+            return None
+        try:
+            return self._bound(z, sharp=False).infinity
+        except UnsuitableMatrix:
+            return None
+
+    def final(self, z: FloatVector) -> tuple[ErrorBound | None, str]:
+        """Return the sharp bound, or None and the reason, where the caller wants one."""
+        if not (self.settings.error_bound or self.settings.is_on_error):
+            return None, ""
+        try:
+            return self._bound(z, sharp=True), ""
+        except UnsuitableMatrix as error:
+            return None, str(error)
+
+    def _bound(self, z: FloatVector, *, sharp: bool) -> ErrorBound:
+        from .certificates.error_bounds import error_bound
+
+        return error_bound(self.problem, z, sharp=sharp)

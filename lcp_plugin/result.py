@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +13,16 @@ from .certificates.residuals import Certificate
 from .errors import NotConverged
 from .problem import FloatVector
 
+if TYPE_CHECKING:
+    from .certificates.error_bounds import ErrorBound
+
+STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
+STIFF_SPREAD = 1e6
 
 class Status(Enum):
     """Why a run ended; the value of each member is the advice that goes with it."""
 
-    SOLVED = "the residual measured on your data is within the tolerance"
+    SOLVED = "within the tolerance, as measured on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "a smaller one cannot be measured: accept z, or rescale the data"
@@ -26,10 +31,10 @@ class Status(Enum):
     MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
     STALLED = (
         "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
-        'scaling="diagonal", otherwise algorithm="psor" or a better start z0'
+        'scaling="auto", otherwise algorithm="psor" or a better start z0'
     )
     DIVERGED = (
-        'the iteration left every reasonable range; for a projected-type method try scaling="diagonal", for a '
+        'the iteration left every reasonable range; for a projected-type method try scaling="auto", for a '
         "relaxation method a smaller relaxation"
     )
     INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
@@ -51,6 +56,8 @@ class Sample:
         In the measure of the run; None in a callback at a step where nobody measured it.
     label : str
         The algorithm at work.
+    error_bound : float or None
+        A proved bound of ‖z − z*‖∞, where asked for.
     """
 
     iteration: int
@@ -58,6 +65,7 @@ class Sample:
     seconds: float
     residual: float | None
     label: str = ""
+    error_bound: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +86,8 @@ class Result:
         Of the whole run; see :class:`Sample` for the units.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
+    error_bound : ErrorBound or None
+        Only where asked for, and where M allows one; `no_error_bound` holds the reason where it does not.
     """
 
     z: FloatVector = field(repr=False)
@@ -93,6 +103,9 @@ class Result:
     measure: str
     history: tuple[Sample, ...] = field(default=(), repr=False)
     work_shares: tuple[tuple[str, float], ...] = field(default=(), repr=False)
+    tolerance_on: str = "residual"
+    error_bound: ErrorBound | None = field(default=None, repr=False)
+    no_error_bound: str = field(default="", repr=False)
 
     @property
     def is_solved(self) -> bool:
@@ -114,8 +127,8 @@ class Result:
         """
         if not self.is_solved:
             raise NotConverged(
-                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self.measure} residual "
-                f"{self.residual:.3e}, asked for {self.tolerance:.3e}; {self.status.value}"
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self._reached()}; "
+                f"{self.status.value}"
             )
         return self
 
@@ -123,7 +136,7 @@ class Result:
         """Return the story of the run in a few lines."""
         lines = [
             f"{self.status.name}: {self.status.value}.",
-            f"{self.measure} residual {self.residual:.3e}, asked for {self.tolerance:.3e}",
+            self._reached(),
             f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
             f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
         ]
@@ -131,9 +144,38 @@ class Result:
             total = sum(work for _, work in self.work_shares) or 1.0
             shares = ", ".join(f"{name} {work / total:.0%}" for name, work in self.work_shares)
             lines.append(f"share of the work: {shares}")
-        return "\n".join(lines)
+        if self.no_error_bound:
+            lines.append(f"no error bound: {self.no_error_bound}")
+        return "\n".join([*lines, *self._stiffness()])
 
     __str__ = explain
+
+    def _reached(self) -> str:
+        """Return what was reached beside what was asked for."""
+        residual = f"{self.measure} residual {self.residual:.3e}"
+        if self.error_bound is None:
+            return f"{residual}, asked for {self.tolerance:.3e}"
+        asked_on_error = self.tolerance_on == "error"
+        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e})"
+        asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
+        bound, *proven = str(self.error_bound).splitlines()
+        return "\n".join([f"{residual}; {bound}{asked}", *proven])
+
+    def _stiffness(self) -> list[str]:
+        """Return a line where a small residual goes, or may go, with a much larger error."""
+        relative = self.certificate.relative_residual
+        if self.error_bound is not None:
+            factor = self.error_bound.relative / relative if relative > 0.0 else 0.0
+            if not factor > STIFF_FACTOR:
+                return []
+            return [f"stiff: the error may be {factor:.0e} times the residual; "
+                    'trust the bound, and ask for tolerance_on="error"']
+        scale = self.certificate.problem.residual_scale
+        spread = float(scale.max() / scale.min()) if scale.size else 1.0
+        if not spread > STIFF_SPREAD or not self.is_solved:
+            return []
+        return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
+                "error; error_bound=True bounds it"]
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""
@@ -154,6 +196,9 @@ class Result:
             "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
         }
+        if self.error_bound is not None:
+            numbers["error_bound"] = self.error_bound.infinity
+            numbers["relative_error_bound"] = self.error_bound.relative
         return {
             "status": self.status.name,
             "advice": self.status.value,
@@ -161,5 +206,7 @@ class Result:
             "n": certificate.problem.n,
             "iterations": self.iterations,
             "measure": self.measure,
+            "tolerance_on": self.tolerance_on,
+            **({} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}),
             **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
         }

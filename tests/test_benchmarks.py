@@ -17,7 +17,7 @@ from lcp_plugin.evidence.paper_tables import cells, published
 def test_benchmark_runs(name: str) -> None:
     """A benchmark in its quick form prints lines with measured figures."""
     lines = list(load(name)(quick=True))
-    assert any(re.search(r"\d+\.?\d* (products|µs|s )", line) for line in lines)
+    assert any(re.search(r"\d+\.?\d* (products|µs|s |× )", line) for line in lines)
 
 
 def test_scipy_baselines_compute_the_same_iterates() -> None:

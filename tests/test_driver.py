@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +14,16 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from lcp_plugin import LCP, NotConverged, Result, Sample, Status, solve
+from lcp_plugin import (
+    LCP,
+    ConvergenceWarning,
+    NotConverged,
+    Result,
+    Sample,
+    Status,
+    UnsuitableMatrix,
+    solve,
+)
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.evidence import gallery
 
@@ -389,3 +399,81 @@ def test_every_status_is_an_advice() -> None:
     advice = [status.value for status in Status]
     assert len(set(advice)) == len(advice)
     assert all(len(text.split()) > 5 for text in advice)
+
+
+# --- Error bounds and guarantees -----------------------------------------------------------------------------
+
+
+def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray]:
+    """A chain with an inclusion of large coefficient that only weak links tie to the rest, and its solution."""
+    conductance = np.ones(n + 1)
+    conductance[n // 3 + 1 : 2 * n // 3] = contrast
+    M = np.diag(conductance[:-1] + conductance[1:]) - np.diag(conductance[1:-1], 1) - np.diag(conductance[1:-1], -1)
+    exact = np.interp(np.arange(n), [0, n // 3, 2 * n // 3 - 1, n - 1], [0.5, 3.0, 3.0, 1.0])
+    return LCP(M, -M @ exact), exact
+
+
+def test_error_bound_goes_into_the_result() -> None:
+    """error_bound=True bounds the true error, and the bound is told by explain() and JSON; nothing is computed else."""
+    result = solve(EXAMPLE.problem, error_bound=True)
+    assert result.error_bound is not None
+    assert EXAMPLE.exact is not None
+    assert np.all(np.abs(result.z - EXAMPLE.exact) <= result.error_bound.componentwise)
+    assert "rigorous" in result.explain()
+    assert json.loads(result.to_json())["error_bound"] == result.error_bound.infinity
+    assert solve(EXAMPLE.problem).error_bound is None
+
+
+def test_where_no_bound_exists_the_result_says_why() -> None:
+    """On a matrix that allows no bound, error_bound=True gives None and the reason; tolerance_on="error" raises."""
+    game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
+    result = solve(game, error_bound=True)
+    assert result.error_bound is None
+    assert "no error bound: an error bound needs" in result.explain()
+    with pytest.raises(UnsuitableMatrix, match="an error bound needs"):
+        solve(game, tolerance_on="error")
+
+
+@pytest.mark.parametrize("name", ["auto", "npsor", "psor", "pgs", "mgs"])
+def test_tolerance_on_error_is_kept(name: str) -> None:
+    """With tolerance_on="error" SOLVED means a true relative error within the tolerance."""
+    assert EXAMPLE.exact is not None
+    result = solve(EXAMPLE.problem, name, tolerance_on="error", tolerance=1e-9)
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - EXAMPLE.exact)) <= 1e-9 * np.max(np.abs(result.z))
+
+
+def test_stiff_data_tell_the_truth() -> None:
+    """A z wrong by half passes on stiff data; the bound shows it, and tolerance_on="error" goes on."""
+    problem, exact = stiff_m_matrix()
+    fooled = solve(problem, "pgs", error_bound=True)
+    assert fooled.status is Status.SOLVED
+    assert fooled.error_bound is not None
+    error = np.max(np.abs(fooled.z - exact))
+    assert error > 0.3 * exact.max()
+    assert error <= fooled.error_bound.infinity <= 10.0 * error
+    assert "stiff: the error may be" in fooled.explain()
+    assert "stiff: the diagonal of M spans" in solve(problem, "pgs").explain()
+    strict = solve(problem, "pgs", tolerance_on="error", max_iterations=3 * fooled.iterations)
+    assert strict.status is Status.MAX_ITERATIONS
+
+
+def test_bounds_are_recorded_along_the_run() -> None:
+    """record=True with error_bound=True gives every sample a bound that holds."""
+    result = solve(EXAMPLE.problem, "npgs", record=True, error_bound=True)
+    assert all(sample.error_bound is not None for sample in result.history)
+    assert result.history[-1].error_bound < 1e-6 < result.history[0].error_bound
+    assert all(sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history)
+
+
+def test_an_uncovered_choice_is_warned_of_once() -> None:
+    """Where no theorem covers the choice, solve warns once with the remedy; a covered choice is silent."""
+    trap = LCP([[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]], [-210.0, -110, 150])
+    with pytest.warns(ConvergenceWarning, match=r'npsor on this matrix: not covered.*scaling="auto"') as caught:
+        [solve(trap, "npsor", scaling=None, max_iterations=5) for _ in range(2)]
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solve(trap, "npsor")
+        solve(EXAMPLE.problem, "psor")

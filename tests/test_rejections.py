@@ -328,7 +328,7 @@ NO_POSITIVE_NUMBER = [0, -1, -0.5, NAN, INF, -INF, *NO_NUMBER]
 BAD_VALUES: dict[str, list[Any]] = {
     "relaxation": NO_POSITIVE_NUMBER,
     "acceleration": [NAN, INF, -INF, *NO_NUMBER],
-    "scaling": ["diag", "none", "Diagonal", 2.0, True, ["diagonal"]],
+    "scaling": ["diag", "Auto", "none", "Diagonal", 2.0, True, ["diagonal"]],
     "scaling_factor": NO_POSITIVE_NUMBER,
     "sweep": ["up", "Forward", "", None, True, 1, ["forward"]],
     "omega": [0, -1, NAN, INF, "x", True, None],
@@ -454,11 +454,12 @@ def test_other_methods_try(name: str, value: float | None) -> None:
         ("npj", -1.0, {}),  # d/1 + d + 2 = 0 exactly
         ("npgs", -1.0, {}),
         ("npj", -5.0, {}),
+        ("npj", -5.0, {"scaling": None}),
         ("npgs", -1e300, {}),
         ("npsor", -2.0, {"relaxation": 1.0}),
         ("npsor", -1.5, {"relaxation": 0.5}),
-        ("npsor", -3.0, {}),
-        ("npaor", -3.0, {}),
+        ("npsor", -3.0, {"scaling": None}),
+        ("npaor", -3.0, {"scaling": None}),
         ("npaor", -1.0, {"relaxation": 0.5, "acceleration": 0.0}),
         ("npgs", -5.0, {"scaling": "diagonal"}),
         ("npj", -5.0, {"scaling": "diagonal", "scaling_factor": 3.0}),
@@ -477,14 +478,20 @@ def test_pivot_just_above_zero_is_tried() -> None:
 
 
 def test_advice_is_not_what_was_already_done() -> None:
-    """Who already scales by the diagonal is not told to scale by the diagonal."""
+    """Who already scales is not told to scale, and who does not is told so."""
+    problem = LCP([[4.0, 0.0], [0.0, -5.0]], [1.0, -1.0])
     for name in ("npgs", "npsplitting"):
-        with pytest.raises(UnsuitableMatrix, match=r"M\[1, 1\]|singular") as caught:
-            solve(LCP([[4.0, 0.0], [0.0, -5.0]], [1.0, -1.0]), name, scaling="diagonal")
-        assert 'scaling="diagonal"' not in str(caught.value)
+        for scaling in ("auto", "diagonal"):
+            with pytest.raises(UnsuitableMatrix, match=r"M\[1, 1\]|singular") as caught:
+                solve(problem, name, scaling=scaling)
+            assert "scaling=" not in str(caught.value)
+    with pytest.raises(UnsuitableMatrix, match='npsor with scaling="auto"'):
+        solve(problem, "npgs", scaling=None)
 
 
-@pytest.mark.parametrize("options", [{}, {"scaling": "diagonal"}], ids=["unscaled", "scaled"])
+@pytest.mark.parametrize(
+    "options", [{}, {"scaling": None}, {"scaling": "diagonal"}], ids=["auto", "unscaled", "scaled"]
+)
 @pytest.mark.parametrize("name", [name for name, options in OPTIONS.items() if "scaling" in options])
 def test_diagonal_near_the_largest_double_is_no_obstacle(name: str, options: dict[str, Any]) -> None:
     """A diagonal of 1e308 or 1e-307 overflows nowhere: no warning, no refusal, the answer found."""
@@ -498,8 +505,8 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(name: str, options: dic
     [
         ([[-1.0, 0.0], [0.0, 4.0]], {"splitting": "diagonal"}),
         ([[-1.0, 0.0], [0.0, 4.0]], {}),
-        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": [[-6.0, 1.0], [0.0, 1.0]]}),
-        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]])}),
+        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": [[-6.0, 1.0], [0.0, 1.0]], "scaling": None}),
+        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]]), "scaling": None}),
     ],
 )
 def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:

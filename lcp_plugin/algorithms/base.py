@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..certificates.contraction import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414 - offered here
+from ..certificates.convergence import IterationFacts
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..problem import LCP, FloatVector
 
@@ -81,6 +83,16 @@ class Algorithm(ABC):
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z
 
+    def facts(self, problem: LCP) -> IterationFacts | None:
+        """Return what the convergence theorems ask of the iteration, or None where no theorem here is about it.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Where it cannot run at all.
+        """
+        return None
+
     def rehearsal(self) -> Algorithm:
         """Return the same algorithm with options that fit a 1 × 1 problem (used to compile kernels beforehand)."""
         return self
@@ -140,18 +152,6 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
             f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
         )
     return diagonal
-
-
-def inverse_residual_scale(problem: LCP) -> FloatVector:
-    """Return 1/d of the scaled residual, shape (n,), kept finite."""
-
-    def compute() -> FloatVector:
-        with np.errstate(over="ignore"):
-            inverse: FloatVector = np.minimum(1.0 / problem.residual_scale, np.finfo(np.float64).max)
-        inverse.flags.writeable = False
-        return inverse
-
-    return problem.shared("inverse_residual_scale", compute)
 
 
 def row_splits(problem: LCP, backward: bool) -> NDArray[Any]:

@@ -7,7 +7,7 @@ from typing import Any
 from numba import njit
 
 
-def _compiled(function: Any) -> Any:
+def compiled(function: Any) -> Any:
     """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
     try:
         return njit(cache=True, nogil=True, error_model="numpy")(function)
@@ -15,7 +15,7 @@ def _compiled(function: Any) -> Any:
         return njit(nogil=True, error_model="numpy")(function)
 
 
-@_compiled
+@compiled
 def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
     """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
 

@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..certificates.convergence import MODULUS, IterationFacts
 from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ..problem import LCP
@@ -76,6 +77,15 @@ class ModulusBased(Algorithm):
     def rehearsal(self) -> Algorithm:
         """Return the same with a scalar Ω."""
         return replace(self, omega=1.0)
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return α, β, Ω and the sweep."""
+        _require_lower_bounds_only(problem, self.name)
+        diagonal = require_positive_diagonal(problem, self.name)
+        alpha, beta = self.splitting()
+        return IterationFacts(
+            family=MODULUS, relaxation=alpha, acceleration=beta, sweep=self.sweep, omega=self._omega(problem, diagonal)
+        )
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""

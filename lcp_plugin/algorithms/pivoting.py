@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import _compiled
+from ..kernels import compiled
 
 AT_LOWER, BETWEEN, AT_UPPER = 0, 1, 2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
@@ -26,7 +26,7 @@ DOUBTFUL = 1e-7  # a pivot so much smaller than its terms is taken with a new in
 OWN_BOUND, NO_ROW = -2, -1
 
 
-@_compiled
+@compiled
 def apply_inverse(inverse, place, column, image, magnitude):  # type: ignore[no-untyped-def]
     """Write B⁻¹ a into `image` and |B⁻¹||a| into `magnitude`; return the entries touched.
 
@@ -52,7 +52,7 @@ def apply_inverse(inverse, place, column, image, magnitude):  # type: ignore[no-
     return touched
 
 
-@_compiled
+@compiled
 def replace_column(inverse, place, image, row):  # type: ignore[no-untyped-def]
     """Update B⁻¹ after the column whose image is given took the place of basis column `row`; return entries touched."""
     n = image.size
@@ -70,7 +70,7 @@ def replace_column(inverse, place, image, row):  # type: ignore[no-untyped-def]
     return touched
 
 
-@_compiled
+@compiled
 def room(variable, value, is_falling, side, upper):  # type: ignore[no-untyped-def]
     """Return how far a basic variable can move in its direction before it reaches a bound."""
     n = upper.size
@@ -81,7 +81,7 @@ def room(variable, value, is_falling, side, upper):  # type: ignore[no-untyped-d
     return max(value, 0.0) if is_falling else np.inf
 
 
-@_compiled
+@compiled
 def lexicographic_minimum(inverse, slope, candidates, count):  # type: ignore[no-untyped-def]
     """Return the candidate row whose row of B⁻¹, divided by its slope, is lexicographically smallest.
 
@@ -116,7 +116,7 @@ def lexicographic_minimum(inverse, slope, candidates, count):  # type: ignore[no
     return best
 
 
-@_compiled
+@compiled
 def ratio_test(  # type: ignore[no-untyped-def]
     basis, side, upper, values, noise, inverse, slope, magnitude, own_room, is_last, candidates
 ):
@@ -149,7 +149,7 @@ def ratio_test(  # type: ignore[no-untyped-def]
     return row, room(basis[row], values[row], slope[row] > 0.0, side, upper) / abs(slope[row])
 
 
-@_compiled
+@compiled
 def next_driven(variable, is_falling, side, n):  # type: ignore[no-untyped-def]
     """Note that a variable left the basis; return its complement and the direction in which that one moves."""
     if variable >= n:  # w_i reached 0: z_i leaves the bound it stands at
@@ -158,7 +158,7 @@ def next_driven(variable, is_falling, side, n):  # type: ignore[no-untyped-def]
     return n + variable, 1.0 if is_falling else -1.0
 
 
-@_compiled
+@compiled
 def has_returned(driven, direction, side, start_side):  # type: ignore[no-untyped-def]
     """Return whether the cell just entered is the one where the path began."""
     n = side.size
@@ -170,7 +170,7 @@ def has_returned(driven, direction, side, start_side):  # type: ignore[no-untype
     return entered == start_side[i]
 
 
-@_compiled
+@compiled
 def driven_column(columns, covering, driven, column):  # type: ignore[no-untyped-def]
     """Write the column of the driven variable in w − M z − t r = q."""
     n = covering.size
@@ -183,7 +183,7 @@ def driven_column(columns, covering, driven, column):  # type: ignore[no-untyped
         column[driven - n] = 1.0
 
 
-@_compiled
+@compiled
 def exchange(  # type: ignore[no-untyped-def]
     basis, place, side, upper, values, noise, inverse, row, driven, direction, distance, level
 ):
@@ -207,7 +207,7 @@ def exchange(  # type: ignore[no-untyped-def]
     return leaving
 
 
-@_compiled
+@compiled
 def pivots(  # type: ignore[no-untyped-def]
     columns, covering, upper, basis, place, side, start_side, values, noise, inverse, driven, direction, level,
     is_fresh, limit,

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ..errors import InvalidOption
 from ..problem import LCP, FloatVector
 from .adaptive_relaxation import AdaptiveRelaxation
@@ -44,6 +45,14 @@ class _InPlace(Algorithm):
     def fixed_relaxation(self) -> float | None:
         """Return ω, or None where it is to be found during the run."""
         raise NotImplementedError
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return ω, None where it is found during the run, and the sweep."""
+        require_positive_diagonal(problem, self.name)
+        fixed = self.fixed_relaxation()
+        return IterationFacts(
+            family=PROJECTED_RELAXATION, relaxation=fixed, acceleration=fixed, sweep=self.sweep
+        )
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
@@ -141,6 +150,12 @@ class _Simultaneous(Algorithm):
     def weights(self) -> tuple[float, float]:
         """Return (ω, β)."""
         raise NotImplementedError
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return ω, β and the sweep."""
+        require_positive_diagonal(problem, self.name)
+        omega, beta = self.weights()
+        return IterationFacts(family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""

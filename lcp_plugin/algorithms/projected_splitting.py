@@ -9,11 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from ..certificates.contraction import triangle_sums, unit_triangle_sums
+from ..certificates.convergence import PROJECTED_SPLITTING, IterationFacts
 from ..certificates.residuals import euclidean_norm, scaled_residual
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..problem import LCP, FloatVector
+from .automatic_scaling import balanced_factors, scaled_rows
 from .base import Algorithm, Step, check_choice
-from .projected_type import REFERENCE, check_scaling, clean_up_sweep, row_scaling
+from .projected_type import REFERENCE, check_scaling, clean_up_sweep
 
 NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 
@@ -28,7 +31,7 @@ class NPSplitting(Algorithm):
         𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
         diagonal, or the product of incomplete factors, is a good 𝓜 too.
     scaling, scaling_factor
-        Row scaling S as in NPSOR.
+        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
 
     Raises
     ------
@@ -39,12 +42,12 @@ class NPSplitting(Algorithm):
     name: ClassVar[str] = "npsplitting"
     assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
     is_compiled: ClassVar[bool] = True
-    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1)"
+    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
     cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
     reference: ClassVar[str] = REFERENCE
 
     splitting: Any = "tridiagonal"
-    scaling: str | None = None
+    scaling: str | None = "auto"
     scaling_factor: float = 1.0
 
     def __post_init__(self) -> None:
@@ -58,8 +61,8 @@ class NPSplitting(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        step = row_scaling(problem, self.scaling, self.scaling_factor)
         splitting = self._matrix(problem)
+        step = self._scaling(problem, splitting)
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
         factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
@@ -75,6 +78,26 @@ class NPSplitting(Algorithm):
             with np.errstate(all="ignore"):
                 z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
             work = (factor.nnz + problem.nonzeros) / entries
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return 𝓜, S, and whether 𝓜 is a part of M."""
+        splitting = self._matrix(problem)
+        return IterationFacts(
+            family=PROJECTED_SPLITTING, scaling=self._scaling(problem, splitting), is_scaled=self.scaling is not None,
+            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
+        )
+
+    def _scaling(self, problem: LCP, splitting: sp.csr_array) -> FloatVector:
+        if self.scaling is None:
+            return np.ones(problem.n)
+        if self.scaling == "diagonal" or not isinstance(self.splitting, str):
+            return scaled_rows(problem, self.scaling_factor)
+
+        def compute() -> FloatVector:
+            taken = np.add(*triangle_sums(problem, np.ones(problem.n), splitting))
+            return balanced_factors(problem, 1.0, taken, unit_triangle_sums(problem))
+
+        return scaled_rows(problem, problem.shared(f"automatic_factors of {self.splitting}", compute))
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr
@@ -100,7 +123,7 @@ class NPSplitting(Algorithm):
         try:
             return splu(sp.csc_array(matrix))
         except RuntimeError as error:  # SuperLU's word for an exactly singular factor
-            hint = ', or scaling="diagonal"' if self.scaling is None else ""
+            hint = ', or scaling="auto"' if self.scaling is None else ""
             raise UnsuitableMatrix(
                 f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"
             ) from error

@@ -18,8 +18,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..certificates.convergence import PROJECTED_TYPE, IterationFacts
 from ..errors import InvalidOption, UnsuitableMatrix
 from ..problem import LCP, FloatVector
+from .automatic_scaling import automatic_factors, scaled_rows
 from .base import (
     SWEEPS,
     Algorithm,
@@ -32,25 +34,24 @@ from .base import (
     row_splits,
 )
 
-SCALINGS = (None, "diagonal")
+SCALINGS = ("auto", "diagonal", None)
 REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
 
 
-def row_scaling(problem: LCP, scaling: str | None, factor: float) -> FloatVector:
-    """Return the diagonal of S, shape (n,): ones, or factor/d with d the scale of the residual."""
+def row_scaling(problem: LCP, scaling: str | None, factor: float, coupling: float, sweep: str) -> FloatVector:
+    """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; d is the scale of the residual."""
     if scaling is None:
         return np.ones(problem.n)
-    with np.errstate(over="ignore"):
-        return np.minimum(factor * inverse_residual_scale(problem), np.finfo(np.float64).max)
+    return scaled_rows(problem, automatic_factors(problem, coupling, sweep) if scaling == "auto" else factor)
 
 
 def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> None:
     """Raise unless the two options make sense, and make it together."""
     check_choice(algorithm, "scaling", SCALINGS)
     check_positive(algorithm, "scaling_factor")
-    if scaling is None and factor != 1.0:
+    if scaling != "diagonal" and factor != 1.0:
         raise InvalidOption(
-            f'{algorithm.name}: scaling_factor={factor!r} needs scaling="diagonal"; without scaling it does nothing'
+            f'{algorithm.name}: scaling_factor={factor!r} needs scaling="diagonal"; with {scaling!r} it does nothing'
         )
 
 
@@ -71,11 +72,12 @@ class ProjectedType(Algorithm):
 
     Parameters
     ----------
-    scaling : {None, "diagonal"}
-        Row scaling S: none (the paper), or ``scaling_factor``/d_i, d_i the diagonal. It changes the
-        iteration, never the solutions; with factor ≤ 1 the iteration is proved to converge for every H₊-matrix.
+    scaling : {"auto", "diagonal", None}
+        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper). It changes the
+        iteration, never the solutions. "auto" takes θ_i/d_i with θ_i from 0.9 to 2, so that the iteration is proved
+        to converge for every H₊-matrix; so it is for "diagonal" with factor ≤ 1.
     scaling_factor : float
-        θ of the diagonal scaling, > 0; about 2 is often fastest where constraints are active.
+        θ of the diagonal scaling, > 0.
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 
@@ -84,13 +86,13 @@ class ProjectedType(Algorithm):
     Paper notation: α₁ = relaxation α, β₁ = acceleration β, A = M, σ = q, λ = ζ₊ = z.
     """
 
-    scaling: str | None = None
+    scaling: str | None = "auto"
     scaling_factor: float = 1.0
     sweep: str = "forward"
 
     assumption: ClassVar[str] = "d/α + d + 2 > 0"
     is_compiled: ClassVar[bool] = True
-    converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", scaling_factor ≤ 1'
+    converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = REFERENCE
 
@@ -108,7 +110,7 @@ class ProjectedType(Algorithm):
 
         M = problem.csr
         alpha, beta = self.splitting()
-        step = row_scaling(problem, self.scaling, self.scaling_factor)
+        step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
         rows = kernels.packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step,
             self._inverse_pivot(problem, step * problem.diagonal, alpha),
@@ -133,13 +135,23 @@ class ProjectedType(Algorithm):
                 z, new = new, z
             work = float(len(passes))
 
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return α, β, S and the sweep; raise where a pivot is not positive."""
+        alpha, beta = self.splitting()
+        step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
+        self._inverse_pivot(problem, step * problem.diagonal, alpha)
+        return IterationFacts(
+            family=PROJECTED_TYPE, relaxation=alpha, acceleration=beta, sweep=self.sweep, scaling=step,
+            is_scaled=self.scaling is not None,
+        )
+
     def _inverse_pivot(self, problem: LCP, scaled_diagonal: FloatVector, alpha: float) -> FloatVector:
         with np.errstate(over="ignore", divide="ignore"):
             pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
             inverse: FloatVector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
-            remedy = 'scaling="diagonal"'
+            remedy = 'scaling="auto"'
             if self.scaling or alpha <= 1.0:
                 remedy = f"npsor with {'' if self.scaling else remedy + ' and '}a relaxation above 1"
             raise UnsuitableMatrix(
@@ -180,7 +192,7 @@ class NPAOR(ProjectedType):
     """
 
     name: ClassVar[str] = "npaor"
-    converges_on: ClassVar[str] = 'H₊ with scaling="diagonal", scaling_factor ≤ 1, 0 ≤ β ≤ α'
+    converges_on: ClassVar[str] = 'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
     relaxation: float = 1.7
     acceleration: float = 1.0
 

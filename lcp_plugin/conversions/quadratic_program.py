@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike
 
 from ..checks import DENSE_UP_TO_SIZE, FloatVector, check_order, checked_bound
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..problem import LCP
-from .checked import attach_origin, checked_matrix, checked_vector
-from .definiteness import (
+from ..matrix_classes.definiteness import (
     Solver,
     condition_estimate,
     is_diagonal,
     is_positive_semidefinite,
     positive_definite_solver,
 )
+from ..problem import LCP
+from .checked import attach_origin, checked_matrix, checked_vector
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
 from .simple_rows import FoldedRows, fold_simple_rows
 

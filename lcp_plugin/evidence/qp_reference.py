@@ -23,12 +23,12 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
 from ..errors import InvalidOption, did_you_mean
+from ..matrix_classes.definiteness import factorised
 from ..problem import LCP, FloatVector
 
 ACCURATE = 1e-7
@@ -184,25 +184,10 @@ def _symmetric_part(A: Any) -> Any:
 
 def _factorised(S: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
     """Return x ↦ (S + shift I)⁻¹ x where all pivots are positive, else None; a sparse S stays sparse."""
-    n = S.shape[0]
-    if n == 0:
+    if S.shape[0] == 0:
         return lambda x: x
-    if not sp.issparse(S):
-        try:
-            factor = scipy.linalg.cho_factor(S + shift * np.eye(n))
-        except scipy.linalg.LinAlgError:
-            return None
-        return lambda x: scipy.linalg.cho_solve(factor, x)
-    try:
-        # Pivots stay on the diagonal unless one vanishes: an LDLᵀ whose signs are those of the eigenvalues.
-        factors = splu(
-            sp.csc_array(S + shift * sp.eye_array(n)), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError:  # a pivot is exactly zero
-        return None
-    stayed = np.array_equal(factors.perm_r, factors.perm_c)
-    return factors.solve if stayed and bool(np.all(factors.U.diagonal() > 0.0)) else None
+    factor = factorised(S, shift)
+    return None if factor is None else factor.solve
 
 
 def _smallest_eigenvalue(solve: Callable[[FloatVector], FloatVector], n: int, shift: float) -> float:

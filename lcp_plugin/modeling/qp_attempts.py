@@ -8,7 +8,7 @@ from typing import Any
 
 import scipy.sparse as sp
 
-from ..conversions.definiteness import EPSILON, is_positive_semidefinite
+from ..matrix_classes.definiteness import EPSILON, is_positive_semidefinite
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from ..conversions.substitution import Substitution, substitute_definitions

@@ -1,0 +1,172 @@
+"""Row bounds of one sweep in a weighted maximum norm, evaluated so that rounding cannot flatter them.
+
+A sweep that updates row after row multiplies the error e = z − z* by something nonnegative, row by row:
+
+    p_i |e⁺_i|  ≤  A_i |e_i| + b_i (|L||e|)_i + u_i (|U||e|)_i + f_i (|L||e⁺|)_i
+
+with L what the sweep has already updated. Where this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
+in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
+
+    c = max_i (A v + b |L|v + u |U|v)_i / (p v − f |L|v)_i  <  1:
+
+if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
+scale of the residual, so that no unit of a row can overflow them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..problem import LCP, FloatVector
+
+EPSILON = 2.0**-52
+BLOCK = 16_384
+NEGLIGIBLE = 1e-280  # below, products may have underflowed
+Weights = FloatVector | float
+
+
+class Case(NamedTuple):
+    """One row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
+
+    free: Weights
+    lower: Weights
+    upper: Weights
+
+
+@dataclass(frozen=True)
+class RowBound:
+    """What one sweep does to an error; every case must hold, since a row may be in any of them.
+
+    Attributes
+    ----------
+    pivot, feedback : array, shape (n,), or float
+        p and f.
+    cases : tuple of Case
+    """
+
+    pivot: Weights
+    feedback: Weights
+    cases: tuple[Case, ...]
+
+
+def inverse_residual_scale(problem: LCP) -> FloatVector:
+    """Return 1/d of the scaled residual, shape (n,), kept finite."""
+
+    def compute() -> FloatVector:
+        with np.errstate(over="ignore"):
+            inverse: FloatVector = np.minimum(1.0 / problem.residual_scale, np.finfo(np.float64).max)
+        inverse.flags.writeable = False
+        return inverse
+
+    return problem.shared("inverse_residual_scale", compute)
+
+
+def triangle_sums(problem: LCP, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
+    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,); one pass over M.
+
+    With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
+    """
+    lower, upper = np.empty(problem.n), np.empty(problem.n)
+    M = problem.csr if part is None else part
+    # One compiled signature for writable and read-only arrays.
+    arrays = [array.view() for array in (M.indptr, M.indices, M.data, inverse_residual_scale(problem), np.asarray(v))]
+    for array in arrays:
+        array.flags.writeable = False
+    _compiled_triangle_sums()(*arrays, lower, upper)
+    return lower, upper
+
+
+def unit_triangle_sums(problem: LCP) -> tuple[FloatVector, FloatVector]:
+    """Return the triangle sums of v = 1, computed once a matrix."""
+    return problem.shared("unit_triangle_sums", lambda: triangle_sums(problem, np.ones(problem.n)))
+
+
+def row_blocks(n: int) -> Iterator[slice]:
+    """Yield blocks of rows whose temporary vectors stay in a processor's cache."""
+    for first in range(0, n, BLOCK):
+        yield slice(first, min(first + BLOCK, n))
+
+
+def longest_row(problem: LCP) -> int:
+    """Return the largest number of entries in a row."""
+    return problem.shared("longest_row", lambda: int(np.diff(problem.csr.indptr).max(initial=0)))
+
+
+def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int) -> FloatVector:
+    """Return lower bounds of 1 − c_i, shape (n,), −∞ where nothing can be said.
+
+    Parameters
+    ----------
+    bound : RowBound
+    v : array, shape (n,)
+        Positive.
+    sums : pair of arrays, shape (n,)
+        |L|v of what is already updated and |U|v of the rest, with `terms` rounded additions at most.
+    """
+    updated, rest = sums
+    slop = (terms + 32) * EPSILON
+    smallest = np.full(v.size, np.inf)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        scale = (bound.pivot * v - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+        for case in bound.cases:
+            free = case.free * v
+            load = case.lower * updated + case.upper * rest
+            surplus = (free - load) - slop * (np.abs(free) + load) - NEGLIGIBLE
+            np.minimum(smallest, surplus / scale, out=smallest)
+        usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
+        smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
+
+
+def growth(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector]) -> FloatVector:
+    """Return the bound of |e⁺| for |e| ≤ v with |e⁺| ≤ v counted in full, shape (n,): monotone and homogeneous in v.
+
+    Where it is at least v in every row, no other v gives a contraction.
+    """
+    updated, rest = sums
+    with np.errstate(all="ignore"):
+        worst = np.full(v.size, np.inf)
+        for case in bound.cases:
+            np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
+        grown: FloatVector = v - worst / bound.pivot
+    return grown
+
+
+def rate_of(smallest: float) -> float | None:
+    """Return an upper bound c < 1 of the contraction from the smallest gap, or None where that rounds to 1.
+
+    Examples
+    --------
+    >>> rate_of(0.5)
+    0.5000000000000001
+    """
+    rate = 1.0 - smallest
+    rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
+    return rate if rate < 1.0 else None
+
+
+def _triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignore[no-untyped-def]
+    """Fill lower[i] and upper[i] with scale_i Σ |m_ij| v_j over j < i and j > i; compiled before it is called."""
+    for i in range(lower.size):
+        below = above = 0.0
+        weight = scale[i]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            if j < i:
+                below += (abs(data[k]) * weight) * v[j]
+            elif j > i:
+                above += (abs(data[k]) * weight) * v[j]
+        lower[i] = below
+        upper[i] = above
+
+
+@cache
+def _compiled_triangle_sums() -> Any:
+    from ..kernels import compiled
+
+    return compiled(_triangle_sums)

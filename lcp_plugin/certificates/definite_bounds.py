@@ -1,0 +1,213 @@
+"""A bound in the 2-norm for matrices whose symmetric part is positive definite.
+
+With e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the
+projection of z − S w to the bounds. Its variational inequality at z*, and that of z* at z − r, add up row by row to
+
+    (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   hence   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r.
+
+In the unit of any C = diag(c) > 0, e = C ẽ, and with λ > 0 a lower bound of the eigenvalues of C (M + Mᵀ)/2 C,
+
+    ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ.
+
+That is never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much less where r is smooth.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..problem import LCP, FloatVector
+from ..rounding import TINY, UNIT, compensated_product, gamma
+from .row_inequality import RowInequality
+from .upward import product_above, quotient_above, sum_above
+
+DENSE_UP_TO = 3000
+SPARSE_UP_TO = 30_000
+INVERSE_ITERATIONS = 30
+SHARES = (0.95, 0.5, 0.1)
+UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a matrix of unit size
+
+
+class EigenvalueBound(NamedTuple):
+    """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two; an estimate if not rigorous."""
+
+    value: float
+    scale: FloatVector
+    is_rigorous: bool
+
+
+def smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
+    """Return a lower bound of the smallest eigenvalue of M's symmetric part in equilibrated units, kept with M.
+
+    Returns
+    -------
+    EigenvalueBound or None
+        None where no positive bound can be proven and no positive estimate be had.
+
+    Notes
+    -----
+    C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
+    bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
+    n ≤ 30 000. Larger: Lanczos, an estimate.
+
+    References
+    ----------
+    S. M. Rump, *Verification of positive definiteness*, BIT 46 (2006), doi:10.1007/s10543-006-0056-1.
+
+    Examples
+    --------
+    >>> bound = smallest_eigenvalue_bound(LCP([[4.0, 2.0], [2.0, 4.0]], [0.0, 0.0]))
+    >>> 0.45 < bound.value <= 0.5 and bound.is_rigorous
+    True
+    """
+    return problem.shared("smallest_eigenvalue_bound", lambda: _smallest_eigenvalue_bound(problem))
+
+
+def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
+    """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
+    inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
+    # Two ends of each r_i; where z_i sits on a bound that w_i keeps it at, they are the same whatever rounds in w_i.
+    residual = np.minimum(np.maximum(at.slack / inverse_step, at.over), at.above)
+    low = np.minimum(np.maximum(-at.negative_slack / inverse_step, -at.below), -at.under)
+    blur = sum_above(np.maximum(sum_above(residual, -low), 0.0), TINY)
+    transpose = problem.shared("transpose", lambda: sp.csr_array(problem.csr.T))
+    value, radius = compensated_product(transpose, residual, residual * inverse_step)
+    absolute = problem.shared("absolute_transpose", lambda: abs(transpose))
+    blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
+    size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
+    scale = eigenvalue.scale
+    norm = _norm_above(product_above(scale, sum_above(size, 4.0 * TINY)))  # products above may have underflowed
+    bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
+    return np.where(np.isnan(bound), np.inf, bound)
+
+
+def _norm_above(x: FloatVector) -> np.float64:
+    largest = np.float64(x.max(initial=0.0))
+    if largest == 0.0 or not np.isfinite(largest):
+        return largest
+    unit = np.exp2(np.floor(np.log2(largest)))
+    squares = float(np.sum((x / unit) ** 2)) * (1.0 + 2.0 * gamma(x.size + 4)) + x.size * UNDERFLOW
+    return np.float64(unit * np.sqrt(squares) * (1.0 + 8.0 * UNIT))
+
+
+def _smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
+    diagonal = problem.diagonal
+    if not (diagonal > 0.0).all() or problem.n == 0:
+        return None
+    exponent = np.round(-0.5 * np.log2(diagonal)).astype(np.int64)
+    scale = np.ldexp(1.0, exponent)
+    is_dense = problem._dense is not None or problem.n <= 200
+    is_dense = is_dense and problem.n <= DENSE_UP_TO
+    part, blur = _symmetric_part(problem.csr.toarray() if is_dense else problem.csr, exponent)
+    if not np.isfinite(blur):
+        return None
+    is_rigorous = is_dense or problem.n <= SPARSE_UP_TO
+    if is_dense:
+        value = _dense_bound(part, blur)
+    else:
+        value = _sparse_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
+    return None if value is None else EigenvalueBound(value, scale, is_rigorous)
+
+
+def _symmetric_part(M: Any, exponent: Any) -> tuple[Any, float]:
+    """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
+    if sp.issparse(M):
+        rows = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
+        scaled: Any = sp.csr_array(
+            (np.ldexp(M.data, exponent[rows] + exponent[M.indices]), M.indices, M.indptr), shape=M.shape
+        )
+    else:
+        scaled = np.ldexp(M, exponent[:, None] + exponent)
+    part = 0.5 * (scaled + scaled.T)
+    size = float(abs(part).sum(axis=1).max())
+    return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
+
+
+def _dense_bound(part: Any, blur: float) -> float | None:
+    from scipy.linalg import lapack
+
+    n = part.shape[0]
+    factor, info = lapack.dpotrf(part, lower=1)
+    if info != 0:
+        return None
+    estimate = _inverse_iteration(lambda rhs: lapack.dpotrs(factor, rhs, lower=1)[0], part)
+    for share in SHARES:
+        shift = share * estimate
+        shifted = part.copy()
+        shifted.flat[:: n + 1] -= shift
+        trace = float(np.sum(np.abs(shifted.diagonal()))) * (1.0 + gamma(n))
+        rounding = 1.01 * gamma(n + 3) * trace + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
+        value = float((shift - rounding - blur - n * n * UNDERFLOW) * (1.0 - 8.0 * UNIT))
+        if value > 0.0 and lapack.dpotrf(shifted, lower=1)[1] == 0:
+            return value
+    return None
+
+
+def _sparse_bound(part: Any, blur: float) -> float | None:
+    factor = _symmetric_factor(part)
+    if factor is None:
+        return None
+    estimate = _inverse_iteration(factor.solve, part)
+    for share in SHARES:
+        shift = share * estimate
+        factor = _symmetric_factor(part - shift * sp.eye_array(part.shape[0]))
+        if factor is None:
+            continue
+        rounding = _factor_error(factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
+        value = (shift - rounding - blur) * (1.0 - 8.0 * UNIT)
+        if value > 0.0:
+            return value
+    return None
+
+
+def _symmetric_factor(part: Any) -> Any | None:
+    """Return LU with pivots from the diagonal, all positive, in one order for rows and columns, or None."""
+    from scipy.sparse.linalg import splu
+
+    try:
+        factor = splu(
+            part.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:  # "Factor is exactly singular"
+        return None
+    if not np.array_equal(factor.perm_r, factor.perm_c) or not (factor.U.diagonal() > 0.0).all():
+        return None
+    return factor
+
+
+def _factor_error(factor: Any) -> float:
+    """Return a bound of ‖A − L D Lᵀ‖₂, D = diag(U) > 0: A is that near to a semidefinite matrix.
+
+    |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured.
+    """
+    L, U = abs(factor.L), abs(factor.U)
+    n = L.shape[0]
+    terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
+    product = factor.L @ sp.diags_array(factor.U.diagonal())
+    asymmetry = abs(factor.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
+    ones = np.ones(n)
+    by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
+    return float(float(by_row.max()) * (1.0 + 2.0 * gamma(2 * terms + 4)) + n * UNDERFLOW)
+
+
+def _inverse_iteration(solve: Any, part: Any) -> float:
+    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound but for rounding."""
+    x = np.random.default_rng(0).standard_normal(part.shape[0])
+    for _ in range(INVERSE_ITERATIONS):
+        x /= np.linalg.norm(x)
+        x = solve(x)
+    return float(x @ (part @ x) / (x @ x))
+
+
+def _lanczos_estimate(part: Any) -> float | None:
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    start = np.random.default_rng(0).standard_normal(part.shape[0])
+    try:
+        value = float(eigsh(part, k=1, which="SA", tol=0.05, maxiter=300, v0=start, return_eigenvectors=False)[0])
+    except ArpackNoConvergence:
+        return None
+    return 0.9 * value if value > 0.0 else None

@@ -1,0 +1,97 @@
+"""Iterations that can fail to converge, with the proof."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..problem import LCP
+from .convergence import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts, numbers
+from .spectral_radius import radius_above_one
+from .theorems import CRYER
+
+DENSE_LIMIT = 100
+
+
+def divergence(facts: IterationFacts, problem: LCP) -> str | None:
+    """Return why the iteration does not converge from some start, for some q and bounds, or None: nothing is proven.
+
+    Where z* lies inside its bounds and w* = 0, the iteration is linear near z*, everywhere if all rows are free. A
+    spectral radius of 1 or more is the proof; it is verified for n up to 100.
+    """
+    return _diverges_for_every_matrix(facts) or _diverges_for_this_matrix(facts, problem)
+
+
+def _diverges_for_every_matrix(facts: IterationFacts) -> str | None:
+    """Return why the iteration fails to converge whatever M is, where it does with no constraint active."""
+    if facts.family != PROJECTED_RELAXATION or facts.relaxation is None or facts.relaxation < 2.0:
+        return None
+    if facts.acceleration in (facts.relaxation, 0.0):
+        mean = "determinant ±(ω − 1)ⁿ" if facts.acceleration else "trace n(1 − ω)"
+        return (
+            f"with no constraint active an error is multiplied by a matrix of {mean}, so that one of its eigenvalues "
+            f"is at least |ω − 1| = {facts.relaxation - 1.0:g} in absolute value ({CRYER})"
+        )
+    return None
+
+
+def _diverges_for_this_matrix(facts: IterationFacts, problem: LCP) -> str | None:
+    if problem.n > DENSE_LIMIT or facts.relaxation is None:
+        return None
+    with np.errstate(all="ignore"):
+        lower = radius_above_one(*linear_iteration(facts, problem))
+    if lower is None:
+        return None
+    return (
+        "with no constraint active an error is multiplied by a matrix whose spectral radius is at least "
+        f"{_rounded_down(lower)}, verified for this M"
+    )
+
+
+def linear_iteration(facts: IterationFacts, problem: LCP) -> tuple[Any, Any]:
+    """Return dense P, N with P e⁺ = N e where no constraint is active; a symmetric sweep has twice the size.
+
+    With two passes the matrix is that of (e, e') ↦ (N_b e', N_f e): its eigenvalues are the square roots.
+    """
+    M = problem.csr.toarray()
+    forward = _one_pass(facts, M, np.tril(M, -1))
+    if facts.family == PROJECTED_SPLITTING or facts.sweep == "forward":
+        return forward
+    backward = _one_pass(facts, M, np.triu(M, 1))
+    if facts.sweep == "backward":
+        return backward
+    zero = np.zeros_like(M)
+    P = np.block([[forward[0], zero], [zero, backward[0]]])
+    return P, np.block([[zero, forward[1]], [backward[1], zero]])
+
+
+def _one_pass(facts: IterationFacts, M: Any, updated: Any) -> tuple[Any, Any]:
+    D = np.diag(np.diag(M))
+    alpha, beta = numbers(facts)
+    if facts.family == PROJECTED_RELAXATION:
+        P, drive = D + beta * updated, alpha * M
+    elif facts.family == MODULUS:
+        omega = D if facts.omega is None else np.diag(facts.omega)
+        P, drive = alpha * omega + D + beta * updated, 2.0 * alpha * M
+    else:
+        scaling = np.ones((M.shape[0], 1)) if facts.scaling is None else facts.scaling[:, None]
+        drive = 2.0 * scaling * M
+        if facts.family == PROJECTED_SPLITTING:
+            inner = facts.splitting.toarray() + D
+        else:
+            inner = D / alpha + D + beta / alpha * updated
+        P = scaling * inner + 2.0 * np.eye(M.shape[0])
+    return P, P - drive
+
+
+def _rounded_down(value: float) -> str:
+    """Return a number above 1 with enough digits to show that it is, rounded down.
+
+    Examples
+    --------
+    >>> _rounded_down(1.2399), _rounded_down(1.0001238)
+    ('1.23', '1.00012')
+    """
+    places = 2 + max(0, -int(np.ceil(np.log10(min(value - 1.0, 1.0)))))
+    return f"{np.floor(value * 10.0**places) / 10.0**places:.{places}f}"

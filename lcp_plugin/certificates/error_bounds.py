@@ -1,0 +1,313 @@
+"""How far z is from the solution, as a number that cannot be too small.
+
+The stages stand in `row_inequality` (v-certificate and two-stage bound), `reference_point` and `definite_bounds`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import real_vector
+from ..errors import InvalidProblem, UnsuitableMatrix
+from ..matrix_classes import HCertificate, comparison_certificate, comparison_solve
+from ..problem import LCP, FloatVector
+from ..rounding import comparison_product, lower_end
+from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
+from .reference_point import ActiveSetSteps
+from .row_inequality import BoolVector, RowInequality
+from .upward import product_above, quotient_above, sum_above
+
+SMALL = 1000  # up to here every stage is cheap
+REFINEMENTS = 5
+STEPS_SMALL, STEPS_LARGE = 10, 3
+SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5  # what is left to gain, relative to a lower bound of the error
+TOLERANCE = 1e-2
+
+Judge = Callable[[RowInequality], FloatVector]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """What is known of |z − z*|.
+
+    Attributes
+    ----------
+    componentwise : ndarray, shape (n,)
+        |z_i − z*_i| ≤ componentwise_i, in the unit of z.
+    infinity : float
+        Their maximum, ‖z − z*‖∞ ≤ infinity.
+    relative : float
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞; ∞ where z = 0 and nothing says that z* = 0.
+    kind : str
+        "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
+        eigenvalue that is not proven.
+    method : str
+        "v-certificate", "two-stage", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
+    proven_active, proven_inactive : ndarray of bool, shape (n,)
+        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0. Nothing is proven by an estimate.
+    """
+
+    componentwise: FloatVector = field(repr=False)
+    infinity: float
+    relative: float
+    kind: str
+    method: str
+    proven_active: BoolVector = field(repr=False)
+    proven_inactive: BoolVector = field(repr=False)
+
+    @property
+    def is_active_set_proven(self) -> bool:
+        """True where every row is proven active or inactive: z* solves one known linear system."""
+        return bool(np.all(self.proven_active | self.proven_inactive))
+
+    def proves(self, tolerance: float) -> bool:
+        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven; an estimate proves nothing."""
+        return self.kind == "rigorous" and self.relative <= tolerance
+
+    def __str__(self) -> str:
+        n = self.componentwise.size
+        active, inactive = int(self.proven_active.sum()), int(self.proven_inactive.sum())
+        word = "≤" if self.kind == "rigorous" else "≲"
+        return (
+            f"‖z − z*‖∞ {word} {self.infinity:.3e}, relative {self.relative:.3e} ({self.kind}, {self.method})\n"
+            f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
+        )
+
+
+def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
+    """Return a bound of |z − z*|, componentwise, for the one solution z*.
+
+    Parameters
+    ----------
+    problem : LCP
+        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique.
+    z : array, shape (n,)
+        Any point, also outside the bounds. With NaN or infinite entries the bound is ∞.
+    sharp : bool
+        False: only the v-certificate (or the 2-norm bound), one pass over M once the matrix is known. True: also the
+        stages that solve linear systems; the least of all counts.
+
+    Raises
+    ------
+    InvalidProblem
+        Where `problem` is no LCP or z no real vector of length n.
+    UnsuitableMatrix
+        Where M is neither proven H₊ nor found positive definite.
+
+    Notes
+    -----
+    Rigorous in floating point: the only assumption is that M, q and the bounds are the stored doubles.
+
+    References
+    ----------
+    X. Chen, S. Xiang, *Computation of error bounds for P-matrix linear complementarity problems*, Math. Program. 106
+    (2006), doi:10.1007/s10107-005-0645-9 (the classical bounds that these sharpen).
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
+    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.kind, bound.is_active_set_proven
+    (True, 'rigorous', True)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(f"error_bound needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+    z = real_vector(z, "z", problem.n)
+    certificate = comparison_certificate(problem) if (problem.diagonal > 0.0).all() else None
+    with np.errstate(all="ignore"):
+        if certificate is not None:
+            return _h_plus_bound(problem, z, certificate, sharp)
+        return _definite_bound(problem, z, sharp)
+
+
+def v_bound(problem: LCP, z: FloatVector, certificate: HCertificate) -> FloatVector:
+    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone; one pass over M, always rigorous.
+
+    Parameters
+    ----------
+    problem : LCP
+    z : array, shape (n,)
+        ∞ is returned where it is not finite.
+    certificate : HCertificate
+        Of this M.
+
+    Examples
+    --------
+    >>> from lcp_plugin.matrix_classes import comparison_certificate
+    >>> problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem)).tolist()
+    [0.0, 0.0]
+    """
+    if not np.isfinite(z).all():
+        return np.full(problem.n, np.inf)
+    with np.errstate(all="ignore"):
+        return _v_bound(RowInequality.at(problem, z), certificate)
+
+
+def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
+    return product_above(np.float64(at.inflation(certificate.v, certificate.margin)), certificate.v)
+
+
+def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> FloatVector:
+    """Return the bound that solving the active pieces of Φ makes of the bound y, as long as that gains."""
+    problem = at.problem
+    for _ in range(REFINEMENTS):
+        branches = at.branches(y)
+        candidate = np.where(branches.linear, 0.0, branches.gap)
+        if branches.linear.any():
+            # On the other rows y is known, and its part of ⟨M⟩y goes to the right-hand side.
+            rhs = branches.gap - comparison_product(problem.csr, candidate)[0]
+            solution = comparison_solve(problem, rhs, rows=branches.linear, tolerance=TOLERANCE)
+            if solution is None:
+                break
+            candidate = np.maximum(candidate, solution)
+        t = at.inflation(certificate.v, certificate.margin, candidate)
+        better = np.minimum(y, sum_above(candidate, product_above(np.float64(t), certificate.v)))
+        better = np.minimum(better, at.image(better))
+        gains = bool((better < 0.9 * y).any())
+        y = better
+        if not gains:
+            break
+    return y
+
+
+def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp: bool) -> ErrorBound:
+    if not np.isfinite(z).all():
+        return _nothing_known(problem, "rigorous", "v-certificate")
+    at = RowInequality.at(problem, z)
+    found = _Found(z, at, _v_bound(at, certificate), "v-certificate")
+    if sharp:
+        is_small = problem.n <= SMALL
+        if is_small:
+            found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
+
+        def judge(point: RowInequality) -> FloatVector:
+            y = _v_bound(point, certificate)
+            return _two_stage(point, certificate, y) if is_small else y
+
+        _sharpen(found, judge)
+        if not found.is_sharp and not is_small:
+            found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
+    return found.result("rigorous")
+
+
+def _definite_bound(problem: LCP, z: FloatVector, sharp: bool) -> ErrorBound:
+    eigenvalue = smallest_eigenvalue_bound(problem)
+    if eigenvalue is None:
+        raise UnsuitableMatrix(_why_not(problem))
+    kind, method = "rigorous" if eigenvalue.is_rigorous else "estimate", "2-norm, λ_min"
+    if not np.isfinite(z).all():
+        return _nothing_known(problem, kind, method)
+
+    def judge(point: RowInequality) -> FloatVector:
+        y = two_norm_bound(problem, point, eigenvalue)
+        return np.minimum(y, point.image(y))
+
+    at = RowInequality.at(problem, z)
+    found = _Found(z, at, judge(at), method)
+    if sharp:
+        _sharpen(found, judge)
+    return found.result(kind)
+
+
+class _Found:
+    """The best bound so far, and the point near z at which most is known of z*."""
+
+    def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
+        self.z, self.at, self.y, self.method = z, at, y, method
+        self.near, self.near_y = at, y
+
+    def lower_to(self, y: FloatVector, method: str) -> None:
+        """Take the least of both bounds."""
+        if y.max(initial=0.0) < self.y.max(initial=0.0):
+            self.method = method
+        self.y = np.minimum(self.y, y)
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether the error is known to be nearly as large as its bound."""
+        enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
+        error = float((self.near.distance(self.z) - self.near_y).max(initial=0.0))
+        return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
+
+    def result(self, kind: str) -> ErrorBound:
+        """Return what is known."""
+        problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
+        active, inactive = self.near.classified(self.near_y)
+        if self.near is not self.at and not (active | inactive).all():
+            more_active, more_inactive = self.at.classified(y)
+            active, inactive = active | more_active, inactive | more_inactive
+        is_proof = kind == "rigorous"
+        infinity = float(y.max(initial=0.0))
+        return ErrorBound(
+            componentwise=y, infinity=infinity, relative=_relative(infinity, self.z), kind=kind, method=self.method,
+            proven_active=active & is_proof | (problem.lower == problem.upper),
+            proven_inactive=inactive & is_proof,
+        )
+
+
+def _sharpen(found: _Found, judge: Judge) -> None:
+    """Go to points nearer to the solution as long as that lowers the bound."""
+    problem = found.at.problem
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    point = found.at
+    for _ in range(STEPS_SMALL if problem.n <= SMALL else STEPS_LARGE):
+        following = steps.next_point(point)
+        if following is None:
+            return
+        point, y = following, judge(following)
+        before = float(found.near_y.max(initial=0.0))
+        if not float(y.max(initial=0.0)) < 0.5 * before:
+            # A step of the active-set method may lead astray before it leads home.
+            if problem.n > SMALL or before == 0.0 or (found.is_sharp and not _is_worth_more(found)):
+                return
+            continue
+        found.near, found.near_y = point, y
+        found.lower_to(sum_above(point.distance(found.z), y), "reference point")
+        if found.is_sharp and not (problem.n <= SMALL and _is_worth_more(found)):
+            return
+
+
+def _is_worth_more(found: _Found) -> bool:
+    """Whether a component's bound is far above what its error is known to be, or a row is undecided."""
+    error = found.near.distance(found.z) - found.near_y
+    active, inactive = found.near.classified(found.near_y)
+    return bool((found.y > 1.1 * error).any()) or not bool((active | inactive).all())
+
+
+def _relative(infinity: float, z: FloatVector) -> float:
+    size = float(np.abs(z).max(initial=0.0))
+    if infinity == 0.0:
+        return 0.0
+    return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
+
+
+def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
+    n = problem.n
+    return ErrorBound(
+        componentwise=np.full(n, np.inf), infinity=np.inf, relative=np.inf, kind=kind, method=method,
+        proven_active=problem.lower == problem.upper,
+        proven_inactive=(problem.lower == -np.inf) & (problem.upper == np.inf),
+    )
+
+
+def _why_not(problem: LCP) -> str:
+    needs = (
+        "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite "
+        "symmetric part"
+    )
+    row = int(np.argmin(problem.diagonal))
+    if problem.diagonal[row] <= 0.0:
+        return f"{needs}, but M[{row}, {row}] = {problem.diagonal[row]}; Certificate.of(problem, z) has the residuals"
+    margin = lower_end(*comparison_product(problem.csr, np.ones(problem.n)))
+    worst = int(np.argmin(margin / problem.diagonal))
+    share = 1.0 - float(margin[worst] / problem.diagonal[worst])
+    return (
+        f"{needs}; M was not proven to be either (row {worst} has {share:.3g} times its diagonal beside it, and the "
+        f"symmetric part is not positive definite to rounding, or too large to tell); scale or regularise M, or use "
+        f"the residuals of Certificate.of(problem, z)"
+    )

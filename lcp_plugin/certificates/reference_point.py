@@ -1,0 +1,141 @@
+"""A point so near the solution that its own bound is small: then |z − z*| ≤ |z − ẑ| + bound(ẑ) is sharp.
+
+A bound by ⟨M⟩⁻¹|r| forgets all signs, and where ρ(D⁻¹|B|) is near 1 it exceeds |M⁻¹r| a thousand times. One step of
+the active-set method keeps them: ẑ = z + δ with δ to the bound on the rows that seem active, and M_FF δ_F = −(w +
+M δ)_F on the rest. Nothing has to be known about ẑ; a poor solve or a wrong guess only makes the bound larger. ẑ is
+kept as a sum of two doubles, so that it can be nearer to z* than any double is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..matrix_classes.comparison import hierarchy, krylov, shared_comparison, v_cycle
+from ..problem import LCP, FloatVector
+from .row_inequality import BoolVector, RowInequality
+
+DENSE_UP_TO = 400
+SPARSE_FACTOR_UP_TO = 50_000
+BAND_OPERATIONS = 3e10  # more than this for a band factorisation hints at a fill that costs minutes
+KRYLOV_STEPS = 60
+ITERATIVE_TOLERANCE = 1e-2
+
+Solver = Callable[[FloatVector], FloatVector]
+
+
+class ActiveSetSteps:
+    """Steps of the active-set method on one problem; a factorisation serves as long as the free set stays."""
+
+    def __init__(self, problem: LCP, scale: FloatVector) -> None:
+        self.problem = problem
+        self.scale = scale
+        self._free: BoolVector | None = None
+        self._solver: Solver | None = None
+
+    def next_point(self, at: RowInequality) -> RowInequality | None:
+        """Return the inequality at the next point, or None where the step is not finite."""
+        problem = self.problem
+        w = 0.5 * (at.slack - at.negative_slack)
+        target = at.high - self.scale * w
+        on_lower = (target <= problem.lower) | (problem.lower == problem.upper)
+        on_upper = (target >= problem.upper) & ~on_lower
+        free = ~(on_lower | on_upper)
+        bound = np.where(on_lower, problem.lower, problem.upper)
+        delta = np.where(free, 0.0, (bound - at.high) - at.low)
+        if free.any():
+            rhs = -(w + problem.csr @ delta)[free]
+            delta[free] = self._solve(free, rhs)
+        if not np.isfinite(delta).all():
+            return None
+        high = at.high + delta
+        part = high - at.high
+        low = (at.high - (high - part)) + (delta - part) + at.low
+        return RowInequality.at(problem, np.where(free, high, bound), np.where(free, low, 0.0))
+
+    def _solve(self, free: BoolVector, rhs: FloatVector) -> FloatVector:
+        if self._solver is None or self._free is None or not np.array_equal(free, self._free):
+            self._free, self._solver = free, _solver(self.problem, free)
+        return self._solver(rhs)
+
+
+def _solver(problem: LCP, free: BoolVector) -> Solver:
+    rows = np.flatnonzero(free)
+    if rows.size <= DENSE_UP_TO or (problem._dense is not None and rows.size <= SPARSE_FACTOR_UP_TO):
+        return _dense_solver(problem.M, rows)
+    block = problem.csr if rows.size == problem.n else problem.csr[rows][:, rows]
+    if rows.size <= SPARSE_FACTOR_UP_TO and _is_factorable(block):
+        return _sparse_solver(block)
+    return _multigrid_solver(problem, block) if _is_z_matrix(problem) else _krylov_solver(block)
+
+
+def _multigrid_solver(problem: LCP, block: Any) -> Solver:
+    """Return the solver of a large system with a Z-matrix; its hierarchy serves for several right-hand sides."""
+    cycle = v_cycle(hierarchy(block))
+    is_symmetric = shared_comparison(problem).is_symmetric
+
+    def solve(rhs: FloatVector) -> FloatVector:
+        solution = krylov(block, rhs, cycle, ITERATIVE_TOLERANCE, is_symmetric, KRYLOV_STEPS)
+        return np.full(rhs.shape, np.nan) if solution is None else solution
+
+    return solve
+
+
+def _dense_solver(M: Any, rows: Any) -> Solver:
+    from scipy.linalg import lapack
+
+    block = M[rows][:, rows]
+    factor, pivots, _ = lapack.dgetrf(block.toarray() if sp.issparse(block) else block)
+
+    def solve(rhs: FloatVector) -> FloatVector:
+        solution: FloatVector = lapack.dgetrs(factor, pivots, rhs)[0]
+        return solution
+
+    return solve
+
+
+def _is_factorable(block: Any) -> bool:
+    """Whether a reordering to a narrow band bounds the operations of a sparse factorisation."""
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    n = block.shape[0]
+    position = np.empty(n, dtype=np.int64)
+    position[reverse_cuthill_mckee(sp.csr_array(block), symmetric_mode=False)] = np.arange(n)
+    rows = np.repeat(np.arange(n), np.diff(block.indptr))
+    band = int(np.abs(position[rows] - position[block.indices]).max(initial=0))
+    return bool(n * float(band) ** 2 <= BAND_OPERATIONS)
+
+
+def _sparse_solver(block: Any) -> Solver:
+    from scipy.sparse.linalg import splu
+
+    try:
+        factor = splu(block.tocsc())
+    except RuntimeError:  # "Factor is exactly singular"
+        return lambda rhs: np.full(rhs.shape, np.nan)
+    solve: Solver = factor.solve
+    return solve
+
+
+def _krylov_solver(block: Any) -> Solver:
+    from scipy.sparse.linalg import bicgstab
+
+    inverse = sp.diags_array(1.0 / block.diagonal())
+
+    def solve(rhs: FloatVector) -> FloatVector:
+        # What it has reached after these steps is as good as any other guess: the bound judges it.
+        solution: FloatVector = bicgstab(block, rhs, rtol=ITERATIVE_TOLERANCE, maxiter=KRYLOV_STEPS, M=inverse)[0]
+        return solution
+
+    return solve
+
+
+def _is_z_matrix(problem: LCP) -> bool:
+    """Return whether no entry off the diagonal is positive."""
+    def compute() -> bool:
+        return int(np.count_nonzero(problem.csr.data > 0.0)) == int(np.count_nonzero(problem.diagonal > 0.0))
+
+    return problem.shared("is_z_matrix", compute)

@@ -1,0 +1,171 @@
+"""What each row says about the error of a point, without rounding up to anything but the safe side.
+
+Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i − upper_i, or w*_i ≥ 0, so that
+(M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of M,
+
+    e_i ≤ max(z_i − upper_i, min(z_i − lower_i, (w_i + (|B||e|)_i)/d_i)),
+
+and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
+
+1. |e| ≤ y gives |e| ≤ Φ(y), whatever B is.
+2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
+   with |e| ≤ y + σv cannot be positive. And y + t v is such a y for any y ≥ 0 once t is large enough, which is read
+   off row by row.
+
+The second with y = 0 is the v-certificate; with y from a linear system it is the two-stage bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problem import LCP, FloatVector
+from ..rounding import comparison_product, compensated_pair, compensated_product
+from .upward import product_above, quotient_above, sum_above
+
+BoolVector = NDArray[np.bool_]
+
+
+class Branches(NamedTuple):
+    """The pieces of Φ that are active at some y: on `linear` rows (gap + |B|y)/d, elsewhere the constant `gap`."""
+
+    linear: BoolVector
+    gap: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class RowInequality:
+    """Φ of one point, the sum `high` + `low`; every number is an upper bound of what it stands for.
+
+    Attributes
+    ----------
+    above, below : ndarray, shape (n,)
+        z − lower and upper − z.
+    over, under : ndarray, shape (n,)
+        z − upper and lower − z.
+    slack, negative_slack : ndarray, shape (n,)
+        w and −w.
+    """
+
+    problem: LCP
+    high: FloatVector
+    low: FloatVector
+    above: FloatVector
+    below: FloatVector
+    over: FloatVector
+    under: FloatVector
+    slack: FloatVector
+    negative_slack: FloatVector
+
+    @classmethod
+    def at(cls, problem: LCP, high: FloatVector, low: FloatVector | None = None) -> RowInequality:
+        """Return the inequality at the finite point high + low, each of shape (n,)."""
+        if low is None:
+            value, radius = compensated_product(problem.csr, high, problem.q)
+            slack, negative = sum_above(value, radius), sum_above(-value, radius)
+            low = np.zeros(problem.n)
+        else:
+            slack, negative = _slack_of_pair(problem, high, low)
+        return cls(
+            problem, high, low,
+            above=_pair_above(high, low, -problem.lower), below=_pair_above(-high, -low, problem.upper),
+            over=_pair_above(high, low, -problem.upper), under=_pair_above(-high, -low, problem.lower),
+            slack=slack, negative_slack=negative,
+        )
+
+    def inflation(self, v: FloatVector, u: FloatVector, y: FloatVector | None = None) -> float:
+        """Return t ≥ 0 with Φ(y + t v) ≤ y + t v, where 0 < u ≤ ⟨M⟩v; y = 0 by default."""
+        minus_product = None if y is None else _minus_comparison(self.problem, y)
+
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> float:
+            if y is not None:
+                outside, direct, w = sum_above(outside, -y), sum_above(direct, -y), sum_above(w, minus_product)
+            within = np.minimum(quotient_above(direct, v), quotient_above(w, u))
+            largest = np.maximum(quotient_above(outside, v), within).max(initial=0.0)
+            return np.inf if np.isnan(largest) else float(largest)
+
+        return max(
+            side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        )
+
+    def image(self, y: FloatVector) -> FloatVector:
+        """Return Φ(y), shape (n,)."""
+        above, below = self._linear(y)
+        image = np.maximum(
+            np.maximum(self.over, np.minimum(self.above, above)),
+            np.maximum(self.under, np.minimum(self.below, below)),
+        )
+        return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
+
+    def branches(self, y: FloatVector) -> Branches:
+        """Return which piece of Φ is active in each row at y."""
+        above, below = self._linear(y)
+        positive = np.maximum(self.over, np.minimum(self.above, above))
+        negative = np.maximum(self.under, np.minimum(self.below, below))
+        is_positive = positive >= negative
+        value = np.maximum(positive, negative)
+        linear = np.where(is_positive, positive == above, negative == below) & (value > 0.0)
+        slack = np.where(is_positive, self.slack, self.negative_slack)
+        return Branches(linear, np.where(linear, slack, np.maximum(value, 0.0)))
+
+    def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
+        """Return (active, inactive) as far as |e| ≤ y proves it: z*_i equals a bound; it lies strictly between them.
+
+        Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
+        """
+        problem = self.problem
+        inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
+        coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
+
+        def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
+            own = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
+            return sum_above(negative_slack, sum_above(own, coupling)) < 0.0
+
+        is_exact = (y == 0.0) & (self.low == 0.0)
+        active = (
+            forced(self.above, self.negative_slack) | forced(self.below, self.slack)
+            | (problem.lower == problem.upper)
+            | (is_exact & ((self.high == problem.lower) | (self.high == problem.upper)))
+        )
+        return active, inactive
+
+    def distance(self, z: FloatVector) -> FloatVector:
+        """Return an upper bound of |z − (high + low)|, shape (n,)."""
+        forward = sum_above(sum_above(z, -self.high), -self.low)
+        return np.maximum(forward, sum_above(sum_above(-z, self.high), self.low))
+
+    def _linear(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d."""
+        minus_product, diagonal = _minus_comparison(self.problem, y), self.problem.diagonal
+
+        def solved(w: FloatVector) -> FloatVector:
+            return sum_above(y, quotient_above(sum_above(w, minus_product), diagonal))
+
+        return solved(self.slack), solved(self.negative_slack)
+
+
+def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
+    """Return an upper bound of −⟨M⟩y."""
+    value, radius = comparison_product(problem.csr, y)
+    return sum_above(-value, radius)
+
+
+def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> FloatVector:
+    return sum_above(sum_above(high, bound), low)
+
+
+def _slack_of_pair(problem: LCP, high: FloatVector, low: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return upper bounds of w and −w at high + low; w is small beside its parts."""
+    first, rest, radius = compensated_pair(problem.csr, high, problem.q)
+    second, second_radius = compensated_product(problem.csr, low)
+    total_radius = sum_above(radius, second_radius)
+
+    def end(sign: float) -> FloatVector:
+        return sum_above(sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius)
+
+    return end(1.0), end(-1.0)
+

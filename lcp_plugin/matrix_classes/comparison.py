@@ -1,0 +1,241 @@
+"""The comparison matrix ⟨M⟩, equilibrated, and approximate solutions of systems with it.
+
+Nothing here is rigorous: what is solved is verified by those who ask (:mod:`.h_matrix`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..errors import InvalidProblem
+from ..problem import LCP, FloatVector
+from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
+
+Solver = Callable[[FloatVector], FloatVector]
+BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
+
+DENSE_LIMIT = 300
+DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
+LU_LIMIT = 50_000  # above, the fill of a three-dimensional grid takes gigabytes
+LARGEST_BAND = 2e8  # entries of a band that a factor may fill, whatever n
+KRYLOV_STEPS = 60
+SYMMETRY = 1e-12  # relative asymmetry that conjugate gradients do not notice
+
+
+class ComparisonMatrix:
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it, with cached factors.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        Its diagonal has no zero.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (n, n)
+        ⟨M⟩ with entries scaled by 2^(row_i + column_j).
+    exponents : Exponents or None
+        None where nothing was scaled.
+    diagonal : array, shape (n,)
+        Of `matrix`; positive.
+    """
+
+    def __init__(self, M: Any) -> None:
+        rows = row_numbers(M)
+        on_diagonal = rows == M.indices
+        self.is_symmetric = is_nearly_symmetric(M)
+        self.exponents: Exponents | None = scaling_exponents(M, rows, self.is_symmetric)
+        magnitudes = np.abs(M.data)
+        signed = np.where(on_diagonal, magnitudes, -magnitudes)
+        comparison = sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
+        self.matrix = scaled(comparison, rows, self.exponents)
+        self.diagonal: FloatVector = self.matrix.diagonal()
+        self._lock = threading.RLock()
+        self._whole: Solver | None = None
+        self._hierarchy: Any = None
+        self._multigrid_failed = False
+
+    def to_caller(self, x: FloatVector) -> FloatVector:
+        """Return the vector in the caller's unit that belongs to x of the scaled matrix, shape (n,)."""
+        return times_power(x, None if self.exponents is None else self.exponents.column)
+
+    def from_caller(self, rhs: FloatVector) -> FloatVector:
+        """Return the right-hand side of the scaled matrix that belongs to the caller's, shape (n,)."""
+        return times_power(rhs, None if self.exponents is None else self.exponents.row)
+
+    def solve(self, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1) -> FloatVector | None:
+        """Return an approximate solution x of matrix x = rhs on the rows given, zero elsewhere, shape (n,).
+
+        None where no method applies: the matrix is singular, or too large for a factorisation where multigrid
+        fails. `tolerance` bounds ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
+        """
+        if rows is None or rows.all():
+            return self._solve_whole(rhs, tolerance)
+        x = np.zeros(rhs.size)
+        solution = self._solve_part(np.flatnonzero(rows), rhs[rows], tolerance)
+        if solution is None:
+            return None
+        x[rows] = solution
+        return x
+
+    def _solve_whole(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
+        if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
+            x = krylov(self.matrix, rhs, self.preconditioner(), tolerance, self.is_symmetric, KRYLOV_STEPS)
+            if x is not None:
+                return x
+            self._multigrid_failed = True
+        with self._lock:
+            if self._whole is None:
+                self._whole = direct_solver(self.matrix)
+        return None if self._whole is None else _finite(self._whole(rhs))
+
+    def _solve_part(self, part: Any, rhs: FloatVector, tolerance: float) -> FloatVector | None:
+        if part.size == 0:
+            return rhs
+        block = self.matrix[part][:, part]
+        if part.size > DIRECT_LIMIT:
+            # The hierarchy of the whole matrix needs 5 to 50 times the steps that one of the block needs.
+            cycle = v_cycle(hierarchy(block))
+            x = krylov(block, rhs, cycle, tolerance, self.is_symmetric, KRYLOV_STEPS)
+            if x is not None:
+                return x
+        solver = direct_solver(block)
+        return None if solver is None else _finite(solver(rhs))
+
+    def preconditioner(self) -> Solver:
+        """Return one V-cycle of the cached hierarchy of the whole matrix."""
+        with self._lock:
+            if self._hierarchy is None:
+                self._hierarchy = hierarchy(self.matrix)
+        return v_cycle(self._hierarchy)
+
+
+def shared_comparison(problem: LCP) -> ComparisonMatrix:
+    """Return the comparison matrix of the problem, built once a matrix; the diagonal has no zero."""
+    return problem.shared("comparison_matrix", lambda: ComparisonMatrix(problem.csr))
+
+
+def comparison_solve(
+    problem: LCP, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1
+) -> FloatVector | None:
+    """Return an approximate solution x of ⟨M⟩_FF x_F = rhs_F, zero outside F, shape (n,).
+
+    Parameters
+    ----------
+    problem : LCP
+        Of M, whose diagonal has no zero.
+    rhs : array, shape (n,)
+        Entries outside F are not read.
+    rows : bool array, shape (n,), optional
+        The set F; all rows by default.
+    tolerance : float
+        Bound of ‖residual‖₂/‖rhs‖₂ after equilibration where the solution is iterative (n above some thousands).
+
+    Returns
+    -------
+    array or None
+        None where ⟨M⟩_FF is numerically singular, or so large that only multigrid applies and it fails. The
+        solution is not verified.
+
+    Raises
+    ------
+    InvalidProblem
+        Where a diagonal entry is zero.
+
+    Examples
+    --------
+    >>> comparison_solve(LCP([[2, 1], [-1, 2]], [0, 0]), np.ones(2))
+    array([1., 1.])
+    """
+    if not problem.diagonal.all():
+        row = int(np.flatnonzero(problem.diagonal == 0.0)[0])
+        raise InvalidProblem(f"M[{row}, {row}] = 0; a system with ⟨M⟩ needs a diagonal without zeros")
+    comparison = shared_comparison(problem)
+    x = comparison.solve(comparison.from_caller(rhs), rows, tolerance)
+    return None if x is None else comparison.to_caller(x)
+
+
+def is_nearly_symmetric(M: Any) -> bool:
+    """Return whether a CSR array equals its transpose to some ulps."""
+    transposed = M.T.tocsr()
+    if not (np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices)):
+        return False
+    larger = np.maximum(np.abs(M.data), np.abs(transposed.data))
+    with np.errstate(over="ignore"):
+        return bool((np.abs(M.data - transposed.data) <= SYMMETRY * larger).all())
+
+
+def direct_solver(matrix: Any) -> Solver | None:
+    """Return rhs ↦ matrix⁻¹ rhs by LAPACK or sparse LU, or None where it is singular or too large for that."""
+    if not factor_fits(matrix):
+        return None
+    if matrix.shape[0] <= DENSE_LIMIT:
+        import scipy.linalg.lapack
+
+        lu, pivots, info = scipy.linalg.lapack.dgetrf(matrix.toarray())
+        if info != 0:
+            return None
+        return lambda rhs: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, rhs)[0])
+    from scipy.sparse.linalg import splu
+
+    try:
+        factor = splu(
+            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:  # "Factor is exactly singular"
+        return None
+    return lambda rhs: np.asarray(factor.solve(rhs))
+
+
+def factor_fits(matrix: Any) -> bool:
+    """Return whether the factor of a CSR array fits into memory whatever its pattern, by size or by band."""
+    n = matrix.shape[0]
+    band = int(np.abs(row_numbers(matrix) - matrix.indices).max(initial=0))
+    return bool(n <= LU_LIMIT or n * band <= LARGEST_BAND)
+
+
+def hierarchy(matrix: Any) -> Any:
+    """Return a Ruge–Stüben hierarchy of a CSR array, or None where pyamg cannot take it."""
+    if matrix.indices.dtype != np.int32:
+        return None
+    import pyamg
+
+    copied = sp.csr_matrix((matrix.data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    with np.errstate(all="ignore"):
+        # Direct interpolation halves the set-up and costs no step at loose tolerances.
+        return pyamg.ruge_stuben_solver(copied, interpolation="direct", CF=("RS", {"second_pass": False}))
+
+
+def v_cycle(levels: Any) -> Solver:
+    """Return residual ↦ correction by one V-cycle (the identity where there is no hierarchy)."""
+    if levels is None:
+        return lambda residual: residual
+    operator = levels.aspreconditioner(cycle="V")
+    return lambda residual: np.asarray(operator.matvec(residual))
+
+
+def krylov(
+    matrix: Any, rhs: FloatVector, preconditioner: Solver, tolerance: float, is_symmetric: bool, steps: int
+) -> FloatVector | None:
+    """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by preconditioned CG or GMRES, or None within `steps`."""
+    from scipy.sparse.linalg import LinearOperator, cg, gmres
+
+    n = rhs.size
+    operator = LinearOperator((n, n), matvec=preconditioner, dtype=np.float64)
+    with np.errstate(all="ignore"):
+        if is_symmetric:
+            x, info = cg(matrix, rhs, rtol=tolerance, atol=0.0, maxiter=steps, M=operator)
+        else:
+            x, info = gmres(
+                matrix, rhs, rtol=tolerance, atol=0.0, restart=min(steps, 30), maxiter=max(1, steps // 30), M=operator
+            )
+    return _finite(np.asarray(x)) if info == 0 else None
+
+
+def _finite(x: FloatVector) -> FloatVector | None:
+    return x if np.isfinite(x).all() else None

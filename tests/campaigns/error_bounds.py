@@ -1,0 +1,193 @@
+"""Error bounds against exact rational arithmetic: random H₊ and definite problems, n ≤ 6, boxes and free rows too.
+
+Counts bounds that are violated and rows that are classified wrongly (both compared as fractions, none allowed), and
+prints the median of bound/error by ρ(D⁻¹|B|) and by how near z is to the solution. One case in ten more has a matrix
+with a positive definite symmetric part instead, symmetric or not.
+
+    python tests/campaigns/error_bounds.py --cases 20000 --seed 0
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from exact import Exact, exact_solution
+
+from lcp_plugin import LCP, UnsuitableMatrix
+from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound
+
+RADII = (0.5, 0.9, 0.99, 0.999)
+DEFINITE = "SPD"
+CLASSES = (*RADII, DEFINITE)
+QUALITIES = ("far", "1e-3", "1e-8", "last bit")
+
+
+def random_matrix(generator: np.random.Generator, radius: float) -> np.ndarray:
+    """Return an H₊-matrix with ρ(D⁻¹|B|) = radius up to rounding, random signs, rows and columns scaled."""
+    n = int(generator.integers(2, 7))
+    while True:
+        B = generator.standard_normal((n, n)) * (generator.random((n, n)) < generator.choice([0.4, 0.7, 1.0]))
+        np.fill_diagonal(B, 0.0)
+        largest = max(abs(np.linalg.eigvals(abs(B))))
+        if largest > 1e-6:
+            break
+    spread = generator.choice([0.0, 1.0, 8.0])
+    rows, columns = 10.0 ** generator.uniform(-spread, spread, size=(2, n))
+    return rows[:, None] * (np.eye(n) + radius / largest * B) * columns
+
+
+def random_definite(generator: np.random.Generator) -> np.ndarray:
+    """Return a matrix with a positive definite symmetric part, every other one symmetric, in random units."""
+    n = int(generator.integers(2, 7))
+    B = generator.standard_normal((n, n))
+    M = B @ B.T + 10.0 ** -generator.uniform(0, 6) * np.eye(n)
+    skew = np.triu(generator.standard_normal((n, n)), 1) * (generator.random() < 0.5)
+    unit = 10.0 ** (generator.choice([0.0, 4.0]) * generator.uniform(-1, 1, size=n))
+    return unit[:, None] * (np.tril(M) + np.tril(M, -1).T + skew - skew.T) * unit
+
+
+def random_problem(generator: np.random.Generator, kind: float | str) -> LCP:
+    """Return a problem whose solution mixes active, inactive and degenerate rows; bounds in two of three cases."""
+    M = random_definite(generator) if isinstance(kind, str) else random_matrix(generator, kind)
+    n = M.shape[0]
+    unit = 1.0 / np.sqrt(abs(M).max(axis=0))
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if generator.random() < 2 / 3:
+        kind = generator.integers(0, 6, size=n)  # plain, one-sided below, above, boxed, free, fixed
+        low, width = generator.standard_normal(n) * unit, generator.exponential(size=n) * unit
+        lower = np.choose(kind, [lower, low, np.full(n, -np.inf), low, np.full(n, -np.inf), low])
+        upper = np.choose(kind, [upper, upper, low + width, low + width, upper, low])
+    z = np.clip(generator.standard_normal(n) * unit, lower, upper)
+    ends = np.where(np.isfinite(upper) & (generator.random(n) < 0.5), upper, lower)
+    z = np.where(np.isfinite(ends) & (generator.random(n) < 0.5), ends, z)
+    w = np.where(z == lower, 1.0, np.where(z == upper, -1.0, 0.0)) * generator.exponential(size=n)
+    w *= (generator.random(n) < 0.85) * np.diag(M) * unit
+    return LCP(M, w - M @ z, lower=lower, upper=upper)
+
+
+def points(generator: np.random.Generator, problem: LCP, exact: Exact) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield approximations of the solution by quality; some leave the bounds, some keep the active rows exact."""
+    z = np.array([float(value) for value in exact.z])
+    size = np.maximum(np.abs(z), generator.choice([0.0, 1.0]) * np.abs(z).max())
+    active = (z == problem.lower) | (z == problem.upper)
+    keep = active & (generator.random() < 0.5)
+    noise = np.where(keep, 0.0, generator.standard_normal(z.size) * (size if size.any() else 1.0))
+    yield "far", z + 10.0 * noise
+    yield "1e-3", z + 1e-3 * noise
+    yield "1e-8", z + 1e-8 * noise
+    toward = np.where(generator.random(z.size) < 0.5, np.inf, -np.inf)
+    yield "last bit", np.where(keep | (generator.random(z.size) < 0.3), z, np.nextafter(z, toward))
+
+
+def violations(problem: LCP, z: np.ndarray, exact: Exact, bound: ErrorBound) -> tuple[int, int]:
+    """Return how many rows violate the bound and how many are classified wrongly."""
+    outside = wrong = 0
+    for i, (truth, slack) in enumerate(zip(exact.z, exact.w, strict=True)):
+        limit = bound.componentwise[i]
+        outside += bool(np.isfinite(limit)) and abs(Fraction(float(z[i])) - truth) > Fraction(float(limit))
+        ends = [Fraction(float(end)) for end in (problem.lower[i], problem.upper[i]) if np.isfinite(end)]
+        wrong += bool(bound.proven_active[i]) and truth not in ends
+        wrong += bool(bound.proven_inactive[i]) and (truth in ends or slack != 0)
+    error = max(abs(Fraction(float(a)) - b) for a, b in zip(z, exact.z, strict=True))
+    size = Fraction(float(np.abs(z).max()))
+    if np.isfinite(bound.relative):
+        outside += error > Fraction(bound.relative) * size
+    return outside + (np.isfinite(bound.infinity) and error > Fraction(bound.infinity)), wrong
+
+
+def ratios(z: np.ndarray, exact: Exact, bound: ErrorBound) -> tuple[float, float]:
+    """Return bound over error in the maximum norm and in the worst component; NaN where z is exact."""
+    errors = [abs(Fraction(float(a)) - b) for a, b in zip(z, exact.z, strict=True)]
+    if not max(errors) or not np.isfinite(bound.infinity):
+        return np.nan, np.nan
+    parts = [Fraction(float(b)) / e for b, e in zip(bound.componentwise, errors, strict=True) if e]
+    return float(Fraction(bound.infinity) / max(errors)), float(min(max(parts), 10**300))
+
+
+class Tally:
+    """What the campaign has counted."""
+
+    def __init__(self) -> None:
+        self.outside = self.wrong = self.enumerated = self.infinite = self.refused = self.exact_points = 0
+        self.norm: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
+        self.part: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
+        self.proven: dict[str, list[bool]] = defaultdict(list)
+
+    def count(self, kind: float | str, quality: str, problem: LCP, z: np.ndarray, exact: Exact) -> None:
+        """Judge the bounds of one point."""
+        for sharp in (True, False):
+            try:
+                bound = error_bound(problem, z, sharp=sharp)
+            except UnsuitableMatrix:
+                self.refused += 1
+                continue
+            bad, misplaced = violations(problem, z, exact, bound)
+            self.outside, self.wrong = self.outside + bad, self.wrong + misplaced
+            self.infinite += not np.isfinite(bound.infinity)
+            norm, part = ratios(z, exact, bound)
+            if np.isnan(norm):
+                self.exact_points += sharp
+            else:
+                self.norm[kind, quality, sharp].append(norm)
+                self.part[kind, quality, sharp].append(part)
+            if sharp:
+                self.proven[quality].append(bound.is_active_set_proven)
+
+    def show(self) -> None:
+        """Print the tables."""
+        print(
+            f"bound violated: {self.outside}   classified wrongly: {self.wrong}   infinite: {self.infinite}   "
+            f"refused: {self.refused}   z exact: {self.exact_points}   enumeration: {self.enumerated}"
+        )
+        for table, sharp, title in (
+            (self.norm, True, "sharp, maximum norm"), (self.part, True, "sharp, worst component"),
+            (self.norm, False, "sharp=False, maximum norm"),
+        ):
+            print(f"\nbound/error, {title}: median (95 % quantile)")
+            print(f"{'ρ(J)':>6} " + "".join(f"{quality:>24}" for quality in QUALITIES))
+            for kind in CLASSES:
+                pairs = [np.quantile(table[kind, q, sharp] or [np.nan], [0.5, 0.95]) for q in QUALITIES]
+                print(f"{kind:>6} " + "".join(f"{f'{a:.4g} ({b:.3g})':>24}" for a, b in pairs))
+        shares = ", ".join(f"{quality} {np.mean(self.proven[quality]):.0%}" for quality in QUALITIES)
+        print(f"\nactive set proven: {shares}")
+
+    @property
+    def worst_median(self) -> float:
+        """The largest median of the sharp bound for H₊-matrices at convergence."""
+        return max(float(np.median(self.norm[kind, q, True] or [np.nan])) for kind in RADII for q in QUALITIES[1:])
+
+
+def run(cases: int, seed: int) -> int:
+    """Run the campaign, print its tables, return the exit code."""
+    generator = np.random.default_rng(seed)
+    began = time.perf_counter()
+    tally = Tally()
+    kinds = [RADII[case % len(RADII)] for case in range(cases)] + [DEFINITE] * (cases // 10)
+    for kind in kinds:
+        problem = random_problem(generator, kind)
+        exact = exact_solution(problem)
+        tally.enumerated += exact.was_enumerated
+        for quality, z in points(generator, problem, exact):
+            tally.count(kind, quality, problem, z, exact)
+    print(f"{cases} H₊ and {cases // 10} definite problems, seed {seed}, {time.perf_counter() - began:.0f} s")
+    tally.show()
+    print(f"largest median at convergence, H₊: {tally.worst_median:.4g} (must be ≤ 10)")
+    return int(tally.outside > 0 or tally.wrong > 0 or not tally.worst_median <= 10.0)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    sys.exit(run(options.cases, options.seed))

@@ -1,0 +1,120 @@
+"""Exact solutions of small problems in rational arithmetic; shared by tests and campaigns.
+
+A guess of the active set comes from floating point, its linear system is solved in fractions, and every inequality is
+verified in fractions. Only where no guess passes are all active sets tried.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from lcp_plugin import LCP
+
+LOWER, FREE, UPPER = -1, 0, 1
+States = tuple[int, ...]
+NEWTON_STEPS = 30
+
+
+class Exact(NamedTuple):
+    """z* and w* = M z* + q, one fraction a row, and whether enumeration was necessary."""
+
+    z: tuple[Fraction, ...]
+    w: tuple[Fraction, ...]
+    was_enumerated: bool
+
+
+def exact_solution(problem: LCP) -> Exact:
+    """Return the exact solution of a small problem whose matrix is a P-matrix; ValueError where none is found."""
+    M = [[Fraction(float(entry)) for entry in row] for row in problem.csr.toarray()]
+    q = [Fraction(float(entry)) for entry in problem.q]
+    for states in _guesses(problem):
+        solved = _verified(problem, M, q, states)
+        if solved is not None:
+            return Exact(*solved, False)
+    for states in itertools.product(*_choices(problem)):
+        solved = _verified(problem, M, q, states)
+        if solved is not None:
+            return Exact(*solved, True)
+    raise ValueError(f"no active set of {problem!r} gives a solution")
+
+
+def solve_fractions(A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> list[Fraction] | None:
+    """Return A⁻¹b by Gaussian elimination in fractions, None where A is singular."""
+    n = len(b)
+    rows = [[*row, right] for row, right in zip(A, b, strict=True)]
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if rows[i][k]), None)
+        if pivot is None:
+            return None
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        for i in range(k + 1, n):
+            if rows[i][k]:
+                factor = rows[i][k] / rows[k][k]
+                rows[i] = [a - factor * c for a, c in zip(rows[i], rows[k], strict=True)]
+    x = [Fraction(0)] * n
+    for k in reversed(range(n)):
+        x[k] = (rows[k][n] - sum(rows[k][j] * x[j] for j in range(k + 1, n))) / rows[k][k]
+    return x
+
+
+def _choices(problem: LCP) -> list[tuple[int, ...]]:
+    choices = []
+    for low, high in zip(problem.lower, problem.upper, strict=True):
+        ends = ((LOWER,) if math.isfinite(low) else ()) + ((UPPER,) if math.isfinite(high) and high != low else ())
+        choices.append(ends if low == high else (FREE, *ends))
+    return choices
+
+
+def _guesses(problem: LCP) -> Iterator[States]:
+    """Yield the active sets that a semismooth Newton method in floating point runs through, the last first."""
+    M, scale = problem.csr.toarray(), problem.residual_scale
+    z, seen = np.array(problem.nearest_to_zero), []
+    for _ in range(NEWTON_STEPS):
+        target = z - (M @ z + problem.q) / scale
+        states = np.where(target <= problem.lower, LOWER, np.where(target >= problem.upper, UPPER, FREE))
+        states[problem.lower == problem.upper] = LOWER
+        key = tuple(int(state) for state in states)
+        if key in seen:
+            break
+        seen.append(key)
+        free = states == FREE
+        z = np.where(states == LOWER, problem.lower, np.where(states == UPPER, problem.upper, 0.0))
+        try:
+            z[free] = np.linalg.solve(M[np.ix_(free, free)], -(M @ z + problem.q)[free])
+        except np.linalg.LinAlgError:
+            break
+    yield from reversed(seen)
+
+
+def _verified(
+    problem: LCP, M: list[list[Fraction]], q: list[Fraction], states: States
+) -> tuple[tuple[Fraction, ...], tuple[Fraction, ...]] | None:
+    n = problem.n
+    ends = {LOWER: problem.lower, UPPER: problem.upper}
+    z = [Fraction(0) if states[i] == FREE else Fraction(float(ends[states[i]][i])) for i in range(n)]
+    free = [i for i in range(n) if states[i] == FREE]
+    rhs = [-q[i] - sum(M[i][j] * z[j] for j in range(n) if states[j] != FREE) for i in free]
+    inner = solve_fractions([[M[i][j] for j in free] for i in free], rhs)
+    if inner is None:
+        return None
+    for i, value in zip(free, inner, strict=True):
+        z[i] = value
+    w = [q[i] + sum(M[i][j] * z[j] for j in range(n)) for i in range(n)]
+    return (tuple(z), tuple(w)) if all(_holds(problem, i, z[i], w[i]) for i in range(n)) else None
+
+
+def _holds(problem: LCP, i: int, z: Fraction, w: Fraction) -> bool:
+    """Whether row i is complementary, exactly."""
+    low, high = float(problem.lower[i]), float(problem.upper[i])
+    is_low, is_high = math.isfinite(low) and z == Fraction(low), math.isfinite(high) and z == Fraction(high)
+    if (math.isfinite(low) and z < Fraction(low)) or (math.isfinite(high) and z > Fraction(high)):
+        return False
+    if is_low and is_high:
+        return True
+    return w >= 0 if is_low else w <= 0 if is_high else w == 0

@@ -1,0 +1,387 @@
+"""Error bounds hold exactly, prove only what is true, and are sharp where the solution is near."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_solution, solve_fractions
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, gallery
+from lcp_plugin.certificates import definite_bounds, error_bounds
+from lcp_plugin.certificates.definite_bounds import smallest_eigenvalue_bound
+from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound, v_bound
+from lcp_plugin.certificates.row_inequality import RowInequality
+from lcp_plugin.certificates.upward import product_above, quotient_above, sum_above
+from lcp_plugin.matrix_classes import comparison_certificate
+from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+
+property_test = settings(deadline=None, max_examples=60)  # the first example compiles
+POINTS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=8, max_size=8)
+STEPS = st.sampled_from([1.0, 1e-3, 1e-9, 2.0**-52, 0.0])
+
+
+def near(exact: tuple[Fraction, ...], direction: list[float], step: float) -> np.ndarray:
+    """Return the exact solution moved by a relative step."""
+    z = np.array(exact, dtype=float)
+    return z + step * np.array(direction[: z.size]) * np.maximum(np.abs(z).max(), np.finfo(float).tiny)
+
+
+def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: ErrorBound) -> None:
+    """Compare everything the bound states with the exact solution, in fractions."""
+    w = [
+        Fraction(float(q)) + sum(Fraction(float(a)) * b for a, b in zip(row, exact, strict=True))
+        for row, q in zip(problem.csr.toarray(), problem.q, strict=True)
+    ]
+    errors = [abs(Fraction(float(value)) - truth) for value, truth in zip(z, exact, strict=True)]
+    for i, error in enumerate(errors):
+        limit = bound.componentwise[i]
+        assert limit == np.inf or error <= Fraction(float(limit)), i
+        ends = [float(end) for end in (problem.lower[i], problem.upper[i]) if np.isfinite(end)]
+        assert not bound.proven_active[i] or exact[i] in ends, i
+        assert not bound.proven_inactive[i] or (exact[i] not in ends and w[i] == 0), i
+    assert bound.infinity == np.inf or max(errors) <= Fraction(bound.infinity)
+    if bound.relative < np.inf:
+        assert max(errors) <= Fraction(bound.relative) * Fraction(float(np.abs(z).max()))
+
+
+@property_test
+@given(solved_lcps(h_plus_matrices(), bounds=True, row_scale=60, column_scale=60), POINTS, STEPS, st.booleans())
+def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
+    """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
+    problem, exact = drawn
+    z = near(exact, direction, step)
+    bound = error_bound(problem, z, sharp=sharp)
+    assert bound.kind == "rigorous"
+    check(problem, z, exact, bound)
+
+
+@property_test
+@given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
+def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
+    """The same where M is symmetric positive definite and as a rule no H₊-matrix."""
+    problem, exact = drawn
+    z = near(exact, direction, step)
+    try:
+        bound = error_bound(problem, z, sharp=sharp)
+    except UnsuitableMatrix:
+        # Doubles cannot tell M from a singular matrix.
+        assert np.linalg.cond(problem.csr.toarray()) > 1e10
+        return
+    assert bound.kind == "rigorous"
+    check(problem, z, exact, bound)
+
+
+@property_test
+@given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True), POINTS, STEPS)
+def test_each_stage_holds_alone(drawn, direction, step) -> None:
+    """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
+    problem, exact = drawn
+    certificate = comparison_certificate(problem)
+    assert certificate is not None
+    z = near(exact, direction, step)
+    y = v_bound(problem, z, certificate)
+    with np.errstate(all="ignore"):
+        at = RowInequality.at(problem, z)
+        stages = [y, at.image(y), error_bounds._two_stage(at, certificate, y)]
+    for stage in stages:
+        for value, truth, limit in zip(z, exact, stage, strict=True):
+            assert abs(Fraction(float(value)) - truth) <= Fraction(float(limit))
+
+
+@pytest.mark.parametrize("radius", [0.5, 0.99, 0.999])
+def test_reference_point_removes_overestimation(radius) -> None:
+    """Bound/error ≤ 1.01 for random signs, also where ⟨M⟩⁻¹|r| exceeds |M⁻¹r| many times."""
+    generator = np.random.default_rng(1)
+    B = generator.standard_normal((40, 40))
+    np.fill_diagonal(B, 0.0)
+    M = np.eye(40) + radius / max(abs(np.linalg.eigvals(abs(B)))) * B
+    problem = LCP(M, generator.standard_normal(40))
+    z = np.array(exact_solution(LCP(problem.M, problem.q)).z, dtype=float)
+    error = 1e-6 * generator.standard_normal(40)
+    bound = error_bound(problem, z + error)
+    assert np.abs(error).max() * (1 - 1e-6) <= bound.infinity <= 1.01 * np.abs(error).max()
+    assert bound.is_active_set_proven
+    if radius == 0.999:
+        assert error_bound(problem, z + error, sharp=False).infinity > 50 * np.abs(error).max()
+
+
+@given(h_plus_matrices(dense=False), st.integers(-40, 40))
+@property_test
+def test_v_certificate_is_attained(M, exponent) -> None:
+    """For an M-matrix without bounds and z = z* + t v the v-certificate is the error itself."""
+    M = sp.csr_array(2.0 * sp.diags_array(M.diagonal()) - abs(M))
+    certificate = comparison_certificate(LCP(M, np.zeros(M.shape[0])))
+    assert certificate is not None
+    problem = LCP(M, np.zeros(M.shape[0]), lower=-np.inf)
+    z = np.ldexp(certificate.v, exponent)
+    y = v_bound(problem, z, certificate)
+    assert (z <= y).all()
+    assert (y <= z * (1.0 + 1e-10)).all()
+
+
+def test_bound_of_the_exact_solution_is_zero() -> None:
+    """Where z = z* and w* is free of rounding, the bound is 0, relative too, and every row is proven."""
+    scene = gallery.half_active(n=400, degenerate=False)
+    for sharp in (True, False):
+        bound = error_bound(scene.problem, scene.exact, sharp=sharp)
+        assert bound.infinity == bound.relative == 0.0
+        assert bound.is_active_set_proven
+        assert (bound.proven_active == (scene.exact == 0.0)).all()
+
+
+def stiff_problem(side: int) -> tuple[LCP, np.ndarray, np.ndarray]:
+    """Return a diffusion problem with one inclusion of contrast 1e10, its solution and the inclusion."""
+    k = np.ones((side, side))
+    inner = slice(side // 3, side // 2)
+    k[inner, inner] = 1e10
+    index = np.arange(side * side).reshape(side, side)
+    diagonal = np.zeros(side * side)
+    parts = []
+    for axis in (0, 1):
+        a, b = np.delete(index, -1, axis).ravel(), np.delete(index, 0, axis).ravel()
+        face = 2.0 / (1.0 / k.ravel()[a] + 1.0 / k.ravel()[b])
+        parts += [sp.coo_array((-face, (a, b)), shape=(side * side,) * 2)]
+        diagonal += np.bincount(a, face, side * side) + np.bincount(b, face, side * side)
+    for edge in (index[0], index[-1], index[:, 0], index[:, -1]):
+        diagonal[edge] += 1.0
+    upper = sum(parts)
+    M = sp.csr_array(upper + upper.T + sp.diags_array(diagonal))
+    problem = LCP(M, np.full(side * side, -1.0))
+    return problem, sp.linalg.spsolve(M.tocsc(), -problem.q), (k > 1.0).ravel()
+
+
+def test_stiff_data_tell_the_truth() -> None:
+    """Contrast 1e10: a z wrong by half passes a residual test of 1e-8; the bound shows its error and not much more."""
+    problem, z, inside = stiff_problem(40)
+    assert (z > 0.0).all()
+    smooth = sp.linalg.spsolve(problem.csr.tocsc(), inside.astype(float))
+    wrong = z - 0.5 * z[inside].max() / smooth.max() * smooth
+    assert Certificate.of(problem, wrong).relative_residual <= 1e-8
+    error = np.abs(wrong - z).max()
+    bound = error_bound(problem, wrong)
+    assert 0.999 * error <= bound.infinity <= 1.1 * error
+    assert bound.relative > 0.25
+
+
+def test_large_five_point_matrix() -> None:
+    """With n = 90 000, no zeroth-order term: certified, bound/error ≤ 1.6, every row proven."""
+    scene = gallery.half_active(n=90_000, delta=0.0, degenerate=False)
+    z = scene.exact + 1e-7 * np.sin(np.arange(90_000))
+    bound = error_bound(scene.problem, z)
+    error = np.abs(z - scene.exact).max()
+    assert error <= bound.infinity <= 1.6 * error
+    assert (np.abs(z - scene.exact) <= bound.componentwise).all()
+    assert bound.is_active_set_proven
+
+
+def test_large_matrix_with_both_signs() -> None:
+    """A large H₊-matrix that is no Z-matrix is sharpened by a Krylov method."""
+    generator = np.random.default_rng(0)
+    n = 60_000
+    rows = np.repeat(np.arange(n), 4)
+    B = sp.csr_array((generator.standard_normal(4 * n), (rows, generator.integers(0, n, 4 * n))), shape=(n, n))
+    M = sp.csr_array(B + sp.diags_array(1.2 * np.asarray(abs(B).sum(axis=1))))
+    exact = np.where(generator.random(n) < 0.5, generator.random(n), 0.0)
+    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
+    z = exact + 1e-6 * generator.standard_normal(n)
+    bound = error_bound(problem, z)
+    error = np.abs(z - exact).max()
+    assert 0.999 * error <= bound.infinity <= 1.6 * error
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("M", [[[2, 1], [1, 2]], [[1, 0.9], [0.9, 1]]])
+def test_no_bound_of_no_number(value, M) -> None:
+    """NaN or infinite entries of z give the bound ∞ and prove nothing."""
+    bound = error_bound(LCP(M, [-5, 1]), [value, 0.0])
+    assert bound.infinity == bound.relative == np.inf
+    assert not (bound.proven_active | bound.proven_inactive).any()
+
+
+def test_relative_bound_at_zero() -> None:
+    """At z = 0 the relative bound is 0 where z* = 0 is proven and ∞ elsewhere."""
+    M = [[2.0, 1.0], [1.0, 2.0]]
+    assert error_bound(LCP(M, [1, 1]), [0, 0]).relative == 0.0
+    assert error_bound(LCP(M, [-1, 1]), [0, 0]).relative == np.inf
+
+
+def test_points_outside_the_bounds() -> None:
+    """A z far outside a box is bounded by its distance to the solution."""
+    problem = LCP([[2, -1], [-1, 2]], [-9, 9], lower=-1, upper=1)
+    bound = error_bound(problem, [1e6, -1e6])
+    assert 1e6 - 1 <= bound.infinity <= 1e6 + 2
+    assert bound.proven_active.all()
+
+
+def test_free_and_fixed_rows_are_known() -> None:
+    """A free row is inactive and a fixed row active, whatever z is."""
+    problem = LCP(np.eye(2) * 3, [-1, 1], lower=[-np.inf, 2], upper=[np.inf, 2])
+    bound = error_bound(problem, [1e3, 1e3], sharp=False)
+    assert bound.proven_inactive.tolist() == [True, False]
+    assert bound.proven_active.tolist() == [False, True]
+
+
+def test_empty_problem() -> None:
+    """A problem without unknowns has error 0."""
+    bound = error_bound(LCP(np.zeros((0, 0)), np.zeros(0)), np.zeros(0))
+    assert bound.infinity == bound.relative == 0.0
+    assert bound.is_active_set_proven
+
+
+REFUSED = [
+    ([[1, 2], [2, 1]], "M was not proven to be either"),
+    ([[0, 1], [-1, 1]], r"M\[0, 0\] = 0.0"),
+    ([[1, 0], [5, -2]], r"M\[1, 1\] = -2.0"),
+    ([[1, 1], [1, 1]], "row 0 has 1 times its diagonal beside it"),
+]
+
+
+@pytest.mark.parametrize(("M", "words"), REFUSED)
+def test_unsuitable_matrices_are_refused_in_words(M, words) -> None:
+    """Neither H₊ nor positive definite: the message names what was found and what is needed."""
+    with pytest.raises(UnsuitableMatrix, match=words) as caught:
+        error_bound(LCP(M, [1, 1]), [0, 0])
+    assert "H₊-matrix" in str(caught.value)
+
+
+def test_misuse_is_refused_in_words() -> None:
+    """Something else than an LCP, or a z of another length."""
+    with pytest.raises(InvalidProblem, match="error_bound needs an LCP, got list"):
+        error_bound([[1]], [0])  # type: ignore[arg-type]
+    with pytest.raises(InvalidProblem, match="length 1"):
+        error_bound(LCP([[1]], [0]), [0, 0])
+
+
+def test_estimates_say_so(monkeypatch) -> None:
+    """Where the eigenvalue is not proven, kind and text say estimate, and no row is called proven."""
+    monkeypatch.setattr(definite_bounds, "SPARSE_UP_TO", 100)
+    side = 20
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
+    M = sp.csr_array(laplacian @ laplacian)
+    exact = np.ones(side * side)
+    bound = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
+    assert bound.kind == "estimate"
+    assert "≲" in str(bound)
+    assert "estimate" in str(bound)
+    assert not (bound.proven_active | bound.proven_inactive).any()
+    monkeypatch.undo()
+    proven = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
+    assert proven.kind == "rigorous"
+    assert 0.99e-6 < proven.infinity < 1.1e-6
+
+
+def is_positive_definite_exactly(A: list[list[Fraction]]) -> bool:
+    """Return whether all leading pivots are positive, in fractions."""
+    A = [list(row) for row in A]
+    for k in range(len(A)):
+        if A[k][k] <= 0:
+            return False
+        for i in range(k + 1, len(A)):
+            factor = A[i][k] / A[k][k]
+            A[i] = [a - factor * b for a, b in zip(A[i], A[k], strict=True)]
+    return True
+
+
+@property_test
+@given(positive_definite_matrices(scale=30, margin=2.0**-20), st.booleans())
+def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
+    """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
+    problem = LCP(M, np.zeros(M.shape[0]))
+    if by_sparse_factor:
+        exponent = np.round(-0.5 * np.log2(problem.diagonal)).astype(int)
+        part, blur = definite_bounds._symmetric_part(problem.csr, exponent)
+        value, scale = definite_bounds._sparse_bound(part, blur), np.exp2(exponent)
+    else:
+        bound = smallest_eigenvalue_bound(problem)
+        value, scale = (None, None) if bound is None else (bound.value, bound.scale)
+    if value is None:
+        return
+    exact = [[Fraction(float(m)) * Fraction(float(a)) * Fraction(float(b)) for m, b in zip(row, scale, strict=True)]
+             for row, a in zip(M, scale, strict=True)]
+    for i in range(len(exact)):
+        exact[i][i] -= Fraction(value) * Fraction(999_999, 1_000_000)
+    assert is_positive_definite_exactly(exact)
+
+
+def test_two_norm_bound_is_its_formula() -> None:
+    """The 2-norm bound is C ‖C (Mᵀ + S⁻¹) r‖₂ / λ as numpy computes it, a little above and never below."""
+    generator = np.random.default_rng(2)
+    factor = generator.standard_normal((6, 6))
+    skew = generator.standard_normal((6, 6))
+    unit = np.exp2(generator.integers(-9, 9, 6))
+    M = unit[:, None] * (factor @ factor.T + np.eye(6) + skew - skew.T) * unit
+    lower, upper = np.array([0, -1, -np.inf, 0, -1, -np.inf]) / unit, np.array([np.inf, 1, np.inf, 2, 1, 1]) / unit
+    problem = LCP(M, generator.standard_normal(6) * unit, lower=lower, upper=upper)
+    z = generator.standard_normal(6) / unit
+    step = np.exp2(-np.round(np.log2(np.diag(M))))
+    r = z - np.clip(z - step * (M @ z + problem.q), lower, upper)
+    eigenvalue = smallest_eigenvalue_bound(problem)
+    c = eigenvalue.scale
+    formula = c * np.linalg.norm(c * (M.T @ r + r / step)) / eigenvalue.value
+    with np.errstate(all="ignore"):
+        y = definite_bounds.two_norm_bound(problem, RowInequality.at(problem, z), eigenvalue)
+    assert (y >= formula * (1.0 - 1e-13)).all()
+    assert (y <= formula * (1.0 + 1e-11)).all()
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_eigenvalue_bound_is_near(kind) -> None:
+    """The proven bound is at least 0.9 of LAPACK's eigenvalue; a singular matrix gets none."""
+    generator = np.random.default_rng(0)
+    if kind == "dense":
+        factor = generator.standard_normal((80, 80))
+        M = factor @ factor.T + 0.1 * np.eye(80)
+        singular = factor[:, :40] @ factor[:, :40].T
+    else:
+        line = sp.diags_array([1.0, -4.0, 6.0, -4.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(400, 400))
+        M = sp.csr_array(line + 0.01 * sp.eye_array(400))
+        singular = sp.csr_array(line - 1e-3 * sp.eye_array(400))
+    bound = smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])))
+    scaled = bound.scale[:, None] * (M if kind == "dense" else M.toarray()) * bound.scale
+    smallest = np.linalg.eigvalsh(scaled)[0]
+    assert 0.9 * smallest < bound.value <= smallest
+    assert smallest_eigenvalue_bound(LCP(singular, np.zeros(M.shape[0]))) is None
+
+
+EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976931348623157e308]
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(EXTREMES + [-x for x in EXTREMES])
+
+
+@property_test
+@given(DOUBLES, DOUBLES)
+def test_rounding_is_upwards(a, b) -> None:
+    """Sums, products and quotients are never below the exact ones, nor more than two units above."""
+    exact = [Fraction(a) + Fraction(b), Fraction(a) * Fraction(b)]
+    with np.errstate(all="ignore"):
+        results = [sum_above(a, b), product_above(a, b)]
+        if b > 0.0:
+            exact.append(Fraction(a) / Fraction(b))
+            results.append(quotient_above(a, b))
+    for truth, result in zip(exact, results, strict=True):
+        assert result == np.inf or Fraction(float(result)) >= truth
+        if abs(truth) < Fraction(1e308):
+            assert Fraction(float(result)) <= truth + abs(truth) * Fraction(3, 2**52) + Fraction(3, 2**1074)
+    if abs(exact[0]) < Fraction(1e308) and float(exact[0]) == exact[0]:
+        assert results[0] == exact[0]
+
+
+@property_test
+@given(solved_lcps(bounds=True))
+def test_exact_solver_finds_the_planted_answer(drawn) -> None:
+    """The rational solver of the tests returns the solution the problem was built from."""
+    problem, exact = drawn
+    assert exact_solution(problem).z == exact
+
+
+def test_fractions_solve_exactly() -> None:
+    """Elimination in fractions solves a system that doubles cannot, and refuses a singular one."""
+    A = [[Fraction(1, i + j + 1) for j in range(6)] for i in range(6)]
+    x = solve_fractions(A, [sum(row) for row in A])
+    assert x == [1] * 6
+    assert solve_fractions([[Fraction(1), Fraction(2)], [Fraction(2), Fraction(4)]], [Fraction(1), Fraction(0)]) is None

@@ -1,0 +1,428 @@
+"""What convergence_guarantee claims is true of actual runs, and it claims nothing that is not."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns.guarantees import run_case
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from lcp_plugin import LCP, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.algorithms.automatic_scaling import automatic_factors
+from lcp_plugin.algorithms.projected_splitting import NPSplitting
+from lcp_plugin.certificates.contraction import triangle_sums
+from lcp_plugin.certificates.method_3_1 import theorem_4_1
+from lcp_plugin.certificates.spectral_radius import nonnegative_radius, radius_above_one
+from lcp_plugin.cli import app
+from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
+from lcp_plugin.evidence import gallery, paper_tables
+from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
+from lcp_plugin.strategies import h_plus_matrices
+
+SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
+UNSCALED: dict[str, Any] = {"scaling": None}
+
+
+def with_matrix(M: Any) -> LCP:
+    return LCP(M, -np.ones(np.shape(M)[0]))
+
+
+# --- Rates -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_run_contradicts_a_guarantee(seed: int) -> None:
+    """Rates, contraction bounds, arrivals and divergence hold in 40 random cases; the campaign runs thousands."""
+    rng = np.random.default_rng(1000 + seed)
+    outcomes = [run_case(rng) for _ in range(40)]
+    assert [text for outcome in outcomes for text in outcome.violations] == []
+    assert Counter(outcome.label.partition(": ")[2] for outcome in outcomes)["guaranteed with rate"] >= 8
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "rate"),
+    [
+        ("pj", {}, 0.5),
+        ("pgs", {}, 0.5),  # row 1 sees what row 0 has become: 0 there
+        ("gfp", {"relaxation": 0.5}, 0.75),
+        ("psor", {"relaxation": 1.2}, 0.8),  # row 0: 0.2 + 1.2/2
+        ("npj", {"scaling": "diagonal"}, 0.75),  # (1 + 1 + 2 − 2·(1 − ½))/4
+        ("npgs", {"scaling": "diagonal"}, 0.75),
+        ("mj", {}, 0.5),
+        ("mgs", {}, 0.5),
+    ],
+)
+def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: float) -> None:
+    """On [[1, −½], [−½, 1]] with v = 1 the rates are those that a pencil gives."""
+    guarantee = convergence_guarantee(with_matrix([[1.0, -0.5], [-0.5, 1.0]]), name, **options)
+    assert guarantee.is_guaranteed
+    assert guarantee.rate == pytest.approx(rate, rel=1e-12)
+    assert np.array_equal(guarantee.v, [1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["npgs", "npsor", "pgs", "paor"])
+@pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
+def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -> None:
+    """c/(1 − c)‖z_k − z_{k−1}‖_v v bounds the error of every iterate, by less than a factor of 1000."""
+    scene = gallery.half_active(n=100)
+    algorithm = create(name, {"sweep": sweep})
+    guarantee = convergence_guarantee(scene.problem, algorithm)
+    assert guarantee.has_contraction_bound
+    path = [step.z.copy() for step in islice(algorithm.iterates(scene.problem, np.full(100, 3.0)), 12)]
+    for old, new in pairwise(path):
+        bound, error = guarantee.contraction_bound(new, old), abs(new - scene.exact)
+        assert np.all(error <= bound)
+        assert bound.max() <= 1000.0 * error.max()
+
+
+def test_no_contraction_bound_without_a_rate_of_z() -> None:
+    """A modulus method contracts x, PSOR("auto") has no rate: both refuse to bound z, and say so."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    for name, word in (("mgs", "of x"), ("psor", "None")):
+        guarantee = convergence_guarantee(problem, name)
+        assert guarantee.is_guaranteed
+        assert not guarantee.has_contraction_bound
+        with pytest.raises(InvalidOption, match=word):
+            guarantee.contraction_bound([1.0, 1.0], [0.0, 0.0])
+
+
+# --- What is covered ---------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    M=h_plus_matrices(row_scale=20, column_scale=20),
+    alpha=st.floats(0.05, 50.0),
+    share=st.floats(0.0, 1.0),
+    sweep=st.sampled_from(["forward", "backward", "symmetric"]),
+)
+def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
+    M: np.ndarray, alpha: float, share: float, sweep: str
+) -> None:
+    """With scaling="auto", α > 0 and 0 ≤ β ≤ α NP methods are guaranteed on every H₊-matrix; steps shrink."""
+    problem = with_matrix(M)
+    algorithm = create("npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep})
+    guarantee = convergence_guarantee(problem, algorithm)
+    assert guarantee.is_guaranteed
+    if guarantee.rate is not None and guarantee.v is not None:
+        iterates = [step.z.copy() for step in islice(algorithm.iterates(problem, np.zeros(problem.n)), 20)]
+        lengths = [np.max(np.abs(new - old) / guarantee.v) for old, new in pairwise(iterates)]
+        rounding = 1e-12 * max(np.max(np.abs(z) / guarantee.v) for z in iterates)
+        assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+@pytest.mark.parametrize(
+    "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
+)
+def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
+    """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
+    guarantee = convergence_guarantee(gallery.parse(text).problem, name)
+    assert guarantee.is_guaranteed, str(guarantee)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("alpha", [0.3, 1.0])
+def test_npj_is_guaranteed_at_every_scale(scale: float, alpha: float) -> None:
+    """β = 0 and α ≤ 1: unscaled, whatever the unit of the rows is."""
+    M = scale * gallery.scaling_trap().problem.csr.toarray()
+    options = {"relaxation": alpha, "acceleration": 0.0, "scaling": None}
+    assert convergence_guarantee(with_matrix(M), "npaor", **options).is_guaranteed
+
+
+def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
+    """Unscaled NPSOR(1.7), which runs into a limit cycle there, and its relatives get no guarantee, but a remedy."""
+    trap = gallery.scaling_trap()
+    for name in ("npgs", "npsor", "npaor", "npsplitting"):
+        guarantee = convergence_guarantee(trap.problem, name, **UNSCALED)
+        assert not guarantee.is_guaranteed
+        assert 'scaling="auto"' in guarantee.remedy
+        quick = quick_guarantee(trap.problem, create(name, UNSCALED))
+        assert quick is None or not quick.is_guaranteed
+    assert not solve(trap.problem, "npsor", z0=trap.start, **UNSCALED).is_solved
+    assert quick_guarantee(trap.problem, create("npsor", UNSCALED)).verdict == "not covered"
+
+
+@pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
+def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, number: str) -> None:
+    """ρ|L+U| is 3.84 and 3.32, where Theorem 4.2 as stated asks for less than 1; scaled they are covered."""
+    problem = gallery.build(f"paper_example_{example}", n=100).problem
+    for name in ("npgs", "npsor"):
+        said = convergence_guarantee(problem, name, **UNSCALED).paper
+        assert said.startswith(
+            f"not covered by Theorem 4.2 as stated (ρ|L+U| = {number}); covered after diagonal scaling"
+        )
+        assert convergence_guarantee(problem, name, scaling="diagonal").is_guaranteed
+
+
+@pytest.mark.parametrize(
+    ("M", "alpha", "says"),
+    [
+        ([[2.0, -0.5], [-0.5, 2.0]], 1.0, "covered by Theorem 4.2 as stated, case 1"),
+        ([[0.5, -0.2], [-0.2, 0.5]], 1.0, "covered by Theorem 4.2 as stated, case 2"),
+        ([[0.5, -0.2], [-0.2, 0.5]], 1.7, "not covered .*0 ≤ β ≤ α ≤ 1"),
+        ([[0.5, -0.2], [-0.2, 2.0]], 1.0, "not covered .*neither D ≥ I nor D < I"),
+        ([[1.0, -2.0], [-2.0, 1.0]], 1.0, "not covered .*not proven to be an H₊-matrix"),
+    ],
+)
+def test_theorem_4_2_as_stated(M: Any, alpha: float, says: str) -> None:
+    """Its two cases, its premise on the splitting, mixed diagonals and other matrices are told apart."""
+    import re
+
+    guarantee = convergence_guarantee(with_matrix(M), "npsor", relaxation=alpha, **UNSCALED)
+    assert re.match(says, guarantee.paper)
+    if guarantee.paper.startswith("covered"):
+        assert guarantee.is_guaranteed
+
+
+def test_positive_definite_matrices() -> None:
+    """SPD but not H₊: PSOR-type sweeps and a short gradient step are covered, Jacobi can diverge and does."""
+    problem = with_matrix(SPD_NOT_H)
+    for name, options in (
+        ("pgs", {}), ("psor", {}), ("psor", {"relaxation": 1.9, "sweep": "symmetric"}), ("auto", {}),
+        ("paor", {"relaxation": 1.3, "acceleration": 1.3}), ("gfp", {"relaxation": 0.7}),
+    ):
+        guarantee = convergence_guarantee(problem, name, **options)
+        assert guarantee.is_guaranteed
+        assert guarantee.rate is None
+        assert "positive definite" in guarantee.theorem
+        assert solve(problem, name, max_iterations=20_000, **options).is_solved
+    jacobi = convergence_guarantee(problem, "pj")
+    assert jacobi.verdict == "can diverge"
+    assert "psor" in jacobi.remedy
+    free = problem.with_q(problem.q, lower=-np.inf)
+    assert not solve(free, "pj", z0=[1.0, 2.0, 3.0], max_iterations=500).is_solved
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("gfp", {"relaxation": 2.0}), ("paor", {"relaxation": 2.5, "acceleration": 2.5}), ("gfp", {"relaxation": 3.0})],
+)
+def test_a_relaxation_of_two_or_more_can_diverge_on_every_matrix(name: str, options: dict[str, float]) -> None:
+    """ω ≥ 2: determinant or trace forbid convergence where no constraint is active, even on the identity."""
+    problem = with_matrix(np.eye(2))
+    guarantee = convergence_guarantee(problem, name, **options)
+    assert guarantee.verdict == "can diverge"
+    assert "relaxation" in guarantee.remedy
+    free = problem.with_q(problem.q, lower=-np.inf)
+    assert not solve(free, name, max_iterations=300, **options).is_solved
+
+
+def test_an_iteration_that_cannot_run_is_not_covered() -> None:
+    """A zero diagonal or an upper bound is told as the algorithm tells it."""
+    assert "positive diagonal" in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
+    boxed = LCP(np.eye(2), [1.0, 1.0], upper=1.0)
+    assert convergence_guarantee(boxed, "mgs").verdict == "not covered"
+    assert convergence_guarantee(boxed, "pgs").is_guaranteed
+
+
+def test_an_algorithm_of_the_user_is_not_covered() -> None:
+    """Nothing is claimed about an iteration that tells no facts."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Still(Algorithm):
+        name = "still"
+
+        def iterates(self, problem: LCP, z0: np.ndarray) -> Any:
+            while True:
+                yield Step(z0)
+
+    assert convergence_guarantee(with_matrix(np.eye(2)), Still()).verdict == "not covered"
+    assert quick_guarantee(with_matrix(np.eye(2)), Still()) is None
+
+
+def test_arguments_are_checked() -> None:
+    """Unknown names and options are refused as solve refuses them, and an automatic scaling takes no factor."""
+    problem = with_matrix(np.eye(2))
+    with pytest.raises(UnknownAlgorithm, match="psor"):
+        convergence_guarantee(problem, "psr")
+    with pytest.raises(InvalidOption, match="relaxation"):
+        convergence_guarantee(problem, "npgs", relaxation=1.0)
+    with pytest.raises(InvalidOption, match="LCP"):
+        convergence_guarantee(np.eye(2), "npgs")
+    with pytest.raises(InvalidOption, match='needs scaling="diagonal"'):
+        convergence_guarantee(problem, "npgs", scaling_factor=2.0)
+
+
+def test_a_guarantee_is_kept_with_the_matrix() -> None:
+    """The same options give the same object, also for another q; other options another one."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    found = convergence_guarantee(problem, "npsor")
+    assert convergence_guarantee(problem.with_q([1.0, 2.0]), "npsor") is found
+    assert convergence_guarantee(problem, "npsor", relaxation=1.1) is not found
+    algorithm = create("npsor", {})
+    assert quick_guarantee(problem, algorithm) is quick_guarantee(problem, algorithm)
+    assert quick_guarantee(problem, algorithm).rate == found.rate
+
+
+def test_an_empty_problem_is_guaranteed() -> None:
+    """An LCP without rows converges at once, whatever runs."""
+    for name in REGISTRY:
+        assert convergence_guarantee(LCP(np.zeros((0, 0)), []), name).is_guaranteed
+
+
+# --- The automatic scaling -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "largest"),
+    [("half_active:n=100", 2.0), ("half_active:n=100,delta=16", 1.25), ("half_active:n=100,delta=0", 2.0),
+     ("random_h_plus:n=100", 1.0)],
+)
+def test_automatic_factors(text: str, largest: float) -> None:
+    """θ = min(2, 1/(1 − ℓ − u), 0.9/ℓ) where all rows are dominant (weakly counts), 1 where one is not."""
+    problem = gallery.parse(text).problem
+    factors = automatic_factors(problem, 1.0, "forward")
+    assert factors.max() == pytest.approx(largest)
+    lower, upper = triangle_sums(problem, np.ones(problem.n))
+    if largest > 1.0:
+        with np.errstate(divide="ignore"):
+            expected = np.minimum(np.minimum(2.0, 1.0 / (1.0 - lower - upper)), 0.9 / lower)
+        np.testing.assert_allclose(factors, expected)
+    reversed_problem = LCP(problem.csr.toarray()[::-1, ::-1], problem.q[::-1])
+    np.testing.assert_allclose(automatic_factors(reversed_problem, 1.0, "backward")[::-1], factors)
+    both = automatic_factors(problem, 1.0, "symmetric")
+    assert np.all(both <= np.minimum(factors, automatic_factors(problem, 1.0, "backward")))
+
+
+def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
+    """NP with scaling="auto" takes the steps of the unscaled NP on (SM, Sq), s_i = θ_i/d_i."""
+    problem = gallery.half_active(n=100, delta=1.0).problem
+    S = automatic_factors(problem, 1.0, "forward") / problem.diagonal
+    assert len(set(S.round(6))) > 1
+    scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
+    paths = [
+        np.array([step.z.copy() for step in islice(create("npsor", options).iterates(p, np.ones(100)), 20)])
+        for p, options in ((problem, {}), (scaled, UNSCALED))
+    ]
+    np.testing.assert_allclose(paths[0], paths[1], atol=1e-13)
+
+
+def test_automatic_scaling_pays() -> None:
+    """On grids it needs fewer sweeps than θ = 1, on a random matrix at most a fifth more."""
+    for text in ("half_active:n=400", "half_active:n=400,delta=0", "obstacle_2d:size=12", "american_put:size=50",
+                 "random_h_plus:n=300,row_scale=0,column_scale=0"):
+        problem = gallery.parse(text).problem
+        automatic, plain = (solve(problem, "npsor", scaling=word).iterations for word in ("auto", "diagonal"))
+        assert automatic <= (0.95 * plain if "random" not in text else 1.2 * plain)
+
+
+def test_the_paper_s_tables_run_unscaled() -> None:
+    """The tables set scaling=None for every projected-type method."""
+    assert all(paper_tables.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
+
+
+# --- The numbers behind it -----------------------------------------------------------------------------------
+
+
+def test_bounds_of_a_nonnegative_radius() -> None:
+    """They enclose LAPACK's spectral radius, on reducible and bipartite matrices too, and the input stays as it is."""
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        B = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.2, 0.5, 1.0]))
+        given = sp.csr_array(B)
+        lower, upper = nonnegative_radius(given)
+        radius = max(abs(np.linalg.eigvals(B)))
+        assert lower <= radius * (1 + 1e-6) + 1e-5
+        assert radius <= upper * (1 + 1e-6) + 1e-5
+        assert upper - lower <= 1e-8 * max(upper, 1.0)
+        assert np.array_equal(given.toarray(), B)
+    lower, upper = nonnegative_radius(abs(gallery.paper_example_1(n=100).problem.csr - 8.0 * sp.eye_array(100)))
+    assert lower <= 4.0 * math.cos(math.pi / 11.0) <= upper <= lower + 1e-9
+
+
+@pytest.mark.parametrize("distance", [-1e-3, -1e-8, 1e-8, 1e-3])
+def test_a_radius_above_one_is_claimed_only_where_it_is(distance: float) -> None:
+    """With eigenvalues planted by a similarity, ρ < 1 is never called larger, and ρ ≥ 1 + 1e-8 mostly is."""
+    rng = np.random.default_rng(3)
+    claimed = []
+    for _ in range(30):
+        n = int(rng.integers(1, 12))
+        angle = rng.uniform(0.0, math.pi)
+        T = np.diag(rng.uniform(-0.9, 0.9, n))
+        T[0, 0] = 1.0 + distance
+        if n > 1:
+            T[:2, :2] = (1.0 + distance) * np.array([[math.cos(angle), -math.sin(angle)],
+                                                    [math.sin(angle), math.cos(angle)]])
+        Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        P = np.tril(rng.normal(size=(n, n)), -1) * 0.3 + np.diag(rng.uniform(1.0, 2.0, n))
+        lower = radius_above_one(P, P @ (Q @ T @ Q.T))
+        claimed.append(lower is not None)
+        assert lower is None or 1.0 < lower <= 1.0 + distance
+    assert np.mean(claimed) == 0.0 if distance < 0.0 else np.mean(claimed) > 0.8
+
+
+def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
+    """The certified c is at least ρ(T), near it on irreducible T, and there is one wherever ρ(T) < 0.99."""
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(100):
+        n = int(rng.integers(1, 8))
+        M = np.eye(n) * rng.uniform(0.5, 2.0) + 0.3 * rng.normal(size=(n, n)) / n
+        inner = np.tril(M) + 0.1 * rng.normal(size=(n, n))
+        D, identity = np.diag(np.diag(M)), np.eye(n)
+        T = abs(np.linalg.inv(inner + 2 * identity + D)) @ (abs(inner - M + identity + D) + abs(M - identity))
+        radius = max(abs(np.linalg.eigvals(T)))
+        found = theorem_4_1(M, inner)
+        assert (found is not None) == (radius < 1.0) or abs(radius - 1.0) < 0.01
+        if found is not None:
+            covered += 1
+            assert radius * (1 - 1e-12) <= found[0] <= radius + 0.01
+    assert 20 < covered < 100
+
+
+def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
+    """A splitting that is no part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
+    for n, covered in ((30, True), (501, False)):
+        M = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])
+        problem = LCP(sp.csr_array(M), -np.ones(n))
+        guarantee = convergence_guarantee(problem, NPSplitting(splitting=sp.csr_array(1.1 * M)))
+        assert guarantee.is_guaranteed == covered
+        assert covered or "n > 500" in guarantee.theorem
+
+
+# --- The command ---------------------------------------------------------------------------------------------
+
+
+def told(*arguments: str) -> Any:
+    result = CliRunner().invoke(app, ["analyze", *arguments])
+    assert "Traceback" not in result.output
+    return result
+
+
+def test_the_command_tells_matrix_and_guarantees() -> None:
+    """One line a claim, one an algorithm, the paper's variants, and what its theorem says; exit code 0."""
+    result = told("paper_example_1:n=100")
+    assert result.exit_code == 0
+    for words in ("H₊-matrix                     yes", "npsor, scaling=none           not covered"):
+        assert words in result.stdout
+    assert "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling" in result.stdout
+    lines = result.stdout.splitlines()
+    assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
+
+
+def test_the_command_prints_json() -> None:
+    """--json is one JSON document with both tables and no number that JSON does not know."""
+    content = json.loads(told("murty:n=4", "--json").stdout, parse_constant=pytest.fail)
+    assert content["matrix"]["verdicts"]["is_h_plus"]["value"] is True
+    assert {row["algorithm"] for row in content["convergence"]} >= {"auto", *REGISTRY}
+
+
+@pytest.mark.parametrize("target", ["nonsense", "missing.npz", "murty:n=0", "murty:size=3"])
+def test_the_command_refuses_what_is_no_problem(target: str) -> None:
+    """Exit code 2 and one line on stderr."""
+    result = told(target)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("lcp-plugin: ")

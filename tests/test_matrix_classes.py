@@ -1,0 +1,351 @@
+"""Verdicts on matrices are true, their proofs hold, and what is undecided says so."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP
+from lcp_plugin.errors import InvalidOption, InvalidProblem
+from lcp_plugin.matrix_classes import analyze, comparison_certificate, comparison_solve, h_verdict, prove_m_matrix
+from lcp_plugin.matrix_classes.definiteness import is_positive_definite, symmetric_part
+from lcp_plugin.matrix_classes.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
+
+CAMPAIGN = Path(__file__).parent / "campaigns" / "matrix_verdicts.py"
+
+
+def laplacian(m: int) -> sp.csr_array:
+    """The five-point matrix on m × m points: row sums vanish inside."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m))
+    return sp.csr_array(sp.kron(sp.eye_array(m), line) + sp.kron(line, sp.eye_array(m)))
+
+
+def with_radius(rng: np.random.Generator, n: int, radius: float) -> np.ndarray:
+    """A full matrix with random signs and ρ(D⁻¹|B|) = radius up to some ulps."""
+    B = rng.uniform(0.1, 1.0, (n, n))
+    np.fill_diagonal(B, 0.0)
+    v = 10.0 ** rng.uniform(-2, 2, n)
+    return B * rng.choice([-1.0, 1.0], (n, n)) + np.diag(B @ v / (v * radius))
+
+
+KNOWN = {
+    # matrix: verdicts, T F U in the order Z M dominant H+ definite semidefinite P
+    "identity": (np.eye(3), "TTTTTTT"),
+    "strictly dominant": ([[3, 1], [-2, 3]], "FFTTTTT"),
+    "M-matrix, not dominant": ([[1, -3], [-0.2, 1]], "TTFTFFT"),
+    "singular M-matrix": ([[1, -1], [-1, 1]], "TFFFFTF"),
+    "P but neither H nor definite": ([[1, -9], [1, 1]], "FFFFFFT"),
+    "definite, not H": ([[1, 5], [-5, 1]], "FFFFTTT"),
+    "negative diagonal": ([[-4, 1], [1, 4]], "FFTFFFF"),
+    "zero diagonal, skew": ([[0, 1], [-1, 0]], "FFFFFTF"),
+    "SPD, not H": ([[1, 0.6, 0.6], [0.6, 1, 0.6], [0.6, 0.6, 1]], "FFFFTTT"),
+    "indefinite minor": ([[1, 2], [2, 1]], "FFFFFFF"),
+    "lower triangular": ([[1, 0], [100, 1]], "FFFTFFT"),
+    "P block over P block": ([[1, -3, 7], [3, 0.5, 9], [0, 0, 2]], "FFFFFFT"),
+}
+CLAIMS = ("is_z_matrix", "is_m_matrix", "is_strictly_dominant", "is_h_plus", "is_positive_definite",
+          "is_positive_semidefinite", "is_p_matrix")
+
+
+@pytest.mark.parametrize("sparse", [False, True], ids=["dense", "sparse"])
+@pytest.mark.parametrize("name", KNOWN)
+def test_textbook_matrices(name: str, sparse: bool) -> None:
+    """Matrices whose classes are known by hand get exactly those, each with evidence."""
+    matrix, expected = KNOWN[name]
+    report = analyze(sp.csr_array(np.array(matrix, dtype=float)) if sparse else matrix)
+    found = "".join({True: "T", False: "F", None: "U"}[getattr(report, claim)] for claim in CLAIMS)
+    assert found == expected
+    assert all(report.evidence.values())
+
+
+def test_campaign_in_small() -> None:
+    """Random matrices of all kinds: no wrong verdict, none undecided at |1 − ρ| ≥ 1e-10, all proofs hold."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    run = subprocess.run(
+        [sys.executable, str(CAMPAIGN), "--cases", "96", "--seed", "7"],
+        capture_output=True, text=True, check=False, env=environment,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("n", [40, 600])
+@pytest.mark.parametrize("distance", [1e-9, 1e-12])
+def test_both_sides_of_singular(n: int, distance: float) -> None:
+    """At |1 − ρ| = 1e-9 and 1e-12 the right side of 1 is proven, also with rows and columns scaled by 1e±100."""
+    rng = np.random.default_rng(n)
+    for sign in (-1.0, 1.0):
+        M = with_radius(rng, n, 1.0 + sign * distance)
+        units = 10.0 ** rng.uniform(-100, 100, (n, 1)) * 10.0 ** rng.uniform(-100, 100, n)
+        for matrix in (M, M * units):
+            verdict = h_verdict(LCP(sp.csr_array(matrix), np.zeros(n)))
+            assert verdict.is_h == (sign < 0)
+            assert (verdict.certificate is not None) == (sign < 0)
+
+
+def test_laplacian_is_certified_through_a_solve() -> None:
+    """Dominant nowhere strictly inside: H₊, SPD and P with a margin that is positive on every row."""
+    for m in (5, 30, 90):
+        report = analyze(laplacian(m))
+        assert report.is_h_plus
+        assert report.is_positive_definite
+        assert report.is_p_matrix
+        assert report.is_irreducibly_dominant
+        assert not report.is_strictly_dominant
+        assert report.margin.min() > 0.0
+        exact = Fraction(4) * Fraction(report.v[0]) - Fraction(report.v[1]) - Fraction(report.v[m])
+        assert exact >= Fraction(report.margin[0])
+
+
+def test_beyond_singular_on_a_large_grid() -> None:
+    """The five-point matrix less a little more than its smallest eigenvalue is proven to be no H-matrix."""
+    m = 90
+    smallest = 8.0 * np.sin(np.pi / (2 * (m + 1))) ** 2
+    for factor, expected in ((0.999, True), (1.001, False)):
+        report = analyze(laplacian(m) - factor * smallest * sp.eye_array(m * m))
+        assert report.is_h_plus is expected
+        assert report.is_positive_definite is expected
+        assert (report.v is not None) == expected
+        assert (report.not_h_vector is not None) != expected
+
+
+def test_singular_laplacian_ties_are_exact() -> None:
+    """Row sums that vanish exactly prove that the matrix with Neumann boundary is no H-matrix, yet semidefinite."""
+    grid = laplacian(60)
+    neumann = sp.csr_array(grid - sp.diags_array(grid @ np.ones(3600)))
+    report = analyze(neumann)
+    assert report.is_h_plus is False
+    assert report.is_positive_semidefinite is True
+    assert report.semidefinite_delta == 0.0
+    assert not report.is_irreducibly_dominant
+
+
+def test_reducible_blocks_share_one_vector() -> None:
+    """Nearly singular diagonal blocks with huge couplings: one v for all of them, checked."""
+    rng = np.random.default_rng(0)
+    M = np.zeros((24, 24))
+    for k in range(3):
+        block = slice(8 * k, 8 * k + 8)
+        M[block, : 8 * k] = 1e6 * rng.normal(size=(8, 8 * k))
+        M[block, block] = with_radius(rng, 8, 1.0 - 1e-9)
+    order = rng.permutation(24)
+    report = analyze(M[np.ix_(order, order)])
+    assert report.is_h_plus
+    assert report.v is not None
+    assert report.blocks == 3
+    assert report.components == 1
+
+
+def test_verdict_without_a_vector_in_range() -> None:
+    """A triangular matrix whose v leaves the doubles is an H-matrix all the same, without a certificate."""
+    n = 400
+    M = sp.csr_array(sp.diags_array([1.0, -10.0], offsets=[0, -1], shape=(n, n)))
+    report = analyze(M)
+    assert report.is_h_plus is True
+    assert report.v is None
+    assert comparison_certificate(LCP(M, np.zeros(n))) is None
+
+
+def test_p_recursion_against_minors() -> None:
+    """The recursion agrees with all principal minors by LAPACK where those are far from 0."""
+    rng = np.random.default_rng(1)
+    from itertools import combinations
+
+    outcomes = set()
+    for n in (2, 3, 5, 8):
+        for _ in range(25):
+            M = rng.normal(size=(n, n)) + 1.2 * np.sqrt(n) * np.eye(n)
+            minors = [np.linalg.det(M[np.ix_(c, c)]) for k in range(1, n + 1) for c in combinations(range(n), k)]
+            assert is_p_matrix_by_recursion(sp.csr_array(M)) == (min(minors) > 0.0)
+            outcomes.add(min(minors) > 0.0)
+    assert outcomes == {True, False}
+
+
+def test_p_at_twenty_rows() -> None:
+    """With n = 20 a definite matrix in other units of rows and columns passes, one with a bad minor of 3 rows fails."""
+    rng = np.random.default_rng(2)
+    M = rng.normal(size=(20, 20))
+    M = (M - M.T + 0.5 * np.eye(20)) * 10.0 ** rng.uniform(-40, 40, (20, 1)) * 10.0 ** rng.uniform(-40, 40, 20)
+    report = analyze(M)
+    assert report.is_p_matrix is True
+    assert report.evidence["is_p_matrix"].startswith("recursive")
+    M = rng.normal(size=(20, 20)) / 9.0 + np.eye(20)
+    M[7:10, 7:10] = [[1.0, -2.0, 0.0], [0.0, 1.0, -2.0], [-2.0, 0.0, 1.0]]
+    report = analyze(M)
+    assert nonpositive_pair(report.csr) is None
+    assert report.is_p_matrix is False
+
+
+def test_pairs() -> None:
+    """A nonpositive 2×2 principal minor is found in any size, and a tie of huge entries is decided exactly."""
+    M = sp.lil_array(sp.eye_array(1000))
+    M[3, 700], M[700, 3] = 2.0**-600, 2.0**600
+    assert nonpositive_pair(M.tocsr()) == (3, 700)
+    M[700, 3] = np.nextafter(2.0**600, 0.0)
+    assert nonpositive_pair(M.tocsr()) is None
+
+
+def test_large_and_undecided_says_so() -> None:
+    """Where the number of minors explodes the verdict is None and the evidence says why."""
+    rng = np.random.default_rng(3)
+    M = rng.normal(size=(30, 30))
+    M = (M - M.T + 0.5 * np.eye(30)) * 10.0 ** rng.uniform(-2, 2, (30, 1))
+    report = analyze(M)
+    assert report.is_h_plus is False
+    assert report.is_positive_definite is False
+    assert report.is_p_matrix is None
+    assert "n = 30 > 20" in report.evidence["is_p_matrix"]
+
+
+@pytest.mark.parametrize("n", [30, 700])
+def test_definite_symmetric_part(n: int) -> None:
+    """A large skew part hides nothing: the symmetric part decides, dense and sparse, on both sides of singular."""
+    rng = np.random.default_rng(n)
+    S = sp.random_array((n, n), density=5.0 / n, rng=rng)
+    S = S + S.T
+    smallest = float(np.linalg.eigvalsh(S.toarray())[0])
+    skew = sp.random_array((n, n), density=5.0 / n, rng=rng)
+    for shift, expected in ((1e-6, True), (-1e-6, False)):
+        M = S + (shift - smallest) * sp.eye_array(n) + 10.0 * (skew - skew.T)
+        report = analyze(sp.csr_array(M))
+        assert report.is_positive_definite is expected
+        assert report.is_positive_semidefinite is expected
+        assert report.is_symmetric is False
+
+
+def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
+    """A singular matrix is never called definite; small ones are settled in rational arithmetic."""
+    rng = np.random.default_rng(5)
+    factor = rng.integers(-4, 5, (30, 20)).astype(float)
+    gram = factor @ factor.T
+    gram[np.diag_indices(30)] += gram.diagonal() == 0.0
+    assert analyze(gram).is_positive_definite is None
+    assert analyze(gram).is_positive_semidefinite is True
+    assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
+    assert analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
+
+
+def test_symmetric_part_is_rounded_once() -> None:
+    """The symmetric part is exactly symmetric, and M itself where M is symmetric."""
+    M = np.random.default_rng(0).normal(size=(5, 5))
+    part = symmetric_part(M)
+    np.testing.assert_array_equal(part, part.T)
+    np.testing.assert_array_equal(symmetric_part(part), part)
+    assert is_positive_definite(np.array([[1e-320, 0.0], [0.0, 1.0]])) is True
+
+
+# --- What other rooms use -----------------------------------------------------------------------------------
+
+
+def test_certificate_is_shared() -> None:
+    """Problems with the same matrix share the certificate and the report, and the diagonal's sign is not its matter."""
+    problem = LCP([[-3, 1], [1, 3]], [1, 1])
+    certificate = comparison_certificate(problem)
+    assert comparison_certificate(problem.with_q([0, 0])) is certificate
+    assert analyze(problem) is analyze(problem.with_q([5, 5]))
+    assert analyze(problem).is_h_matrix
+    assert not analyze(problem).is_h_plus
+    np.testing.assert_array_equal(certificate.margin, [2.0, 2.0])
+
+
+def test_m_matrix_proofs() -> None:
+    """The cheap effort settles what is far from singular, on both sides, and leaves the rest to full."""
+    B = sp.csr_array(np.array([[9.0, -1.0], [3.0, 9.0]]))  # its diagonal is ignored
+    assert prove_m_matrix(np.array([1.0, 4.0]), B, "cheap").is_h is True
+    assert prove_m_matrix(np.array([1.0, 1.0]), B, "cheap").is_h is False
+    assert prove_m_matrix(np.array([1.0, -1.0]), B).is_h is False
+    grid = laplacian(30)
+    assert prove_m_matrix(grid.diagonal(), grid, "cheap").is_h is None
+    proof = prove_m_matrix(grid.diagonal(), grid)
+    assert proof.is_h is True
+    assert proof.lower <= np.cos(np.pi / 31) + 1e-12 <= proof.upper + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "B", "effort", "error", "message"),
+    [
+        (np.ones(2), np.eye(3), "full", InvalidProblem, r"shape \(2, 2\), got \(3, 3\)"),
+        (np.array([1.0, np.nan]), np.eye(2), "full", InvalidProblem, "finite entries"),
+        (np.ones(2), np.eye(2), "some", InvalidOption, "got 'some'"),
+    ],
+)
+def test_m_matrix_rejections(diagonal, B, effort, error, message) -> None:
+    """Wrong shapes, numbers and efforts are told in words."""
+    with pytest.raises(error, match=message):
+        prove_m_matrix(diagonal, sp.csr_array(B), effort)
+
+
+@pytest.mark.parametrize("m", [6, 40, 90])
+@pytest.mark.parametrize("contrast", [1.0, 1e9])
+def test_comparison_solves(m: int, contrast: float) -> None:
+    """Solutions on all rows and on a part meet the tolerance, by LAPACK, LU and multigrid, in any unit of the rows."""
+    grid = laplacian(m)
+    n = m * m
+    units = np.where(np.arange(n) % 7 == 0, contrast, 1.0)
+    M = sp.csr_array(sp.diags_array(units) @ abs(grid))
+    problem = LCP(M, np.zeros(n))
+    rhs = units * np.random.default_rng(0).random(n)
+    part = np.arange(n) % m < 0.8 * m
+    for rows in (None, part, np.zeros(n, dtype=bool)):
+        x = comparison_solve(problem, rhs, rows, tolerance=1e-6)
+        kept = np.ones(n, dtype=bool) if rows is None else rows
+        residual = (grid @ x - rhs / units)[kept]
+        assert np.linalg.norm(residual) <= 3e-6 * np.linalg.norm((rhs / units)[kept])
+        assert not x[~kept].any()
+
+
+def test_comparison_solve_needs_a_diagonal() -> None:
+    """A zero on the diagonal is told with its row; a singular ⟨M⟩ gives None."""
+    with pytest.raises(InvalidProblem, match=r"M\[1, 1\] = 0"):
+        comparison_solve(LCP([[1, 1], [1, 0]], [0, 0]), np.ones(2))
+    assert comparison_solve(LCP([[1, 1], [1, 1]], [0, 0]), np.ones(2)) is None
+
+
+# --- The report ---------------------------------------------------------------------------------------------
+
+
+def test_report_prints_and_survives_json() -> None:
+    """The table has one line a verdict; the content is JSON and agrees with the properties."""
+    report = analyze([[0.0, 1.0], [1e-8, -2.0]])
+    text = str(report)
+    content = json.loads(json.dumps(report.to_content()))
+    assert "1 zero, 1 negative" in text
+    for name, verdict in content["verdicts"].items():
+        assert verdict["value"] == getattr(report, name)
+        assert verdict["evidence"] in text
+    assert content["zero_diagonal"] == [0]
+    assert content["scale_spread"]["entries"] == pytest.approx(np.log10(2e8))
+    with pytest.raises(KeyError, match="is_h_plus"):
+        report.verdict("is_nice")
+
+
+def test_nothing_is_computed_before_it_is_asked() -> None:
+    """Making a report computes no verdict, and one verdict does not compute all."""
+    report = analyze(laplacian(4))
+    assert not report._verdicts
+    assert report.is_symmetric
+    assert set(report._verdicts) == {"is_symmetric"}
+
+
+@pytest.mark.parametrize(("form", "M"), [
+    ("diagonal", np.eye(2)), ("lower", [[1, 0], [1, 1]]), ("upper", [[1, 1], [0, 1]]), (None, [[1, 1], [1, 1]]),
+])
+def test_triangular_forms(form: str | None, M: object) -> None:
+    """The triangular form is named."""
+    report = analyze(M)
+    assert report.triangular_form == form
+    assert report.is_triangular is (form is not None)
+
+
+@pytest.mark.parametrize("M", [[1.0, 2.0], [[1.0, 2.0]], [[np.inf]], 3.0])
+def test_no_matrix(M: object) -> None:
+    """What is no finite square matrix is refused as a problem would refuse it."""
+    with pytest.raises(InvalidProblem):
+        analyze(M)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .result import Result as Result
     from .result import Sample as Sample
     from .result import Status as Status
+    from .search import all_solutions as all_solutions
 
 _HOME = {
     "LCP": "problem",
@@ -57,6 +58,7 @@ _HOME = {
     "is_complementarity_problem": "modeling.registration",
     "register": "modeling.registration",
     "gallery": "evidence.gallery",
+    "all_solutions": "search",
     "strategies": "strategies",
     **{
         error: "errors"

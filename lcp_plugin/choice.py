@@ -3,32 +3,69 @@
 | so far | next |
 |---|---|
 | nothing | npsor, relaxation 1.7, its guaranteed row scaling (converges for every H₊-matrix) |
-| after 10 sweeps, and every 20 from then on: npsor will arrive within 20 sweeps at its own rate | npsor goes on |
-| npsor is slower than that, or fails, and the diagonal is positive | psor with automatic relaxation |
-| psor fails | npsor again, for good |
+| npsor, 10 sweeps (3 where M is dense), and every 20 from then on: it will arrive within 20 at its own rate | goes on |
+| M is triangular with a positive diagonal | pgs in the order of the triangle: one sweep is exact |
+| M is sparse, n > 1000, the diagonal positive | psor with automatic relaxation |
+| psor: n > 20 000, or 300 sweeps are not over, or it will arrive within 200 | goes on |
+| otherwise, or where one of them fails | the direct methods, on the presolved problem, each until it ends |
 
-To fail is to diverge or to stall. psor is not sent back for a slow start: its trials are undone where they do not
-pay, so that it converges wherever Gauss–Seidel does. No clock is asked: the same call gives the same answer bit
-for bit.
+| M | direct methods, in this order |
+|---|---|
+| symmetric up to rounding with a positive diagonal, or a positive semidefinite one of size ≤ 3000 | interior_point, newton, feasibility, lemke, search |
+| any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
+
+To fail is to diverge, to stall, or to have nothing more to offer. `feasibility` looks for a proof that there is no
+solution (n ≤ 5000), lemke takes n ≤ 6000, `search` decides problems with at most 24 rows that leave a choice. No clock
+is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from .algorithms import Algorithm, create
+import numpy as np
+
+from .algorithms import Algorithm, Step, create
 from .algorithms.base import has_positive_diagonal
-from .algorithms.projected_relaxation import PSOR
+from .algorithms.projected_relaxation import PGS, PSOR
 from .algorithms.projected_type import NPSOR
 from .errors import InvalidOption, UnknownAlgorithm
-from .problem import LCP
+from .presolve import Presolved, presolve
+from .problem import LCP, FloatVector
 
-TRIAL_SWEEPS = 10
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE = 10, 3
 NEAR_ENOUGH = 20
+SMALL = 1000  # up to here a factorisation costs no more than some dozen sweeps
+MEDIUM = 20_000
+PATIENT_SWEEPS = 300
+PATIENT_NEAR_ENOUGH = 200
+LARGEST_ANALYSIS = 3000
+LARGEST_PROGRAM = 5000
 KEPT_RESIDUALS = 512
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An algorithm, the reason for it, and the smaller problem it is to run on, if any."""
+
+    algorithm: Algorithm
+    because: str = ""
+    presolved: Presolved | None = None
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the steps of the algorithm in terms of the caller's problem."""
+        if self.presolved is None or self.presolved.problem is problem:
+            yield from self.algorithm.iterates(problem, z0)
+            return
+        smaller = self.presolved.problem
+        start = np.clip(self.presolved.reduce(z0), smaller.lower, smaller.upper)
+        share = smaller.nonzeros / max(problem.nonzeros, 1)
+        for step in self.algorithm.iterates(smaller, start):
+            z = np.clip(self.presolved.restore(step.z), problem.lower, problem.upper)
+            yield replace(step, z=z, residual=None, euclidean=None, increment=None, work=share * step.work, proof=None)
 
 
 @dataclass
@@ -36,6 +73,7 @@ class Stage:
     """What one algorithm of a chain has done so far; `residuals` holds (iteration of this stage, residual)."""
 
     algorithm: Algorithm
+    because: str = ""
     iterations: int = 0
     work: float = 0.0
     residuals: list[tuple[int, float]] = field(default_factory=list)
@@ -58,59 +96,147 @@ class Stage:
             return 1.0
         return float((last / first) ** (1.0 / (last_step - first_step)))
 
+    def steps_to_go(self, target: float) -> float:
+        """Return how many more steps arrive at that residual, at the stage's own rate."""
+        if not self.residuals:
+            return math.inf
+        residual, rate = self.residuals[-1][1], self.rate()
+        if residual <= target:
+            return 0.0
+        return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
+
 
 class Policy(Protocol):
     """Chooses the first algorithm, and after each step whether another one takes over."""
 
     name: str
 
-    def first(self, problem: LCP) -> Algorithm:
+    def first(self, problem: LCP) -> Choice:
         """Return the algorithm to begin with."""
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
 
 
 class Single:
-    """The caller's choice: one algorithm to the end."""
+    """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility."""
 
     def __init__(self, algorithm: Algorithm) -> None:
         self.algorithm = algorithm
         self.name = algorithm.name
 
-    def first(self, problem: LCP) -> Algorithm:
+    def first(self, problem: LCP) -> Choice:
         """Return the caller's algorithm."""
-        return self.algorithm
+        return Choice(self.algorithm)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
-        """Return None: nothing takes over."""
-        return None
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return None, or the feasibility check after a method that ended without a solution."""
+        if not failed or len(stages) > 1 or self.algorithm.is_monotone or problem.n > LARGEST_PROGRAM:
+            return None
+        from .search.stages import FeasibilityCheck
+
+        return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
 
 
 class Auto:
-    """The table of this module."""
+    """The tables of this module."""
 
     name = "auto"
 
-    def first(self, problem: LCP) -> Algorithm:
+    def __init__(self) -> None:
+        self._direct: Iterator[Choice] | None = None
+
+    def first(self, problem: LCP) -> Choice:
         """Return NPSOR at the row scaling that is proved to converge for every H₊-matrix."""
-        return NPSOR()
+        return Choice(NPSOR(), "the projected-type iteration comes first")
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Algorithm | None:
-        """Return PSOR after a slow trial of NPSOR, NPSOR after PSOR failed, else None."""
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return what the tables say, or None to go on."""
         now = stages[-1]
-        is_asked = now.iterations >= TRIAL_SWEEPS and (now.iterations - TRIAL_SWEEPS) % NEAR_ENOUGH == 0
-        if len(stages) == 1 and (failed or is_asked):
-            usable = bool(has_positive_diagonal(problem).all())
-            return PSOR() if usable and (failed or _sweeps_to_go(now, target) > NEAR_ENOUGH) else None
-        return stages[0].algorithm if len(stages) == 2 and failed else None
+        if self._direct is not None:
+            return next(self._direct, None) if failed else None
+        following = self._after_sweeps(problem, now, target, failed)
+        if following is None and (failed or self._is_too_slow(problem, now, target)):
+            self._direct = direct_methods(problem)
+            following = next(self._direct, None)
+        return following
+
+    def _after_sweeps(self, problem: LCP, now: Stage, target: float, failed: bool) -> Choice | None:
+        """Return another sweep method where one is due."""
+        if not isinstance(now.algorithm, NPSOR) or not (failed or _is_slow(problem, now, target)):
+            return None
+        if not has_positive_diagonal(problem).all():
+            return None
+        order = _triangle(problem)
+        if order is not None:
+            return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
+        if problem.is_dense or problem.n <= SMALL:
+            return None
+        return Choice(PSOR(), f"{now.algorithm.name} needs more than {NEAR_ENOUGH} further sweeps")
+
+    def _is_too_slow(self, problem: LCP, now: Stage, target: float) -> bool:
+        if isinstance(now.algorithm, NPSOR):
+            return _is_slow(problem, now, target)
+        if isinstance(now.algorithm, PGS):
+            return now.iterations > 1
+        asked = now.iterations >= PATIENT_SWEEPS and now.iterations % NEAR_ENOUGH == 0
+        return problem.n <= MEDIUM and asked and now.steps_to_go(target) > PATIENT_NEAR_ENOUGH
 
 
-def _sweeps_to_go(stage: Stage, target: float) -> float:
-    residual, rate = stage.residuals[-1][1], stage.rate()
-    if residual <= target:
-        return 0.0
-    return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
+def _is_slow(problem: LCP, now: Stage, target: float) -> bool:
+    """Return whether the trial of the first iteration is over and does not promise to arrive soon."""
+    trial = TRIAL_SWEEPS_DENSE if problem.is_dense else TRIAL_SWEEPS
+    asked = now.iterations >= trial and (now.iterations - trial) % NEAR_ENOUGH == 0
+    return asked and now.steps_to_go(target) > NEAR_ENOUGH
+
+
+def direct_methods(problem: LCP) -> Iterator[Choice]:
+    """Yield the methods that factorise, pivot or search, in the order of the second table."""
+    from .search.stages import ExhaustiveSearch, FeasibilityCheck, is_searchable
+
+    reduced = presolve(problem)
+    left = reduced.problem
+    about = f" ({reduced})" if left is not problem else ""
+    newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
+    interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
+    is_monotone = _seems_monotone(left)
+    yield interior if is_monotone else newton
+    if is_monotone:
+        yield newton
+    if problem.n <= LARGEST_PROGRAM:
+        yield Choice(FeasibilityCheck(), "is there a solution at all?")
+    lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
+    if not is_monotone and left.n > SMALL:
+        yield interior
+    yield lemke
+    if not is_monotone and left.n <= SMALL:
+        yield interior
+    if is_searchable(problem):
+        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them")
+
+
+def _seems_monotone(problem: LCP) -> bool:
+    """Return whether the interior point method has good prospects; proves nothing."""
+    from .algorithms.active_set import is_nearly_symmetric
+
+    if problem.n == 0:
+        return False
+    if bool(has_positive_diagonal(problem).all()) and is_nearly_symmetric(problem):
+        return True
+    if problem.n > LARGEST_ANALYSIS:
+        return False
+    from .matrix_classes import analyze
+
+    return analyze(problem).is_positive_semidefinite is True
+
+
+def _triangle(problem: LCP) -> str | None:
+    """Return the direction of a sweep that solves a triangular problem, or None."""
+    M = problem.csr
+    row = np.repeat(np.arange(problem.n), np.diff(M.indptr))
+    if bool(np.all(M.indices <= row)):
+        return "forward"
+    return "backward" if bool(np.all(M.indices >= row)) else None
 
 
 def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:

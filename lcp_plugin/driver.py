@@ -15,12 +15,12 @@ from .algorithms import Algorithm, Step
 from .algorithms.rehearsal import rehearse
 from .certificates.residuals import Certificate, ratio, reference_residual, scaled_residual
 from .checks import FloatVector
-from .choice import Policy, Single, Stage, policy_for
-from .errors import InvalidOption
+from .choice import Choice, Policy, Single, Stage, policy_for
+from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
 from .pacing import CheckSchedule, ErrorWatch, Progress
 from .problem import LCP
-from .result import Result, Sample, Status
+from .result import Result, Sample, StageRecord, Status, status_of
 from .settings import Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
@@ -140,27 +140,47 @@ class _Run:
         self._last_certificate: Certificate | None = None
         self._unmeasured: FloatVector | None = None
         self._next_sample = 0
+        self.proof: Any = None  # that there is no solution
 
     # --- the loop ---------------------------------------------------------------------------------------
 
     def drive(self, start: FloatVector) -> Status:
         """Run the chain of algorithms; return why it ended."""
-        algorithm: Algorithm | None = self.policy.first(self.problem)
+        choice: Choice | None = self.policy.first(self.problem)
         if self.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
-        while algorithm is not None:
+        while choice is not None:
             with _Paused(self) as pause:
-                rehearse(algorithm, self.problem)
+                rehearse(choice.algorithm, self.problem)
             self._compiling += pause.seconds
-            self.stages.append(Stage(algorithm))
+            self.stages.append(Stage(choice.algorithm, choice.because))
             z = (start if self.best_z is None else self.best_z).copy()
-            algorithm, reason = self._run_stage(algorithm.iterates(self.problem, z))
+            choice, reason = self._run_stage(choice.iterates(self.problem, z))
             if reason is not None:
                 return reason
         return Status.STALLED
 
-    def _run_stage(self, steps: Iterator[Step]) -> tuple[Algorithm | None, Status | None]:
+    def _run_stage(self, steps: Iterator[Step]) -> tuple[Choice | None, Status | None]:
+        """Run one algorithm; return the next one, or why the run is over."""
+        try:
+            following, reason = self._follow(steps)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            if len(self.stages) == 1 or self.stages[-1].iterations > 0:
+                raise
+            following, reason = None, Status.STALLED  # auto tried what does not take this problem
+        if following is not None:
+            return following, None
+        if reason not in (Status.STALLED, Status.DIVERGED):
+            return None, reason
+        if self._is_at_floor():
+            return None, Status.PRECISION_LIMIT
+        following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, True)
+        return (following, None) if following is not None else (None, reason)
+
+    def _follow(self, steps: Iterator[Step]) -> tuple[Choice | None, Status]:
+        """Take the steps of one algorithm until the policy or the run wants an end; STALLED where they end by themselves."""
         stage = self.stages[-1]
+        self.progress.restart(max(self.iteration, 0), self.best)
         is_first_step = True
         for step in steps:
             self._now = time.perf_counter()
@@ -174,15 +194,15 @@ class _Run:
             stage.iterations += 0 if is_first_step else 1
             reason = self._observe(step, is_first_step)
             is_first_step = False
-            failed = reason is Status.DIVERGED or reason is Status.STALLED
-            if reason is not None and not failed:
-                return None, reason
-            following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, failed)
-            if following is not None:
-                return following, None
+            if step.proof is not None and reason is None and step.proof.verify():
+                self.proof = step.proof
+                return None, status_of(step.proof)
             if reason is not None:
                 return None, reason
-        return None, None
+            following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, False)
+            if following is not None:
+                return following, Status.STALLED
+        return None, Status.STALLED
 
     def _observe(self, step: Step, is_first_step: bool) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
@@ -204,10 +224,13 @@ class _Run:
         return reason or (Status.INTERRUPTED if wants_to_stop else None)
 
     def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
+        is_monotone = self.stages[-1].algorithm.is_monotone
         if residual is not None:
             if self._passes(step.z, residual):
                 return Status.SOLVED
-            if not residual <= DIVERGED_BEYOND * self.start_residual and not residual <= DIVERGED_BEYOND * self._unit:
+            if not is_monotone and math.isfinite(residual):
+                pass
+            elif not residual <= DIVERGED_BEYOND * self.start_residual and not residual <= DIVERGED_BEYOND * self._unit:
                 return Status.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return Status.DIVERGED
@@ -221,6 +244,8 @@ class _Run:
             return None
         if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():
             return Status.PRECISION_LIMIT
+        if not is_monotone:
+            return None
         return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
 
     def _passes(self, z: FloatVector, residual: float) -> bool:
@@ -260,6 +285,10 @@ class _Run:
             return False
         certificate = Certificate.of(self.problem, self.best_z)
         return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+
+    @property
+    def _can_clean_up(self) -> bool:
+        return type(self.stages[-1].algorithm).finish is not Algorithm.finish
 
     @cached_property
     def _unit(self) -> float:
@@ -311,7 +340,7 @@ class _Run:
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
-        if self.stages and may_finish and self.settings.measure == "relative" and np.isfinite(z).all():
+        if self.stages and self._can_clean_up and may_finish and self.settings.measure == "relative" and np.isfinite(z).all():
             cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
             if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
                 certificate = cleaned
@@ -325,7 +354,7 @@ class _Run:
             reason = Status.SOLVED
         elif certificate.relative_residual <= GAINED and certificate.is_at_rounding_level:
             reason = Status.PRECISION_LIMIT
-        elif reason is Status.SOLVED or reason is Status.PRECISION_LIMIT:
+        elif reason in (Status.SOLVED, Status.PRECISION_LIMIT) or (reason is Status.DIVERGED and len(self.stages) > 1):
             reason = Status.STALLED
         seconds = time.perf_counter() - self._began - self._stopped
         chain = [stage.algorithm.name for stage in self.stages]
@@ -335,7 +364,10 @@ class _Run:
             iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
             tolerance=self.settings.tolerance, tolerance_on=self.settings.tolerance_on, measure=self.settings.measure,
             history=tuple(self.history), error_bound=bound, no_error_bound=no_bound,
-            work_shares=tuple((stage.algorithm.name, stage.work) for stage in self.stages),
+            infeasibility=self.proof if reason in (Status.INFEASIBLE, Status.NO_SOLUTION) else None,
+            stages=tuple(
+                StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work) for stage in self.stages
+            ),
         )
 
 

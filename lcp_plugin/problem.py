@@ -90,13 +90,26 @@ class LCP:
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         if self._csr is None:
-            self._csr = self.shared("csr", lambda: frozen(sp.csr_array(self._dense)))
+            self._csr = self.shared("csr", lambda: frozen(_compressed(self._dense)))
         return self._csr
+
+    @property
+    def is_dense(self) -> bool:
+        """True where M is kept as an ndarray."""
+        return self._dense is not None
+
+    @property
+    def index_width(self) -> str:
+        """The integer type of the indices of `csr`, which need not exist yet for that."""
+        return "int32" if self._dense is not None else str(self.csr.indices.dtype.name)
 
     @property
     def nonzeros(self) -> int:
         """Number of nonzero entries of M."""
-        return int(self.csr.nnz)
+        return int(self.csr.nnz) if self._dense is None else self.shared("nonzeros", self._count_nonzeros)
+
+    def _count_nonzeros(self) -> int:
+        return int(np.count_nonzero(self._dense))
 
     @property
     def is_plain(self) -> bool:
@@ -252,6 +265,18 @@ class _Shared:
                     self._values[key] = compute()
                 value = self._values[key]
         return value
+
+
+def _compressed(dense: Any) -> sp.csr_array:
+    """Return a dense matrix as CSR; where it has no zeros, its entries are used as they are."""
+    n = dense.shape[0]
+    if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
+        return sp.csr_array(dense)
+    columns = np.tile(np.arange(n, dtype=np.int32), n)
+    rows = np.arange(0, n * n + 1, n, dtype=np.int32) if n else np.zeros(1, np.int32)
+    compressed = sp.csr_array((dense.reshape(-1), columns, rows), shape=dense.shape)
+    compressed.has_sorted_indices = compressed.has_canonical_format = True
+    return compressed
 
 
 def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +37,30 @@ class Status(Enum):
         'the iteration left every reasonable range; for a projected-type method try scaling="auto", for a '
         "relaxation method a smaller relaxation"
     )
+    INFEASIBLE = (
+        "no z within the bounds gives w the signs they ask for; result.infeasibility proves it: check the data"
+    )
+    NO_SOLUTION = (
+        "the linear constraints can be met, complementarity cannot: every case was excluded exactly, and "
+        "result.infeasibility proves it"
+    )
     INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
+
+
+def status_of(proof: Any) -> Status:
+    """Return what a proof that there is no solution proves."""
+    from .certificates.infeasibility import Infeasibility
+
+    return Status.INFEASIBLE if isinstance(proof, Infeasibility) else Status.NO_SOLUTION
+
+
+class StageRecord(NamedTuple):
+    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M."""
+
+    name: str
+    because: str
+    iterations: int
+    work: float
 
 
 @dataclass(frozen=True)
@@ -88,6 +111,10 @@ class Result:
         Empty unless asked for with ``record=True``.
     error_bound : ErrorBound or None
         Only where asked for, and where M allows one; `no_error_bound` holds the reason where it does not.
+    stages : tuple of StageRecord
+        What ran, in order; more than one for ``auto``.
+    infeasibility : object or None
+        With INFEASIBLE and NO_SOLUTION: the proof, which can ``verify()`` itself on the problem's data.
     """
 
     z: FloatVector = field(repr=False)
@@ -102,7 +129,8 @@ class Result:
     tolerance: float
     measure: str
     history: tuple[Sample, ...] = field(default=(), repr=False)
-    work_shares: tuple[tuple[str, float], ...] = field(default=(), repr=False)
+    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
+    infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
     error_bound: ErrorBound | None = field(default=None, repr=False)
     no_error_bound: str = field(default="", repr=False)
@@ -140,10 +168,14 @@ class Result:
             f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
             f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
         ]
-        if len(self.work_shares) > 1:
-            total = sum(work for _, work in self.work_shares) or 1.0
-            shares = ", ".join(f"{name} {work / total:.0%}" for name, work in self.work_shares)
-            lines.append(f"share of the work: {shares}")
+        if len(self.stages) > 1:
+            total = sum(stage.work for stage in self.stages) or 1.0
+            lines += [
+                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work; {stage.because}"
+                for stage in self.stages
+            ]
+        if self.infeasibility is not None:
+            lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
         return "\n".join([*lines, *self._stiffness()])

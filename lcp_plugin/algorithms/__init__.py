@@ -26,6 +26,9 @@ REGISTRY = {
     "msor": "modulus:MSOR",
     "maor": "modulus:MAOR",
     "gfp": "projected_relaxation:GFP",
+    "newton": "semismooth_newton:Newton",
+    "interior_point": "interior_point:InteriorPoint",
+    "lemke": "lemke:Lemke",
 }
 
 

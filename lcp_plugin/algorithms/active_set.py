@@ -254,13 +254,13 @@ def is_nearly_symmetric(problem: LCP) -> bool:
 
     def compute() -> bool:
         M = problem.M
-        difference = abs(M - M.T)
+        if not sp.issparse(M):
+            from .interior_linear_algebra import is_symmetric
+
+            return is_symmetric(M)
+        difference = abs(M - M.T).tocoo()
         scale = np.sqrt(problem.residual_scale)
-        if sp.issparse(M):
-            difference = difference.tocoo()
-            size = scale[difference.row] * scale[difference.col]
-            return bool(np.all(difference.data <= 1e-13 * size))
-        return bool(np.all(difference <= 1e-13 * np.multiply.outer(scale, scale)))
+        return bool(np.all(difference.data <= 1e-13 * scale[difference.row] * scale[difference.col]))
 
     return problem.shared("is_nearly_symmetric", compute)
 

@@ -37,6 +37,8 @@ class Step:
         Matrix entries touched since the last step, divided by the nonzeros of M.
     is_settling : bool
         The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
+    proof : object, optional
+        Of `certificates`: that the problem has no solution. The driver verifies it before it believes it.
     """
 
     z: FloatVector
@@ -45,6 +47,7 @@ class Step:
     increment: float | None = None
     work: float = 1.0
     is_settling: bool = False
+    proof: Any = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +56,8 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs),
     `converges_on` (matrix classes with a proof), `cost` (of one iteration), `reference`; `is_compiled` asks the
-    driver for a rehearsal off the clock.
+    driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual are legal, and that the
+    iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -62,6 +66,7 @@ class Algorithm(ABC):
     cost: ClassVar[str]
     reference: ClassVar[str]
     is_compiled: ClassVar[bool] = False
+    is_monotone: ClassVar[bool] = True
 
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -17,13 +17,13 @@ def rehearse(algorithm: Algorithm, problem: LCP) -> None:
     """Run the algorithm once on a 1 × 1 problem of the same index width."""
     if not algorithm.is_compiled:
         return
-    width = problem.csr.indices.dtype.name
+    width = problem.index_width
     key = (type(algorithm), width)
     if key in _rehearsed:
         return
     with _lock:
         tiny = LCP([[1.0]], [-1.0])
-        if width != tiny.csr.indices.dtype.name:
+        if width != tiny.index_width:
             return  # compiled on first use; such a matrix has two billion entries
         rehearsal = algorithm.rehearsal()
         steps = rehearsal.iterates(tiny, np.zeros(1))

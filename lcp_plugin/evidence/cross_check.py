@@ -164,7 +164,7 @@ def _second_opinion(
     formulation: Formulation, result: Result, ours: Certificate, tolerance: float, max_seconds: float
 ) -> CrossCheck:
     """Return the check against algorithms of other families than those that made the result."""
-    used = {_family(name) for name, _ in result.work_shares} or {_family(result.algorithm)}
+    used = {_family(stage.name) for stage in result.stages} or {_family(result.algorithm)}
     tried = []
     for name, options in SECOND_OPINIONS.items():
         if _family(name) in used:

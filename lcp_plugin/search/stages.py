@@ -1,0 +1,69 @@
+"""Feasibility and exhaustive search as stages of a run: they end it with a solution or with a proof."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..algorithms.base import Algorithm, Step
+from ..certificates.forced_bounds import find_forced_contradiction
+from ..certificates.infeasibility import decide_feasibility
+from ..problem import LCP, FloatVector
+from . import LARGEST_CHOICES, LARGEST_SIZE, Found, NoSolution, explore
+
+NODES_A_STEP = 50
+MOST_NODES = 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeasibilityCheck(Algorithm):
+    """Looks for a proof that no z satisfies the linear inequalities, or that complementarity contradicts itself."""
+
+    name: ClassVar[str] = "feasibility"
+    assumption: ClassVar[str] = "a linear program of that size can be solved"
+    converges_on: ClassVar[str] = "–"
+    cost: ClassVar[str] = "one linear program"
+    reference: ClassVar[str] = "Farkas"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then once more with the proof where there is one."""
+        yield Step(z0, work=0.0)
+        proof = decide_feasibility(problem).proof or find_forced_contradiction(problem)
+        if proof is not None:
+            yield Step(z0, proof=proof)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExhaustiveSearch(Algorithm):
+    """Branch and bound over z_i = bound, w_i = 0 in exact arithmetic; finds a solution or proves that there is none."""
+
+    name: ClassVar[str] = "search"
+    assumption: ClassVar[str] = "at most 24 rows that leave a choice, n ≤ 60"
+    converges_on: ClassVar[str] = "every matrix"
+    cost: ClassVar[str] = "50 cases, each an exact linear program"
+    reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z0 while it searches, then the solution, or z0 with the proof; end at 20 000 cases."""
+        yield Step(z0, work=0.0)
+        for nodes, outcome in enumerate(explore(problem, first_only=True), start=1):
+            if isinstance(outcome, Found):
+                yield Step(np.clip(outcome.solutions[0].z, problem.lower, problem.upper), work=float(NODES_A_STEP))
+            elif isinstance(outcome, NoSolution):
+                yield Step(z0, proof=outcome.infeasibility or outcome, work=float(NODES_A_STEP))
+            elif nodes % NODES_A_STEP == 0:
+                yield Step(z0, work=float(NODES_A_STEP))
+            if nodes >= MOST_NODES:
+                return
+
+
+def is_searchable(problem: LCP) -> bool:
+    """Return whether an exhaustive search takes the problem."""
+    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    choices = int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
+    return choices <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE

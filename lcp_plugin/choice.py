@@ -11,12 +11,12 @@
 
 | M | direct methods, in this order |
 |---|---|
-| symmetric up to rounding with a positive diagonal, or a positive semidefinite one of size ≤ 3000 | interior_point, newton, feasibility, lemke, search |
+| symmetric up to rounding, diagonal > 0; or PSD, n ≤ 3000 | interior_point, newton, feasibility, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
 To fail is to diverge, to stall, or to have nothing more to offer. `feasibility` looks for a proof that there is no
-solution (n ≤ 5000), lemke takes n ≤ 6000, `search` decides problems with at most 24 rows that leave a choice. No clock
-is asked: the same call gives the same answer bit for bit.
+solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` decides
+problems with at most 24 rows that leave a choice. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ PATIENT_SWEEPS = 300
 PATIENT_NEAR_ENOUGH = 200
 LARGEST_ANALYSIS = 3000
 LARGEST_PROGRAM = 5000
+LARGEST_PIVOTED = 6000
 KEPT_RESIDUALS = 512
 
 
@@ -213,6 +214,13 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
         yield interior
     if is_searchable(problem):
         yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them")
+    if problem.n > LARGEST_PIVOTED and has_positive_diagonal(problem).all():
+        yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
+
+
+def last_resort(problem: LCP) -> Algorithm:
+    """Return the method that auto follows to its end where nothing before it arrives."""
+    return create("lemke" if problem.n <= LARGEST_PIVOTED else "psor", {})
 
 
 def _seems_monotone(problem: LCP) -> bool:

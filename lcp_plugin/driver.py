@@ -178,7 +178,7 @@ class _Run:
         return (following, None) if following is not None else (None, reason)
 
     def _follow(self, steps: Iterator[Step]) -> tuple[Choice | None, Status]:
-        """Take the steps of one algorithm until the policy or the run wants an end; STALLED where they end by themselves."""
+        """Take the steps of one algorithm until the policy or the run wants an end; STALLED where they just end."""
         stage = self.stages[-1]
         self.progress.restart(max(self.iteration, 0), self.best)
         is_first_step = True
@@ -339,8 +339,8 @@ class _Run:
         certificate = self._last_certificate
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)
-        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
-        if self.stages and self._can_clean_up and may_finish and self.settings.measure == "relative" and np.isfinite(z).all():
+        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
+        if self.stages and self._can_clean_up and may_finish and np.isfinite(z).all():
             cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
             if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
                 certificate = cleaned

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,7 +12,6 @@ import scipy.sparse as sp
 
 from .algorithms import Algorithm
 from .algorithms.base import has_positive_diagonal
-from .algorithms.projected_relaxation import PSOR
 from .certificates.contraction import triangle_sums, unit_triangle_sums
 from .certificates.convergence import (
     CAN_DIVERGE,
@@ -42,7 +41,7 @@ from .certificates.theorems import (
     theorem_4_2,
     theorem_of,
 )
-from .choice import Single, policy_for
+from .choice import Single, last_resort, policy_for
 from .errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .problem import LCP, FloatVector
 
@@ -98,7 +97,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     policy = policy_for(algorithm, options)
     if isinstance(policy, Single):
         return _of_one(problem, policy.algorithm)
-    return _of_auto(problem, policy.first(problem))
+    return _of_auto(problem)
 
 
 def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
@@ -144,12 +143,14 @@ def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool
 
 
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    if problem.n == 0:
+        return Guarantee(GUARANTEED, "there are no rows")
     try:
         facts = algorithm.facts(problem)
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
-        return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name}")
+        return _of_a_direct_method(problem, algorithm)
     return _kept(problem, algorithm, "full", lambda: _full(problem, facts))
 
 
@@ -161,16 +162,22 @@ def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], K
     return problem.shared(f"{kind} guarantee of {type(algorithm).__qualname__} {values}", compute)
 
 
-def _of_auto(problem: LCP, first: Algorithm) -> Guarantee:
-    """Return that of psor, which auto hands over to where the first algorithm is slow or fails."""
-    opening = _of_one(problem, first)
-    if not has_positive_diagonal(problem).all():
-        return opening
-    last = _of_one(problem, PSOR())
+def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    try:
+        theorem = algorithm.theorem(problem)
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if theorem is None:
+        return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+    return Guarantee(GUARANTEED, theorem)
+
+
+def _of_auto(problem: LCP) -> Guarantee:
+    """Return that of the method which auto follows to its end where the ones before it fail."""
+    last = _of_one(problem, last_resort(problem))
     if not last.is_guaranteed:
-        return replace(last, paper="")
-    chain = f"{first.name} as long as it is quick, then psor: {last.theorem}"
-    return Guarantee(GUARANTEED, chain)
+        return Guarantee(NOT_COVERED, last.theorem)
+    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {last_resort(problem).name}: {last.theorem}")
 
 
 def _full(problem: LCP, facts: IterationFacts) -> Guarantee:

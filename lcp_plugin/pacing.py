@@ -59,7 +59,7 @@ class Progress:
 
     def restart(self, iteration: int, best: float) -> None:
         """Begin to watch for a standstill afresh at this iteration."""
-        self.window_start = (iteration, best)
+        self.window_start = (iteration, best) if math.isfinite(best) else None
 
     def is_flat(self, iteration: int, best: float) -> bool:
         """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""

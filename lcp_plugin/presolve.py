@@ -63,9 +63,10 @@ class Presolved:
         if self.problem is self.original:
             return z
         full = np.zeros(self.original.n, dtype=object if z.dtype == object else np.float64)
-        full[self.kept] = _like(self.scale, full) * z
-        for step in reversed(self.steps):
-            step.put_back(full)
+        with np.errstate(all="ignore"):  # what overflows is seen in the residual
+            full[self.kept] = _like(self.scale, full) * z
+            for step in reversed(self.steps):
+                step.put_back(full)
         return full
 
     def reduce(self, z: FloatVector) -> FloatVector:
@@ -163,9 +164,8 @@ class _Separate:
                 z[i] = _one_unknown(Fraction(self.diagonal[k]), rest[k], self.lower[k], self.upper[k])
             return
         steep = self.diagonal > 0.0
-        with np.errstate(all="ignore"):
-            inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
-            at_lower = self.diagonal * self.lower + rest >= 0.0
+        inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
+        at_lower = self.diagonal * self.lower + rest >= 0.0
         flat = np.where(at_lower, self.lower, self.upper)
         idle = np.clip(0.0, self.lower, self.upper)  # an empty row with q = 0 takes any z
         is_idle = (self.diagonal == 0.0) & (rest == 0.0)

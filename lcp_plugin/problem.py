@@ -109,7 +109,7 @@ class LCP:
         return int(self.csr.nnz) if self._dense is None else self.shared("nonzeros", self._count_nonzeros)
 
     def _count_nonzeros(self) -> int:
-        return int(np.count_nonzero(self._dense))
+        return int(np.count_nonzero(self._dense)) if self._dense is not None else int(self.csr.nnz)
 
     @property
     def is_plain(self) -> bool:

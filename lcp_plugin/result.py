@@ -31,7 +31,7 @@ class Status(Enum):
     MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
     STALLED = (
         "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
-        'scaling="auto", otherwise algorithm="psor" or a better start z0'
+        'scaling="auto", otherwise algorithm="auto" or a better start z0'
     )
     DIVERGED = (
         'the iteration left every reasonable range; for a projected-type method try scaling="auto", for a '

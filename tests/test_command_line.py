@@ -31,7 +31,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 SMALL_SCENES = [
     "american_put:size=20", "american_put:size=1",
     "american_put_march:size=20,steps=3",
+    "bimatrix_game",
+    "diode_bridge",
     "half_active:n=25",
+    "market_equilibrium:goods=4,activities=5",
     "murty:n=4", "murty:n=1",
     "obstacle_2d:size=6", "obstacle_2d:size=1",
     "obstacle_3d:size=4", "obstacle_3d:size=1",
@@ -40,6 +43,8 @@ SMALL_SCENES = [
     "paper_example_1:n=9",
     "paper_example_2:n=4",
     "random_h_plus:n=10", "random_h_plus:n=100",
+    "relay_control:n=5",
+    "rigid_stack:blocks=2",
     "scaling_trap",
 ]
 

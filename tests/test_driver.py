@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from families import BOUNDED, DIRECT
 
 from lcp_plugin import (
     LCP,
@@ -80,9 +81,12 @@ def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
 @pytest.mark.parametrize("name", REGISTRY)
 @pytest.mark.parametrize("limit", [0, 1, 7])
 def test_iteration_limit_is_exact(name: str, limit: int) -> None:
-    """max_iterations=k returns after exactly k iterations, k = 0 included."""
-    result = solve(OBSTACLE.problem if not name.startswith("m") else EXAMPLE.problem, name, max_iterations=limit)
-    assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
+    """max_iterations=k returns after exactly k iterations, 0 included; direct methods may be done before."""
+    result = solve(OBSTACLE.problem if name in BOUNDED else EXAMPLE.problem, name, max_iterations=limit)
+    if name in DIRECT and result.is_solved:
+        assert 0 < result.iterations <= limit
+    else:
+        assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
 
 
 def test_best_iterate_is_returned() -> None:
@@ -224,7 +228,7 @@ def test_history_is_geometric_and_complete(name: str) -> None:
     iterations = [sample.iteration for sample in samples]
     assert iterations == sorted(set(iterations))
     assert all(later <= max(earlier + 1, 1.05 * earlier + 1) for earlier, later in pairwise(iterations))
-    assert len(samples) < result.iterations
+    assert len(samples) < result.iterations or result.iterations <= 1 / 0.05
     assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
     assert samples[0].seconds == result.setup_seconds
     assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
@@ -255,6 +259,27 @@ def test_callback_stops_the_run_and_cannot_write() -> None:
 
     with pytest.raises(ValueError, match="read-only"):
         solve(OBSTACLE.problem, "npgs", callback=writes)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_the_caller_s_floating_point_settings_are_his_own(name: str) -> None:
+    """What a callback finds in np.geterr() is what was set before solve, and so it is afterwards."""
+    problem = OBSTACLE.problem if name in ("auto", *BOUNDED) else EXAMPLE.problem
+    with np.errstate(over="raise", invalid="warn", divide="print", under="ignore"):
+        before, seen = np.geterr(), []
+        solve(problem, name, max_iterations=20, callback=lambda sample, z: seen.append(np.geterr()))
+        assert seen
+        assert all(settings == before for settings in [*seen, np.geterr()])
+
+
+@pytest.mark.parametrize("name", DIRECT)
+def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
+    """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""
+    problem = gallery.build("random_h_plus", n=40).problem
+    boxed = problem.with_q(problem.q, lower=-0.01, upper=0.01)
+    for each in (problem, boxed, LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0])):
+        for step in create(name, {}).iterates(each, each.nearest_to_zero.copy()):
+            assert np.array_equal(np.clip(step.z, each.lower, each.upper), step.z)
 
 
 def test_ctrl_c_returns_the_best_iterate() -> None:
@@ -328,33 +353,6 @@ def test_many_threads_give_the_serial_answer() -> None:
     assert len(answers) == 8
     for z in answers:
         np.testing.assert_array_equal(z, serial)
-
-
-def test_auto_hands_over_where_npsor_is_slow() -> None:
-    """Auto stays with npsor where that arrives soon, goes on with psor otherwise, and tells the shares."""
-    slow = solve(OBSTACLE.problem)
-    assert slow.algorithm == "auto: npsor, psor"
-    assert "share of the work: npsor" in slow.explain()
-    quick = solve(LCP(np.diag([1.0, 2.0, 3.0]), [-1.0, 1.0, -2.0]))
-    assert quick.algorithm == "auto: npsor"
-    assert slow.is_solved
-    assert quick.is_solved
-
-
-def test_auto_needs_no_positive_diagonal_to_try() -> None:
-    """With a zero on the diagonal auto runs npsor alone; where that circles, the status is no SOLVED."""
-    result = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), max_iterations=2000)
-    assert result.algorithm == "auto: npsor"
-    assert result.status is Status.MAX_ITERATIONS
-    assert np.abs(np.minimum(result.z, result.w)).max() > 0.1
-
-
-def test_auto_returns_to_npsor_where_psor_fails() -> None:
-    """Where Gauss–Seidel diverges, auto comes back to npsor with the best iterate."""
-    M = np.array([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]])
-    result = solve(LCP(M, -M @ [1.0, 1.0, 1.0]))
-    assert result.algorithm == "auto: npsor, psor, npsor"
-    assert not result.is_solved
 
 
 def test_same_call_same_answer() -> None:

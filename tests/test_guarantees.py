@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.guarantees import run_case
+from families import NEEDS_MONOTONE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -122,7 +123,7 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
         assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
 
 
-@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+@pytest.mark.parametrize("name", ["auto", *(name for name in REGISTRY if name not in (*NEEDS_MONOTONE, "newton"))])
 @pytest.mark.parametrize(
     "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
 )
@@ -130,6 +131,35 @@ def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) ->
     """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
     guarantee = convergence_guarantee(gallery.parse(text).problem, name)
     assert guarantee.is_guaranteed, str(guarantee)
+
+
+def test_what_is_proved_of_direct_methods() -> None:
+    """Lemke: P-matrices and finite boxes; Newton: M-matrices bounded on one side; interior point: nothing."""
+    murty, rotation = gallery.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
+    claims = {
+        "lemke": (True, False, True, True),
+        "newton": (False, False, True, False),
+        "interior_point": (False, False, False, False),
+    }
+    for name, expected in claims.items():
+        found = [convergence_guarantee(problem, name) for problem in (murty, rotation, m_matrix, boxed)]
+        assert tuple(guarantee.is_guaranteed for guarantee in found) == expected
+        assert all(guarantee.is_guaranteed or name in guarantee.theorem for guarantee in found)
+        assert all(guarantee.rate is None for guarantee in found)
+    assert convergence_guarantee(rotation.with_q(rotation.q, upper=1.0), "lemke").is_guaranteed
+    assert "3 pivots" in convergence_guarantee(m_matrix, "lemke", max_pivots=3).theorem
+
+
+def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Auto is guaranteed where lemke is, and where M is too large for it, where psor is."""
+    h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
+    assert not convergence_guarantee(rotation).is_guaranteed
+    monkeypatch.setattr("lcp_plugin.choice.LARGEST_PIVOTED", 1)
+    assert "psor: " in convergence_guarantee(h_plus).theorem
+    assert not convergence_guarantee(rotation).is_guaranteed
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -190,7 +220,7 @@ def test_positive_definite_matrices() -> None:
     """SPD but not H₊: PSOR-type sweeps and a short gradient step are covered, Jacobi can diverge and does."""
     problem = with_matrix(SPD_NOT_H)
     for name, options in (
-        ("pgs", {}), ("psor", {}), ("psor", {"relaxation": 1.9, "sweep": "symmetric"}), ("auto", {}),
+        ("pgs", {}), ("psor", {}), ("psor", {"relaxation": 1.9, "sweep": "symmetric"}),
         ("paor", {"relaxation": 1.3, "acceleration": 1.3}), ("gfp", {"relaxation": 0.7}),
     ):
         guarantee = convergence_guarantee(problem, name, **options)
@@ -198,6 +228,7 @@ def test_positive_definite_matrices() -> None:
         assert guarantee.rate is None
         assert "positive definite" in guarantee.theorem
         assert solve(problem, name, max_iterations=20_000, **options).is_solved
+    assert convergence_guarantee(problem).is_guaranteed
     jacobi = convergence_guarantee(problem, "pj")
     assert jacobi.verdict == "can diverge"
     assert "psor" in jacobi.remedy

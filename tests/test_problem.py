@@ -277,7 +277,7 @@ def test_dense_is_kept_up_to_five_thousand(monkeypatch: pytest.MonkeyPatch) -> N
     assert sp.issparse(LCP(np.ones((5, 5)), np.ones(5)).M)
 
 
-@pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "npsplitting", "auto"])
+@pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "npsplitting"])
 def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
     """The same matrix given dense and sparse is solved in the same steps to the same bits."""
     dense = solve(LCP(A, Q), name)

@@ -333,6 +333,8 @@ BAD_VALUES: dict[str, list[Any]] = {
     "sweep": ["up", "Forward", "", None, True, 1, ["forward"]],
     "omega": [0, -1, NAN, INF, "x", True, None],
     "splitting": ["diag", ""],
+    "max_pivots": [-1, 2.5, NAN, True, "x", [1]],
+    "restarts": [-1, 2.5, NAN, True, "x", [1]],
 }
 MORE_BAD_VALUES = {
     ("psor", "relaxation"): [2, 2.0, 2.5, "Auto"],

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, Certificate, Result, Status, solve
@@ -88,14 +89,15 @@ def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -
 
 @EVERY_ALGORITHM
 def test_rows_of_any_size(name: str) -> None:
-    """Rows multiplied by 1e±100 leave solution and status as they are."""
+    """Rows multiplied by 1e±100 leave solution and status as they are, where the method needs no monotone M."""
     scene = gallery.half_active(n=100, block=5)
     rows = np.resize([1e100, 1.0, 1e-100], 100)
     problem = LCP(sp.diags_array(rows) @ scene.problem.csr, rows * scene.problem.q)
     result = solve(problem, name, **scaled_options(name))
-    assert result.status is Status.SOLVED
-    assert abs(result.z - scene.exact).max() < 1e-7
     assert_honest(result)
+    if name not in NEEDS_MONOTONE:
+        assert result.status is Status.SOLVED
+        assert abs(result.z - scene.exact).max() < 1e-7
 
 
 @EVERY_ALGORITHM
@@ -220,7 +222,7 @@ def test_zeros_in_q_are_nothing_special(name: str) -> None:
     scene = gallery.obstacle_2d(size=10)
     assert np.mean(scene.problem.q == 0.0) > 0.5
     shifted = gallery.obstacle_2d(size=10, shifted=True)
-    problem = shifted.problem if name.startswith("m") else scene.problem
+    problem = scene.problem if name in ("auto", *BOUNDED) else shifted.problem
     result = solve(problem, name)
     assert result.status is Status.SOLVED
     reference = solve(problem, "psor", tolerance=1e-12).z
@@ -343,13 +345,13 @@ def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> 
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("limit", [1, 5, 9, 12])
+@pytest.mark.parametrize("limit", [0, 1, 5, 9, 12])
 def test_a_limit_throws_no_work_away(name: str, limit: int) -> None:
-    """After max_iterations=k the z returned is no worse than iterate k, also where the method works in place."""
+    """After max_iterations=k the z returned is no worse than iterate k, or the last there was, also in place."""
     scene = gallery.paper_example_1(n=100)
     result = solve(scene.problem, name, z0=scene.start, tolerance=1e-14, max_iterations=limit)
-    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), limit + 1)
-    assert result.iterations == limit
+    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), result.iterations + 1)
+    assert result.iterations == limit if name in SPLITTINGS else result.iterations <= limit
     assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (1.0 + 1e-12)
 
 

@@ -98,12 +98,32 @@ class Algorithm(ABC):
         """
         return None
 
+    def theorem(self, problem: LCP) -> str | None:
+        """Return what proves, for a method without `facts`, that it ends in a solution whatever q is, or None.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Where it cannot run at all.
+        """
+        return None
+
     def rehearsal(self) -> Algorithm:
         """Return the same algorithm with options that fit a 1 × 1 problem (used to compile kernels beforehand)."""
         return self
 
     def __str__(self) -> str:
         return self.name
+
+
+def without_warnings(steps: Iterator[Step]) -> Iterator[Step]:
+    """Yield the steps; what overflows in them is seen in the residual. Whoever takes them keeps his own settings."""
+    while True:
+        with np.errstate(all="ignore"):  # not around a yield: there it would reach the caller
+            step = next(steps, None)
+        if step is None:
+            return
+        yield step
 
 
 def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..certificates.residuals import scaled_residual
 from ..problem import LCP, FloatVector
-from .base import Algorithm, Step
+from .base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import (
     equilibration,
     is_symmetric,
@@ -69,7 +69,7 @@ class InteriorPoint(Algorithm):
 
     name: ClassVar[str] = "interior_point"
     assumption: ClassVar[str] = "monotone M"
-    converges_on: ClassVar[str] = "PSD, also nonsymmetric"
+    converges_on: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
     cost: ClassVar[str] = "1 factorisation"
     reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
     is_compiled: ClassVar[bool] = True
@@ -79,8 +79,10 @@ class InteriorPoint(Algorithm):
         """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
-        with np.errstate(all="ignore"):
-            yield from _Search(problem).steps(z)
+        yield from without_warnings(self._steps(problem, z))
+
+    def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
+        yield from _Search(problem).steps(z)
 
 
 class _Search:

@@ -100,13 +100,7 @@ class Lemke(Algorithm):
         UnsuitableProblem
             Where a connected part is too large for a dense inverse.
         """
-        parts = connected_parts(problem)
-        size = max((rows.size for rows in parts), default=0)
-        if size > LARGEST:
-            raise UnsuitableProblem(
-                f"lemke keeps a dense inverse and takes connected parts up to n = {LARGEST}, got one of {size}; "
-                'try algorithm="newton" or "interior_point"'
-            )
+        parts = _parts_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)
         entries = max(problem.nonzeros, 1)
@@ -115,6 +109,20 @@ class Lemke(Algorithm):
             for found, touched, ray in self._paths(part, z[rows]):
                 z[rows] = np.clip(found, part.lower, part.upper)
                 yield PivotStep(z, work=touched / entries, is_settling=True, ray=_extended(ray, rows, problem.n))
+
+    def theorem(self, problem: LCP) -> str | None:
+        """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
+        from ..matrix_classes import analyze
+
+        _parts_that_fit(problem)
+        if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():
+            reason = "all bounds are finite"
+        elif analyze(problem).is_p_matrix is True:
+            reason = "M is a P-matrix"
+        else:
+            return None
+        limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
+        return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
     def _paths(self, part: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
         """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
@@ -189,6 +197,18 @@ class Lemke(Algorithm):
             yield z, 0.0, None
             return True
         return False
+
+
+def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
+    """Return the connected parts, or raise where one is too large for a dense inverse."""
+    parts = connected_parts(problem)
+    size = max((rows.size for rows in parts), default=0)
+    if size > LARGEST:
+        raise UnsuitableProblem(
+            f"lemke keeps a dense inverse and takes connected parts up to n = {LARGEST}, got one of {size}; "
+            'try algorithm="newton" or "interior_point"'
+        )
+    return parts
 
 
 def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:

@@ -17,8 +17,12 @@ class NewtonState:
 
     Attributes
     ----------
+    best_z : ndarray, shape (n,)
+        The best so far; it may be outside the bounds.
     best : float
         ‖r(best_z)‖∞, the numerator of the relative residual.
+    inside_z, inside : ndarray, shape (n,), and float
+        The best so far of the iterates projected onto the bounds, and its ‖r‖∞: what a step tells.
     """
 
     def __init__(self, problem: LCP, z: FloatVector) -> None:
@@ -26,20 +30,29 @@ class NewtonState:
         self.scale = problem.residual_scale
         self.entries = max(problem.nonzeros, 1)
         self.work = 0.0
-        self.best = math.inf
-        self.best_z = z
+        self.best = self.inside = math.inf
+        self.best_z = self.inside_z = z
         self._solved: set[bytes] = set()
         self._cache = FactorCache()
         self.move(z)
 
     def move(self, z: FloatVector) -> None:
-        """Go to z, and keep it where it is the best so far."""
+        """Go to z, and keep it, and its projection, where it is the best so far."""
         self.z, self.w = z, self.slack(z)
-        with np.errstate(all="ignore"):
-            self.residual = np.abs(scaled_residual(self.problem, z, self.w))
-        size = float(np.max(self.residual, initial=0.0))
+        residual = self.residual = self._residual(z, self.w)
+        size = float(np.max(residual, initial=0.0))
         if size < self.best or not self._solved:
             self.best, self.best_z = size, z
+        inside = np.clip(z, self.problem.lower, self.problem.upper)
+        if not np.array_equal(inside, z):
+            size = float(np.max(self._residual(inside, self.slack(inside)), initial=0.0))
+        if size < self.inside or not self._solved:
+            self.inside, self.inside_z = size, inside
+
+    def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        with np.errstate(all="ignore"):
+            size: FloatVector = np.abs(scaled_residual(self.problem, z, w))
+        return size
 
     def slack(self, z: FloatVector) -> FloatVector:
         """Return M z + q, counted as work."""
@@ -50,7 +63,7 @@ class NewtonState:
     def step(self) -> Step:
         """Return the best iterate as a step, with the work since the last one."""
         work, self.work = self.work, 0.0
-        return Step(self.best_z, self.best, work=work)
+        return Step(self.inside_z, self.inside, work=work)
 
     def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
         """Return whether this active set has been solved before."""

@@ -11,10 +11,10 @@ import numpy as np
 
 from ..problem import LCP, FloatVector
 from .active_set import classify
-from .base import Algorithm, Step
+from .base import Algorithm, Step, without_warnings
 from .damped_newton import damped_steps
 from .newton_state import NewtonState
-from .principal_pivoting import principal_pivots
+from .principal_pivoting import LARGEST, principal_pivots
 
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
 PATIENT_ROWS = 250
@@ -30,9 +30,9 @@ class Newton(Algorithm):
     Full steps as long as they lead to new active sets; on M-matrices these are finite and monotone. When an active
     set comes back, or nothing improves, a line search on the Fischer–Burmeister function takes over, which tries
     full steps again where they halve it. Small problems that resist are pivoted, one index at a time where blocks
-    do not pay. In theory the line search converges, and the pivots are finite, on P-matrices; here both are bounded
-    in number. Singular blocks are regularised, and the residual judges what comes of it. Each step yields the best
-    z so far.
+    do not pay, and tried once more from the point of the box nearest to 0. In theory the line search converges, and
+    the pivots are finite, on P-matrices; here both are bounded in number. Singular blocks are regularised, and the
+    residual judges what comes of it. Each step yields the best z so far, projected onto the bounds.
 
     References
     ----------
@@ -49,26 +49,49 @@ class Newton(Algorithm):
 
     name: ClassVar[str] = "newton"
     assumption: ClassVar[str] = "none"
-    converges_on: ClassVar[str] = "M"
+    converges_on: ClassVar[str] = "M, bounds on one side, n ≤ 250"
     cost: ClassVar[str] = "1 factorisation of the free block"
     reference: ClassVar[str] = "[6, 7]"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the best z so far, once a factorisation; end where nothing more can be done."""
-        state = NewtonState(problem, np.clip(z0, problem.lower, problem.upper))
+        return without_warnings(self._steps(problem, z0))
+
+    def theorem(self, problem: LCP) -> str | None:
+        """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
+        from ..matrix_classes import analyze
+
+        is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+        if problem.n > PATIENT_ROWS or not is_one_sided or analyze(problem).is_m_matrix is not True:
+            return None
+        return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        start = np.clip(z0, problem.lower, problem.upper)
+        is_elsewhere = problem.n <= LARGEST and not np.array_equal(start, problem.nearest_to_zero)
+        state = NewtonState(problem, start)
         yield state.step()
-        if problem.n == 0:
+        if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
             return
-        for _ in range(ROUNDS):
-            is_settled = yield from full_steps(state)
-            before = state.best
-            is_settled = is_settled or (yield from damped_steps(state))
-            if is_settled:
-                return
-            if not state.best < before:
-                break
-        yield from principal_pivots(state)
+        again = NewtonState(problem, problem.nearest_to_zero)
+        if state.inside < again.inside:
+            again.inside, again.inside_z = state.inside, state.inside_z
+        yield from rounds(again)
+
+
+def rounds(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield full steps and damped ones in turn, and pivots where they fail; return whether an active set settled."""
+    for _ in range(ROUNDS):
+        is_settled = yield from full_steps(state)
+        before = state.best
+        is_settled = is_settled or (yield from damped_steps(state))
+        if is_settled:
+            return True
+        if not state.best < before:
+            break
+    yield from principal_pivots(state)
+    return False
 
 
 def full_steps(state: NewtonState) -> Generator[Step, None, bool]:

@@ -210,7 +210,7 @@ def _cut_off(values: FloatVector, unit: float) -> FloatVector:
 
 
 def _power_of_two_near(value: float) -> float:
-    return float(np.ldexp(1.0, np.frexp(value)[1]))
+    return float(np.ldexp(1.0, min(int(np.frexp(value)[1]), 1023)))
 
 
 def _linear_program(cost: FloatVector, equations: Any, bounds: Any, pivots: int, row: Any = None) -> Any:

@@ -113,6 +113,7 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     return decide_feasibility(problem, effort_limit=effort_limit).proof
 
 
+@np.errstate(all="ignore")
 def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
     """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
 

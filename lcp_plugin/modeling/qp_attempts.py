@@ -8,12 +8,12 @@ from typing import Any
 
 import scipy.sparse as sp
 
-from ..matrix_classes.definiteness import EPSILON, is_positive_semidefinite
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from ..conversions.substitution import Substitution, substitute_definitions
 from ..driver import solve as solve_lcp
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ..matrix_classes.definiteness import EPSILON, is_positive_semidefinite
 from ..problem import LCP, FloatVector
 from ..result import Result, Status
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithms.base import Algorithm, Step
+from ..algorithms.base import Algorithm, Step, without_warnings
 from ..certificates.forced_bounds import find_forced_contradiction
 from ..certificates.infeasibility import decide_feasibility
 from ..problem import LCP, FloatVector
@@ -31,6 +31,9 @@ class FeasibilityCheck(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then once more with the proof where there is one."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         proof = decide_feasibility(problem).proof or find_forced_contradiction(problem)
         if proof is not None:
@@ -50,6 +53,9 @@ class ExhaustiveSearch(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z0 while it searches, then the solution, or z0 with the proof; end at 20 000 cases."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         for nodes, outcome in enumerate(explore(problem, first_only=True), start=1):
             if isinstance(outcome, Found):

@@ -1,0 +1,268 @@
+"""The two decision tables of the automatic choice, row by row, and what its runs end with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Result, Status, solve
+from lcp_plugin.algorithms import Algorithm, create
+from lcp_plugin.choice import Auto, Choice, Stage, direct_methods
+from lcp_plugin.evidence import gallery
+
+TARGET = 1e-8
+
+
+def chain(n: int, *, dense: bool = False) -> LCP:
+    """The Laplacian of a string, or, dense, its inverse but for the scale: symmetric, and slow for sweeps."""
+    if dense:
+        k = np.arange(1.0, n + 1.0)
+        return LCP(np.minimum.outer(k, k) * (n + 1.0 - np.maximum.outer(k, k)), -k)
+    M = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    return LCP(M, -np.ones(n))
+
+
+def cycle(n: int, diagonal: float) -> LCP:
+    """Row i: diagonal z_i + 2 z_{i+1} − 1; nonsymmetric, and far from monotone."""
+    M = sp.diags_array(
+        [[2.0], diagonal * np.ones(n), 2.0 * np.ones(n - 1)], offsets=[1 - n, 0, 1], format="csr", shape=(n, n)
+    )
+    return LCP(M, -np.ones(n))
+
+
+def after(algorithm: Algorithm, iterations: int, rate: float) -> Stage:
+    """A stage so many iterations old whose residual fell from 1 by that rate an iteration."""
+    residuals = [(k, rate**k) for k in range(iterations + 1)]
+    return Stage(algorithm, iterations=iterations, residuals=residuals)
+
+
+def following(problem: LCP, stage: Stage, *, failed: bool = False) -> str | None:
+    choice = Auto().next_step(problem, [stage], TARGET, failed)
+    return None if choice is None else choice.algorithm.name
+
+
+def names(result: Result) -> list[str]:
+    return [stage.name for stage in result.stages]
+
+
+# --- The first table ---------------------------------------------------------------------------------------------
+
+
+def test_the_projected_type_iteration_comes_first() -> None:
+    """Whatever the matrix, auto begins with npsor, and stays with it where it is quick."""
+    for M in (np.diag([1.0, 2.0, 3.0]), sp.eye_array(2000), [[0.0, 1.0], [-1.0, 0.0]]):
+        n = np.shape(M)[0]
+        assert solve(LCP(M, -np.ones(n)), max_iterations=1).stages[0].name == "npsor"
+    assert names(solve(LCP(np.diag([1.0, 2.0, 3.0]), [-1.0, 1.0, -2.0]))) == ["npsor"]
+
+
+@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 3)])
+def test_a_slow_trial_ends_after_ten_sweeps_or_three(dense: bool, trial: int) -> None:
+    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, after 3 where M is dense."""
+    problem = chain(30, dense=dense)
+    assert solve(problem).stages[0].iterations == trial
+    for iterations in range(1, trial + 45):
+        is_asked = iterations >= trial and (iterations - trial) % 20 == 0
+        assert (following(problem, after(create("npsor", {}), iterations, 0.99)) is not None) == is_asked
+
+
+@pytest.mark.parametrize(("rate", "goes_on"), [(0.5, True), (0.9, False)])
+def test_npsor_goes_on_where_it_arrives_within_twenty(rate: float, goes_on: bool) -> None:
+    """After 10 sweeps at rate ½, 17 more arrive at 1e-8; at rate 0.9 it takes 165."""
+    assert (following(chain(30), after(create("npsor", {}), 10, rate)) is None) == goes_on
+
+
+@pytest.mark.parametrize(("orientation", "sweep"), [("upper", "backward"), ("lower", "forward")])
+def test_one_sweep_solves_a_triangular_problem(orientation: str, sweep: str) -> None:
+    """Where npsor is slow on a triangle of 200 rows, one pgs sweep in the order of the triangle is exact."""
+    bidiagonal = np.eye(200) - np.diag(np.ones(199), 1 if orientation == "upper" else -1)
+    for problem in (LCP(bidiagonal, -np.ones(200)), gallery.murty(n=200, orientation=orientation).problem):
+        stage = after(create("npsor", {}), 3 if problem.is_dense else 10, 0.999)
+        choice = Auto().next_step(problem, [stage], TARGET, False)
+        assert choice is not None
+        assert choice.algorithm == create("pgs", {"sweep": sweep})
+    result = solve(LCP(bidiagonal, -np.ones(200)))
+    assert result.is_solved
+    assert [(stage.name, stage.iterations) for stage in result.stages] == [("npsor", 10), ("pgs", 1)]
+
+
+@pytest.mark.parametrize("orientation", ["upper", "lower"])
+def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
+    """Either orientation, n = 200, is solved by two dozen sweeps."""
+    result = solve(gallery.murty(n=200, orientation=orientation).problem)
+    assert result.is_solved
+    assert result.iterations <= 25
+
+
+def test_a_triangle_without_positive_diagonal_is_no_such_case() -> None:
+    """With a zero on the diagonal of a triangle auto goes to the direct methods."""
+    assert following(LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), after(create("npsor", {}), 3, 0.999)) == "newton"
+
+
+def test_pgs_on_a_triangle_has_one_sweep() -> None:
+    """Where a second sweep would be needed, rounding say, the direct methods take over."""
+    problem = gallery.murty(n=20).problem
+    assert following(problem, after(create("pgs", {"sweep": "backward"}), 1, 0.9)) is None
+    assert following(problem, after(create("pgs", {"sweep": "backward"}), 2, 0.9)) is not None
+
+
+@pytest.mark.parametrize(("n", "dense", "second"), [
+    (1001, False, "psor"), (1000, False, "interior_point"), (1001, True, "interior_point"),
+])
+def test_psor_is_for_large_sparse_matrices(n: int, dense: bool, second: str) -> None:
+    """After npsor comes psor where M is sparse with more than 1000 rows, else a direct method."""
+    assert following(chain(n, dense=dense), after(create("npsor", {}), 10 - 7 * dense, 0.999)) == second
+
+
+def test_psor_needs_a_positive_diagonal() -> None:
+    """Where one entry of the diagonal is not positive psor is skipped."""
+    assert following(cycle(1001, -1.0), after(create("npsor", {}), 10, 0.999)) == "newton"
+
+
+@pytest.mark.parametrize(
+    ("n", "iterations", "rate", "goes_on"),
+    [
+        (1001, 280, 0.999, True),  # 300 sweeps are not over
+        (1001, 300, 0.999, False),
+        (1001, 301, 0.999, True),  # asked every 20
+        (1001, 300, 0.96, True),  # 152 sweeps to go
+        (20_000, 300, 0.999, False),
+        (20_001, 300, 0.999, True),  # a factorisation is not cheap there
+    ],
+)
+def test_how_long_psor_goes_on(n: int, iterations: int, rate: float, goes_on: bool) -> None:
+    """Psor goes on beyond 20 000 rows, up to 300 sweeps, and where 200 more arrive."""
+    assert (following(chain(n), after(create("psor", {}), iterations, rate)) is None) == goes_on
+
+
+@pytest.mark.parametrize("name", ["psor", "pgs"])
+def test_sweeps_that_fail_hand_over_to_the_direct_methods(name: str) -> None:
+    """Where psor or pgs diverges or stalls, a direct method follows at once, at any size."""
+    for n in (30, 20_001):
+        assert following(chain(n), after(create(name, {}), 1, 1.0), failed=True) == "interior_point"
+
+
+# --- The second table --------------------------------------------------------------------------------------------
+
+
+def order(problem: LCP) -> list[str]:
+    return [choice.algorithm.name for choice in direct_methods(problem)]
+
+
+@pytest.mark.parametrize(
+    "M",
+    [
+        [[2.0, -1.0], [-1.0, 2.0]],
+        [[1.0, -2.0], [-2.0, 1.0]],  # symmetric, no more is asked
+        [[2.0, -1.0], [-1.0 - 1e-13, 2.0]],
+        [[1.0, 2.0], [-2.0, 1.0]],  # not symmetric, but positive semidefinite
+        [[0.0, 1.0], [-1.0, 0.0]],
+    ],
+)
+def test_where_m_seems_monotone_the_interior_point_method_comes_first(M: list[list[float]]) -> None:
+    """Symmetric up to rounding with a positive diagonal, or positive semidefinite."""
+    problem = LCP(M, [-1.0, 1.0], upper=[np.inf, 9.0])
+    assert order(problem) == ["interior_point", "newton", "feasibility", "lemke", "search"]
+
+
+def test_where_m_does_not_newton_comes_first() -> None:
+    """Up to 1000 rows newton, feasibility, lemke, interior_point; beyond, interior_point before lemke."""
+    assert order(cycle(24, -1.0)) == ["newton", "feasibility", "lemke", "interior_point", "search"]
+    assert order(cycle(25, -1.0)) == ["newton", "feasibility", "lemke", "interior_point"]
+    assert order(cycle(1000, -1.0)) == ["newton", "feasibility", "lemke", "interior_point"]
+    assert order(cycle(1001, -1.0)) == ["newton", "feasibility", "interior_point", "lemke"]
+
+
+def test_what_is_too_large_is_left_out() -> None:
+    """No linear program beyond 5000 rows; beyond 6000, too many for lemke, psor comes back where it can run."""
+    assert order(cycle(5001, -1.0)) == ["newton", "interior_point", "lemke"]
+    assert order(cycle(6000, 1.0)) == ["newton", "interior_point", "lemke"]
+    assert order(cycle(6001, 1.0)) == ["newton", "interior_point", "lemke", "psor"]
+    assert order(cycle(6001, -1.0)) == ["newton", "interior_point", "lemke"]
+
+
+def test_direct_methods_come_one_after_the_other_and_each_ends_by_itself() -> None:
+    """Once the direct methods have begun, each goes on until it fails, and after the last there is none."""
+    problem, policy = cycle(25, -1.0), Auto()
+    stages = [after(policy.first(problem).algorithm, 3, 1.0)]
+    found = []
+    while (choice := policy.next_step(problem, stages, TARGET, True)) is not None:
+        found.append(choice.algorithm.name)
+        stages.append(after(choice.algorithm, 50, 1.0))
+        assert policy.next_step(problem, stages, TARGET, False) is None
+    assert found == ["newton", "feasibility", "lemke", "interior_point"]
+
+
+# --- Presolved problems ------------------------------------------------------------------------------------------
+
+
+def test_direct_methods_run_on_the_presolved_problem_and_answer_for_the_given_one() -> None:
+    """Fixed rows are taken out, and put back into every iterate, within the bounds."""
+    problem = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 5.0], [7.0, 0.0, 0.0]], [-5.0, 1.0, 3.0], upper=[9.0, 9.0, 0.0])
+    first = next(iter(direct_methods(problem)))
+    assert first.presolved is not None
+    assert first.presolved.problem.n < 3
+    iterates = [step.z.copy() for step in first.iterates(problem, np.ones(3).clip(problem.lower, problem.upper))]
+    assert all(z.shape == (3,) and problem.lower[2] <= z[2] <= problem.upper[2] for z in iterates)
+    np.testing.assert_allclose(iterates[-1], [2.5, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_choice_without_a_smaller_problem_runs_on_the_given_one() -> None:
+    """Then the steps are those of the algorithm, residuals and all."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    plain = [step.residual for step in create("newton", {}).iterates(problem, np.zeros(2))]
+    assert [step.residual for step in Choice(create("newton", {})).iterates(problem, np.zeros(2))] == plain
+
+
+# --- What runs end with ------------------------------------------------------------------------------------------
+
+
+def test_no_positive_diagonal_is_needed() -> None:
+    """A rotation, on which every splitting circles, and a game are solved."""
+    assert solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0])).is_solved
+    assert solve(gallery.parse("bimatrix_game").problem).is_solved
+
+
+def test_where_gauss_seidel_diverges_a_direct_method_solves() -> None:
+    """A cyclic P-matrix on which the sweeps diverge is no obstacle."""
+    M = np.array([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]])
+    result = solve(LCP(M, -M @ [1.0, 1.0, 1.0]))
+    assert result.is_solved
+    assert not solve(LCP(M, -M @ [1.0, 1.0, 1.0]), "pgs").is_solved
+
+
+def test_an_infeasible_problem_ends_with_its_proof() -> None:
+    """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ 1 contradict: INFEASIBLE by auto and after a direct method, never after sweeps."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
+    for name in ("auto", "newton", "lemke", "interior_point"):
+        result = solve(problem, name)
+        assert result.status is Status.INFEASIBLE
+        assert result.infeasibility.verify()
+        assert result.stages[-1].name == "feasibility"
+        assert str(result.infeasibility) in result.explain()
+    swept = solve(problem, "pgs")
+    assert swept.status not in (Status.SOLVED, Status.INFEASIBLE)
+    assert swept.infeasibility is None
+    assert len(swept.stages) == 1
+
+
+def test_a_feasible_problem_without_solution_ends_with_its_proof() -> None:
+    """NO_SOLUTION: w = (z₂ − 1, 1) is nonnegative for z₂ ≥ 1, but complementarity asks for z₂ = 0."""
+    problem = LCP([[0.0, 1.0], [0.0, 0.0]], [-1.0, 1.0])
+    result = solve(problem)
+    assert result.status is Status.NO_SOLUTION
+    assert result.infeasibility.verify()
+    assert problem.slack(np.array([0.0, 2.0])).min() >= 0.0
+
+
+def test_the_story_names_every_stage_with_its_reason() -> None:
+    """explain() tells what ran, how much of the work it was, and why it came."""
+    result = solve(gallery.build("obstacle_2d", size=40).problem)
+    assert result.is_solved
+    assert names(result)[:2] == ["npsor", "psor"]
+    assert result.algorithm == "auto: " + ", ".join(names(result))
+    assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work  # the rest: measuring
+    for stage in result.stages:
+        assert f"  {stage.name}: {stage.iterations} iterations" in result.explain()
+        assert stage.because in result.explain()

@@ -29,7 +29,7 @@ from lcp_plugin.cli import app
 from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
-from lcp_plugin.strategies import h_plus_matrices
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
 UNSCALED: dict[str, Any] = {"scaling": None}
@@ -150,6 +150,29 @@ def test_what_is_proved_of_direct_methods() -> None:
         assert all(guarantee.rate is None for guarantee in found)
     assert convergence_guarantee(rotation.with_q(rotation.q, upper=1.0), "lemke").is_guaranteed
     assert "3 pivots" in convergence_guarantee(m_matrix, "lemke", max_pivots=3).theorem
+
+
+@settings(max_examples=60, deadline=None)
+@given(drawn=solved_lcps(h_plus_matrices(row_scale=3, column_scale=3), bounds=True))
+def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
+    """On H₊-matrices, boxes and free rows included, auto and lemke are guaranteed and solve every problem."""
+    for name in ("auto", "lemke"):
+        assert convergence_guarantee(drawn[0], name).is_guaranteed
+        assert solve(drawn[0], name).is_solved
+
+
+@pytest.mark.parametrize("n", [1, 7, 60, 250])
+def test_newton_is_finite_on_m_matrices(n: int) -> None:
+    """From any start at most n + 2 full steps solve an M-matrix problem, a front that crosses all rows included."""
+    chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    rng = np.random.default_rng(n)
+    front = LCP(np.eye(n) - np.eye(n, k=-1), -np.eye(n)[0])
+    for problem in (with_matrix(chain), LCP(chain, rng.normal(size=n)), front):
+        assert convergence_guarantee(problem, "newton").is_guaranteed
+        for start in (np.zeros(n), 100.0 * rng.random(n), np.where(np.arange(n) < n // 2, 1e3, 0.0)):
+            result = solve(problem, "newton", z0=start)
+            assert result.is_solved
+            assert result.iterations <= n + 2
 
 
 def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..certificates.residuals import scaled_residual
 from ..problem import LCP, FloatVector
+from .active_set import is_nearly_symmetric
 from .base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import (
     equilibration,
@@ -148,7 +149,7 @@ class _Search:
         if M.size and float(M.diagonal().min()) < 0.0:
             return False
         if self.kept is None:
-            return self.problem.shared("is_symmetric", lambda: is_symmetric(M))
+            return is_nearly_symmetric(self.problem) if M is self.problem.M else is_symmetric(M)
         return is_symmetric(M)
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:

@@ -54,12 +54,13 @@ def test_the_projected_type_iteration_comes_first() -> None:
     for M in (np.diag([1.0, 2.0, 3.0]), sp.eye_array(2000), [[0.0, 1.0], [-1.0, 0.0]]):
         n = np.shape(M)[0]
         assert solve(LCP(M, -np.ones(n)), max_iterations=1).stages[0].name == "npsor"
-    assert names(solve(LCP(np.diag([1.0, 2.0, 3.0]), [-1.0, 1.0, -2.0]))) == ["npsor"]
+    quick = LCP(4.0 * np.eye(3) - np.diag([1.0, 1.0], 1) - np.diag([1.0, 1.0], -1), [-1.0, 1.0, -2.0])
+    assert names(solve(quick)) == ["npsor"]
 
 
-@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 3)])
-def test_a_slow_trial_ends_after_ten_sweeps_or_three(dense: bool, trial: int) -> None:
-    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, after 3 where M is dense."""
+@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 2)])
+def test_a_slow_trial_ends_after_ten_sweeps_or_two(dense: bool, trial: int) -> None:
+    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, after 2 where M is dense."""
     problem = chain(30, dense=dense)
     assert solve(problem).stages[0].iterations == trial
     for iterations in range(1, trial + 45):
@@ -75,29 +76,29 @@ def test_npsor_goes_on_where_it_arrives_within_twenty(rate: float, goes_on: bool
 
 @pytest.mark.parametrize(("orientation", "sweep"), [("upper", "backward"), ("lower", "forward")])
 def test_one_sweep_solves_a_triangular_problem(orientation: str, sweep: str) -> None:
-    """Where npsor is slow on a triangle of 200 rows, one pgs sweep in the order of the triangle is exact."""
+    """On a triangle of 200 rows one pgs sweep in the order of the triangle is exact."""
     bidiagonal = np.eye(200) - np.diag(np.ones(199), 1 if orientation == "upper" else -1)
     for problem in (LCP(bidiagonal, -np.ones(200)), gallery.murty(n=200, orientation=orientation).problem):
-        stage = after(create("npsor", {}), 3 if problem.is_dense else 10, 0.999)
+        stage = after(create("npsor", {}), 1, 0.999)
         choice = Auto().next_step(problem, [stage], TARGET, False)
         assert choice is not None
         assert choice.algorithm == create("pgs", {"sweep": sweep})
     result = solve(LCP(bidiagonal, -np.ones(200)))
     assert result.is_solved
-    assert [(stage.name, stage.iterations) for stage in result.stages] == [("npsor", 10), ("pgs", 1)]
+    assert [(stage.name, stage.iterations) for stage in result.stages] == [("npsor", 1), ("pgs", 1)]
 
 
 @pytest.mark.parametrize("orientation", ["upper", "lower"])
 def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
-    """Either orientation, n = 200, is solved by two dozen sweeps."""
+    """Either orientation, n = 200, is solved by two sweeps."""
     result = solve(gallery.murty(n=200, orientation=orientation).problem)
     assert result.is_solved
-    assert result.iterations <= 25
+    assert result.iterations <= 2
 
 
 def test_a_triangle_without_positive_diagonal_is_no_such_case() -> None:
     """With a zero on the diagonal of a triangle auto goes to the direct methods."""
-    assert following(LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), after(create("npsor", {}), 3, 0.999)) == "newton"
+    assert following(LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), after(create("npsor", {}), 2, 0.999)) == "newton"
 
 
 def test_pgs_on_a_triangle_has_one_sweep() -> None:
@@ -112,7 +113,7 @@ def test_pgs_on_a_triangle_has_one_sweep() -> None:
 ])
 def test_psor_is_for_large_sparse_matrices(n: int, dense: bool, second: str) -> None:
     """After npsor comes psor where M is sparse with more than 1000 rows, else a direct method."""
-    assert following(chain(n, dense=dense), after(create("npsor", {}), 10 - 7 * dense, 0.999)) == second
+    assert following(chain(n, dense=dense), after(create("npsor", {}), 10 - 8 * dense, 0.999)) == second
 
 
 def test_psor_needs_a_positive_diagonal() -> None:

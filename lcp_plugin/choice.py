@@ -149,7 +149,8 @@ class Auto:
 
     def first(self, problem: LCP) -> Choice:
         """Return NPSOR at a row scaling that is proved to converge for every H₊-matrix: on dense M the cheapest one."""
-        return Choice(NPSOR(scaling="diagonal" if problem.is_dense else "auto"), "the projected-type iteration comes first")
+        scaling = "diagonal" if problem.is_dense else "auto"
+        return Choice(NPSOR(scaling=scaling), "the projected-type iteration comes first")
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return what the tables say, or None to go on."""

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit, uintp
 
 
-def _compiled(function: Any) -> Any:
+def compiled(function: Any) -> Any:
     """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
     try:
         return njit(cache=True, nogil=True, error_model="numpy")(function)
@@ -36,7 +36,7 @@ def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
     return upper if upper < value else value
 
 
-@_compiled
+@compiled
 def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def]
     """Fill split[i] with the position in row i of the first column ≥ i (backward: > i)."""
     one = uintp(1)
@@ -49,7 +49,7 @@ def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def
         split[i] = k
 
 
-@_compiled
+@compiled
 def pack_rows(columns, rows):  # type: ignore[no-untyped-def]
     """Copy the vectors of the tuple `columns` into the columns of `rows`, shape (n, len(columns)), in one pass."""
     for i in range(rows.shape[0]):
@@ -57,7 +57,7 @@ def pack_rows(columns, rows):  # type: ignore[no-untyped-def]
             rows[i, k] = columns[k][i]
 
 
-@_compiled
+@compiled
 def splitting_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, coupling, projected, backward, z, new
 ):
@@ -129,7 +129,7 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
     return largest, squares
 
 
-@_compiled
+@compiled
 def relaxation_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, relaxation, backward, z
 ):
@@ -181,7 +181,7 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
     return largest, total
 
 
-@_compiled
+@compiled
 def modulus_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, relaxation, acceleration, backward, x, new, z
 ):

@@ -26,6 +26,7 @@ REGISTRY = {
     "msor": "modulus:MSOR",
     "maor": "modulus:MAOR",
     "gfp": "projected_relaxation:GFP",
+    "multigrid": "multigrid:Multigrid",
 }
 
 

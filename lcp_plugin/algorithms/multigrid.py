@@ -7,8 +7,8 @@ finer one (nested iteration), so that the free set is nearly right before the fi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class Multigrid(Algorithm):
     nested : bool or None
         Whether to begin on the coarsest grid. None: only where the start is the point of [lower, upper] nearest
         to 0, that is, where nobody gave a better one.
+    coarsest : int
+        A grid with at most so many unknowns is not made coarser, ≥ 1.
 
     Notes
     -----
@@ -66,12 +68,16 @@ class Multigrid(Algorithm):
     smoother: str = "pgs"
     relaxation: float = 1.7
     nested: bool | None = None
+    coarsest: int = 60
 
     def __post_init__(self) -> None:
         check_choice(self, "smoother", SMOOTHERS)
         check_positive(self, "relaxation")
         if self.nested is not None and not isinstance(self.nested, bool):
             raise InvalidOption(f"multigrid: nested must be True, False or None, got {self.nested!r}")
+        is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
+        if not is_count or self.coarsest < 1:
+            raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""
@@ -83,3 +89,10 @@ class Multigrid(Algorithm):
     def is_nested(self, problem: LCP, z0: FloatVector) -> bool:
         """Return whether this start is to be replaced by the answer of a coarser grid."""
         return np.array_equal(z0, problem.nearest_to_zero) if self.nested is None else self.nested
+
+    def rehearsal(self) -> Multigrid:
+        """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""
+        from .multigrid_run import rehearse
+
+        rehearse(replace(self, coarsest=1, nested=True))
+        return self

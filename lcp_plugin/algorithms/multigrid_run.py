@@ -1,4 +1,4 @@
-"""One run of projected full multigrid: its grids' problems, its truncation, its safeguards."""
+"""One run of projected full multigrid: the problems of its grids, its truncation, its safeguards."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import diags_array
 
 from .. import kernels
-from ..hierarchy import sweeps
-from ..hierarchy.levels import Grid, Hierarchy, Truncation, build_hierarchy
+from ..hierarchy import galerkin, sweeps
+from ..hierarchy.krylov import KrylovCorrection
+from ..hierarchy.levels import Grid, Hierarchy, build_hierarchy
+from ..hierarchy.truncation import Truncation
 from ..problem import LCP, FloatVector
 from .base import Step
 
@@ -24,8 +28,11 @@ SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 KRYLOV_GAIN = 1e-2
 PATIENCE = 12  # cycles without a new best residual
 FALL_BACK_SWEEPS = 20
+GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by less has failed
+MOST_FAILED_ROUNDS = 3
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
+ROUNDING = 1e-12  # to which m_ij and m_ji may differ in a symmetric matrix
 
 
 class GridProblem:
@@ -35,34 +42,40 @@ class GridProblem:
         self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> None:
         self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
-        self.indptr, self.indices, self.data = grid.matrix.arrays
+        self.arrays = grid.matrix.arrays
+        self.entries = grid.matrix.data.size
         self.rows = kernels.packed(q, lower, upper, grid.inverse)
-        self.splits = {False: grid.split, True: grid.split + 1}  # every diagonal entry is stored
+        # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
+        self.splits = {False: grid.split, True: _behind(grid.split)}
         self.residual = np.empty(q.size)
-        self.relaxation = algorithm.relaxation
-        self.smoother = algorithm.smoother
-        self.snaps = self.smoother.startswith("np")
-        if self.snaps:
-            alpha = algorithm.relaxation if self.smoother == "npsor" else 1.0
-            pivots = np.full(q.size, 1.0 / (1.0 / alpha + 1.0 + 2.0))
-            self.np_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
+        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
+        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
+        if self.is_projected_type:
+            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
             self.new = np.empty(q.size)
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
-        """z ← one projected sweep."""
-        arrays = self.indptr, self.splits[backward], self.indices, self.data
-        if self.snaps:
-            kernels.splitting_sweep(*arrays, self.np_rows, 1.0, True, backward, z, self.new)
-            np.copyto(z, self.new)
-        else:
-            omega = self.relaxation if self.smoother == "psor" else 1.0
-            kernels.relaxation_sweep(*arrays, self.rows, omega, backward, z)
-
-    def gauss_seidel(self, z: FloatVector) -> None:
-        """z ← one forward projected Gauss–Seidel sweep."""
-        kernels.relaxation_sweep(
-            self.indptr, self.splits[False], self.indices, self.data, self.rows, 1.0, False, z
+        """Overwrite z by one projected sweep."""
+        if not self.is_projected_type:
+            self._relax(z, self.relaxation, backward)
+            return
+        indptr, indices, data = self.arrays
+        kernels.splitting_sweep(
+            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
         )
+        np.copyto(z, self.new)
+
+    def gauss_seidel(self, z: FloatVector) -> float:
+        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
+        return self._relax(z, 1.0, backward=False)
+
+    def _relax(self, z: FloatVector, relaxation: float, backward: bool) -> float:
+        indptr, indices, data = self.arrays
+        largest, _ = kernels.relaxation_sweep(
+            indptr, self.splits[backward], indices, data, self.rows, relaxation, backward, z
+        )
+        return float(largest)
 
 
 class MultigridRun:
@@ -70,96 +83,100 @@ class MultigridRun:
 
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
         self.algorithm, self.problem = algorithm, problem
-        self.hierarchy, self.work = _hierarchy(problem)
+        self.hierarchy, self.work = hierarchy_of(problem, algorithm.coarsest)
+        self.is_symmetric, work = symmetry_of(problem)
+        self.work += work
         self.truncation = Truncation(self.hierarchy)
-        self.entries = float(max(problem.csr.nnz, 1))
         finest = self.hierarchy.grids[0]
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
-        self.is_symmetric = _seems_symmetric(problem)
+        self.entries = float(max(problem.csr.nnz, 1))
 
-    def iterates(self, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then the finest grid's iterates."""
-        yield Step(z0, work=self._spent())
-        z = z0
-        if self.algorithm.is_nested(self.problem, z0) and len(self.hierarchy.grids) > 1:
-            self._coarse_problems()
-            z = self._nested_start()
-        if len(self.hierarchy.grids) == 1:
+    def iterates(self, z: FloatVector) -> Iterator[Step]:
+        """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
+        is_nested = self.algorithm.is_nested(self.problem, z)
+        yield Step(z, work=self._spent())
+        if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
-        else:
-            yield from self._cycles(z)
+            return
+        if is_nested and len(self.hierarchy.grids) > 1:
+            self._add_coarse_problems()
+            z = self._nested_start()
+            del self.problems[1:]
+        yield from self._cycles(z)
 
     # --- nested iteration -------------------------------------------------------------------------------
 
-    def _coarse_problems(self) -> None:
+    def _add_coarse_problems(self) -> None:
         for grid, coarser in zip(self.hierarchy.grids, self.hierarchy.grids[1:], strict=False):
-            fine = self.problems[-1]
-            assert grid.restriction is not None and grid.is_coarse is not None
+            fine, transfer = self.problems[-1], grid.transfer
+            assert transfer is not None
             q = np.empty(coarser.n)
-            sweeps.restrict(*grid.restriction.arrays, fine.q, q)
-            self.work += grid.restriction.data.size
-            lower, upper = fine.lower[grid.is_coarse], fine.upper[grid.is_coarse]
+            sweeps.restrict(*transfer.restriction.arrays, fine.q, q)
+            self.work += transfer.restriction.data.size
+            lower, upper = fine.lower[transfer.is_coarse], fine.upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
     def _nested_start(self) -> FloatVector:
         """Return the start on the finest grid that the coarser grids' answers give."""
         coarsest = self.problems[-1]
-        z = np.clip(0.0, coarsest.lower, coarsest.upper)
+        z: FloatVector = np.clip(0.0, coarsest.lower, coarsest.upper)
         for k in range(COARSEST_SWEEPS):
             coarsest.sweep(z, backward=k % 2 == 1)
-        self.work += COARSEST_SWEEPS * coarsest.data.size
-        for k in range(len(self.problems) - 2, -1, -1):
-            if k + 1 < len(self.problems) - 1:
-                self.truncation.start_at(k + 1)
-                for _ in range(COARSE_CYCLES):
-                    self.problems[k + 1].sweep(z, backward=False)
-                    self._look(k + 1, z)
-                    self._correct(k + 1, z)
-                    self.problems[k + 1].sweep(z, backward=True)
+        self.work += COARSEST_SWEEPS * coarsest.entries
+        last = len(self.problems) - 1
+        for k in range(last - 1, -1, -1):
+            if k + 1 < last:
+                self._cycle_on(k + 1, z)
             z = self._interpolated(k, z)
         return z
 
+    def _cycle_on(self, k: int, z: FloatVector) -> None:
+        own = self.problems[k]
+        self.truncation.start_at(k)
+        for _ in range(COARSE_CYCLES):
+            own.sweep(z, backward=False)
+            self._look(k, z)
+            self._correct(k, z)
+            own.sweep(z, backward=True)
+        self.work += 2.0 * COARSE_CYCLES * own.entries
+
     def _interpolated(self, k: int, coarse: FloatVector) -> FloatVector:
-        fine, grid = self.problems[k], self.hierarchy.grids[k]
-        assert grid.prolongation is not None
-        z = np.zeros(grid.n)
-        everywhere = np.ones(grid.n, np.bool_)
-        sweeps.prolong(*grid.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
-        self.work += grid.prolongation.data.size
+        fine, transfer = self.problems[k], self.hierarchy.grids[k].transfer
+        assert transfer is not None
+        z = np.zeros(fine.q.size)
+        everywhere = np.ones(z.size, np.bool_)
+        sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
+        self.work += transfer.prolongation.data.size
         return z
 
     # --- the finest grid --------------------------------------------------------------------------------
 
-    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
-        fine = self.problems[0]
-        while True:
-            fine.sweep(z, backward=False)
-            fine.sweep(z, backward=True)
-            self.work += 2.0 * self.entries
-            yield Step(z, work=self._spent())
-
     def _cycles(self, z: FloatVector) -> Iterator[Step]:
         self.truncation.start_at(0)
         fine = self.problems[0]
-        best, best_z, since, previous = np.inf, z.copy(), 0, np.inf
-        cycles = 0
+        best_z = z.copy()
+        best = best_of_round = previous = np.inf
+        since = cycles = failed_rounds = 0
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
             self.work += self.entries
             # What snaps to a bound is measured before it does.
-            yield Step(z, residual=None if fine.snaps else largest, work=self._spent())
+            yield Step(z, residual=None if fine.is_projected_type else largest, work=self._spent())
             since += 1
             if largest < best:
                 best, since = largest, 0
                 np.copyto(best_z, z)
             elif since >= PATIENCE:
+                failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
+                if failed_rounds >= MOST_FAILED_ROUNDS:
+                    return
                 np.copyto(z, best_z)
                 yield from self._fall_back(z)
-                since, previous = 0, np.inf
-                best = np.inf
+                best_of_round, best, previous, since = best, np.inf, np.inf, 0
                 continue
-            is_slow = cycles >= 2 and largest > SLOW * previous and changed <= max(SETTLED * z.size, 1)
+            settles = changed <= max(SETTLED * z.size, 1)
+            is_slow = cycles >= 2 and largest > SLOW * previous and settles
             previous = largest
             cycles += 1
             if is_slow:
@@ -173,31 +190,36 @@ class MultigridRun:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, own = self.truncation.grids[k], self.problems[k]
         largest, changed = sweeps.free_rows(
-            own.indptr, own.indices, own.data, own.rows, z, own.snaps, top.is_free, top.free_changed, own.residual
+            *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual
         )
-        self.work += own.data.size
+        self.work += own.entries
         if changed:
             self.truncation.update()
         return largest, changed
 
     def _correct(self, k: int, z: FloatVector) -> None:
-        """z ← z + P c, c one V-cycle's answer to the residual on the coarser grid, cut off at the bounds."""
-        own, grid, below = self.problems[k], self.hierarchy.grids[k], self.truncation.grids[k + 1]
-        assert grid.prolongation is not None and grid.restriction is not None
-        sweeps.restrict(*grid.restriction.arrays, own.residual, below.b)
+        """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
+        own, transfer = self.problems[k], self.hierarchy.grids[k].transfer
+        top = self.truncation.grids[k]
+        if transfer is None:
+            np.copyto(top.b, own.residual)
+            self.truncation.correct(k)
+            np.clip(z + top.x, own.lower, own.upper, out=z)
+            return
+        below = self.truncation.grids[k + 1]
+        sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
         self.truncation.correct(k + 1)
         before = z.copy() if k == 0 and self.is_symmetric else None
-        cut = sweeps.prolong(
-            *grid.prolongation.arrays, below.x, self.truncation.grids[k].is_free, own.lower, own.upper, z
-        )
-        self.work += 2.0 * grid.prolongation.data.size
+        cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, own.lower, own.upper, z)
+        self.work += 2.0 * transfer.prolongation.data.size
         if before is not None and cut > NOTEWORTHY_CUT * z.size:
-            self._shorten(own, before, z)
+            self._shorten(before, z)
 
-    def _shorten(self, own: GridProblem, before: FloatVector, z: FloatVector) -> None:
+    @np.errstate(all="ignore")
+    def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
         step = z - before
-        slope = -float(step @ own.residual)  # w = −residual on the free rows; the others did not move
+        slope = -float(step @ self.problems[0].residual)  # w = −residual on the free rows; the others did not move
         curvature = float(step @ (self.problem.csr @ step))
         self.work += self.entries
         size = 1.0
@@ -211,74 +233,84 @@ class MultigridRun:
             np.copyto(z, before + size * step)
 
     def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
-        """z ← z + the correction on the free rows by a few preconditioned Krylov steps, one V-cycle each."""
-        fine, top = self.problems[0], self.truncation.grids[0]
-        residual = fine.residual
-        begin = float(np.max(np.abs(residual * top.inverse), initial=0.0))
+        """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""
+        fine = self.problems[0]
+        correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
+        enough = KRYLOV_GAIN * correction.largest()
         origin = z.copy()
-        total = np.zeros_like(z)
-        directions: list[tuple[FloatVector, FloatVector, float]] = []
         for k in range(most):
-            np.copyto(top.b, residual)
-            self.truncation.correct(0)
-            p = top.x.copy()
-            product = np.empty_like(p)
-            energy = sweeps.free_product(fine.indptr, fine.indices, fine.data, top.is_free, p, product)
-            self.work += self.entries
-            scale = energy if self.is_symmetric else float(product @ product)
-            for old_p, old_product, old_scale in directions:
-                share = float((old_p if self.is_symmetric else old_product) @ product) / old_scale
-                p -= share * old_p
-                product -= share * old_product
-            scale = float((p if self.is_symmetric else product) @ product)
-            if not scale > 0.0:
+            if not correction.step():
                 break
-            length = float((p if self.is_symmetric else product) @ residual) / scale
-            total += length * p
-            residual -= length * product
-            directions.append((p, product, scale))
-            if self.is_symmetric:
-                del directions[:-1]
-            np.clip(origin + total, fine.lower, fine.upper, out=z)
-            left = float(np.max(np.abs(residual * top.inverse), initial=0.0))
-            if left <= KRYLOV_GAIN * begin or k == most - 1:
+            np.clip(origin + correction.correction, fine.lower, fine.upper, out=z)
+            left = correction.largest()
+            if left <= enough or k == most - 1:
                 break
             yield Step(z, increment=left, work=self._spent())
 
+    # --- without coarser grids --------------------------------------------------------------------------
+
+    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
+        """Yield sweeps as long as they contract: multigrid is no help for this matrix."""
+        before = np.inf
+        while True:
+            for _ in range(FALL_BACK_SWEEPS):
+                change = self.problems[0].gauss_seidel(z)
+                yield Step(z, increment=change, work=1.0)
+            if not change < GAINED * before:
+                return
+            before = change
+
     def _fall_back(self, z: FloatVector) -> Iterator[Step]:
         for _ in range(FALL_BACK_SWEEPS):
-            self.problems[0].gauss_seidel(z)
+            change = self.problems[0].gauss_seidel(z)
             self.work += self.entries
-            yield Step(z, work=self._spent())
+            yield Step(z, increment=change, work=self._spent())
 
     def _spent(self) -> float:
         """Return the passes over M since the last step."""
-        work = self.work + self.truncation.take()
+        work = self.work + self.truncation.take_work()
         self.work = 0.0
         return work / self.entries
 
 
-def _hierarchy(problem: LCP) -> tuple[Hierarchy, float]:
+def hierarchy_of(problem: LCP, coarsest: int) -> tuple[Hierarchy, float]:
     """Return the hierarchy of M, and the matrix entries touched to build it now (0 where it was there)."""
     built: list[float] = []
 
     def build() -> Hierarchy:
-        hierarchy = build_hierarchy(problem.csr)
+        hierarchy = build_hierarchy(problem.csr, coarsest)
         built.append(hierarchy.work)
         return hierarchy
 
-    hierarchy = problem.shared("hierarchy", build)
+    hierarchy = problem.shared(f"hierarchy_{coarsest}", build)
     return hierarchy, sum(built)
 
 
-def _seems_symmetric(problem: LCP) -> bool:
-    """Return whether xᵀ(M y) = yᵀ(M x) for one pair of vectors; it decides on the Krylov method only."""
+def symmetry_of(problem: LCP) -> tuple[bool, float]:
+    """Return whether M is symmetric up to rounding, and the matrix entries touched to find out now."""
+    read: list[float] = []
 
     def compute() -> bool:
-        n = problem.n
-        x, y = np.cos(np.arange(n) * 1.7), np.sin(np.arange(n) * 0.9 + 0.3)
-        M: Any = problem.csr
-        one, other = float(x @ (M @ y)), float(y @ (M @ x))
-        return bool(abs(one - other) <= 1e-10 * float(np.abs(M @ y) @ np.abs(x)))
+        M = problem.csr
+        read.append(float(M.nnz))
+        return bool(galerkin.is_symmetric(M.indptr, M.indices, M.data, ROUNDING))
 
-    return problem.shared("seems_symmetric", compute)
+    is_symmetric = problem.shared("is_symmetric", compute)
+    return is_symmetric, sum(read)
+
+
+def rehearse(algorithm: Multigrid) -> None:
+    """Run every kernel once, on a chain of 16 unknowns."""
+    M = diags_array([-np.ones(15), np.full(16, 2.0), -np.ones(15)], offsets=[-1, 0, 1], format="csr")
+    run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
+    steps = run.iterates(np.zeros(16))
+    for _ in range(3):
+        next(steps)
+    KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric).step()
+    run.problems[0].gauss_seidel(np.zeros(16))
+
+
+def _behind(split: NDArray[Any]) -> NDArray[Any]:
+    after: NDArray[Any] = split + 1
+    after.flags.writeable = False
+    return after

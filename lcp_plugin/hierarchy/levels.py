@@ -1,31 +1,44 @@
-"""The grids of a hierarchy, built once a matrix, and the truncated values of one run."""
+"""The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
+
+Memory, five-point matrix: about 12 bytes a nonzero of M for each of M itself, all coarser matrices together (1.4 times
+M), P and R (0.9 times M each), and 8 more for the truncated values of a run.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels import row_splits
+from .. import kernels
 from ..problem import FloatVector
-from . import coarsening, galerkin, sweeps
+from . import coarsening, galerkin
 
-STRENGTH = 0.25
+STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
+NOTEWORTHY_POSITIVE = 0.02
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 LARGEST_COMPLEXITY = 12.0
-PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice, interpolation: reads of M, in round figures counted in the code
+MOST_PRODUCTS = 60.0  # an entry of M
+PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
 
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """A CSR matrix as bare arrays; for P and R of one grid."""
+    """A read-only CSR matrix as bare arrays."""
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
     data: FloatVector
+
+    def __post_init__(self) -> None:
+        # One signature for every kernel: the caller's matrix is read-only as well.
+        for name in ("indptr", "indices", "data"):
+            view = getattr(self, name).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], NDArray[Any], FloatVector]:
@@ -34,15 +47,22 @@ class Operator:
 
 
 @dataclass(frozen=True, eq=False)
+class Transfer:
+    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ, and who is on both."""
+
+    prolongation: Operator
+    restriction: Operator
+    is_coarse: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class Grid:
-    """One grid: its matrix, and the way to the next coarser one (None on the coarsest)."""
+    """One grid: its matrix with every diagonal entry stored, where those stand, their inverses, and the way down."""
 
     matrix: Operator
     split: NDArray[Any]
     inverse: FloatVector
-    is_coarse: NDArray[np.bool_] | None = None
-    prolongation: Operator | None = None
-    restriction: Operator | None = None
+    transfer: Transfer | None = None
 
     @property
     def n(self) -> int:
@@ -52,10 +72,20 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """The grids from the finest to the coarsest, and what building them cost in matrix entries touched."""
+    """The grids from the finest to the coarsest.
+
+    Attributes
+    ----------
+    grids : tuple of Grid
+    work : float
+        Matrix entries touched to build them.
+    is_helpful : bool
+        False where coarser grids would cost too much: then there is only the finest.
+    """
 
     grids: tuple[Grid, ...]
-    work: float = field(default=0.0)
+    work: float
+    is_helpful: bool
 
     @property
     def complexity(self) -> float:
@@ -63,53 +93,63 @@ class Hierarchy:
         return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
 
 
-def build_hierarchy(matrix: Any, strength: float = STRENGTH, coarsest: int = COARSEST) -> Hierarchy:
-    """Return the classical hierarchy of a CSR matrix, shape (n, n), with a positive diagonal.
+def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | None = None) -> Hierarchy:
+    """Return the classical hierarchy of a matrix with a positive diagonal.
 
     Parameters
     ----------
     matrix : csr_array, shape (n, n)
-        Canonical: sorted, no duplicates.
-    strength : float
-        Couplings smaller than this share of the row's largest are not used for interpolation.
+        Canonical: sorted, no duplicates, every diagonal entry positive.
     coarsest : int
         A grid with at most so many unknowns is not made coarser.
+    strength : float, optional
+        Couplings smaller than this share of the row's largest are not used for interpolation. By default 0.25, and
+        0.5 where M has noteworthy positive couplings: those of a rotated anisotropy mislead the weak ones.
+
+    Examples
+    --------
+    >>> from lcp_plugin.evidence import gallery
+    >>> hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr)
+    >>> [grid.n for grid in hierarchy.grids], round(hierarchy.complexity, 2)
+    ([400, 200, 50], 2.15)
     """
-    grid = _grid(matrix.indptr, matrix.indices, matrix.data)
-    grids: list[Grid] = []
+    finest = _grid(Operator(matrix.indptr, matrix.indices, matrix.data))
+    entries = max(matrix.data.size, 1)
     work = 0.0
-    entries = matrix.data.size
+    if strength is None:
+        share = coarsening.positive_share(*finest.matrix.arrays)
+        strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
+        work += entries
+    grids: list[Grid] = []
+    grid = finest
+    stored, products = 0.0, 0.0
     while grid.n > coarsest:
-        coarser = _coarser(grid, strength)
-        if coarser is None:
+        work += PASSES_TO_COARSEN * grid.matrix.data.size
+        transfer = _transfer(grid, strength)
+        if transfer is None:
             break
-        finished, grid, products = coarser
-        entries += grid.matrix.data.size
-        work += PASSES_TO_COARSEN * finished.matrix.data.size + products
-        if entries > LARGEST_COMPLEXITY * max(matrix.data.size, 1):
-            grid = finished
-            break
-        grids.append(finished)
-    return Hierarchy((*grids, _without_coarser(grid)), work)
+        stored += grid.matrix.data.size
+        products += galerkin.count_products(grid.matrix.indptr, grid.matrix.indices, transfer.prolongation.indptr)
+        is_too_large = transfer.restriction.indptr.size - 1 > LARGEST_GRID_SHARE * grid.n
+        if is_too_large or products > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
+            return Hierarchy((finest,), work, is_helpful=False)
+        grids.append(Grid(grid.matrix, grid.split, grid.inverse, transfer))
+        grid = _coarser(grids[-1], transfer)
+    return Hierarchy((*grids, grid), work + products, is_helpful=True)
 
 
-def _grid(indptr: NDArray[Any], indices: NDArray[Any], data: FloatVector) -> Grid:
-    from scipy.sparse import csr_array
-
-    n = indptr.size - 1
-    matrix = csr_array((data, indices, indptr), shape=(n, n))
-    diagonal = matrix.diagonal()
-    inverse = np.zeros(n)
-    np.divide(1.0, diagonal, out=inverse, where=diagonal > 0.0)
-    return Grid(Operator(indptr, indices, data), row_splits(matrix, backward=False), inverse)
-
-
-def _without_coarser(grid: Grid) -> Grid:
-    return Grid(grid.matrix, grid.split, grid.inverse)
+def _grid(matrix: Operator) -> Grid:
+    split = np.empty(matrix.indptr.size - 1, matrix.indptr.dtype)
+    kernels.split_rows(matrix.indptr, matrix.indices, False, split)
+    diagonal = matrix.data[split]
+    inverse = np.zeros(diagonal.size)
+    np.divide(1.0, diagonal, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
+    split.flags.writeable = inverse.flags.writeable = False
+    return Grid(matrix, split, inverse)
 
 
-def _coarser(grid: Grid, strength: float) -> tuple[Grid, Grid, int] | None:
-    """Return the grid with its transfer operators, the next coarser one, and the products that took; None: no use."""
+def _transfer(grid: Grid, strength: float) -> Transfer | None:
+    """Return the way to the next coarser grid; None where nothing is coupled any more."""
     indptr, indices, data = grid.matrix.arrays
     n = grid.n
     is_strong = np.empty(data.size, np.bool_)
@@ -119,12 +159,14 @@ def _coarser(grid: Grid, strength: float) -> tuple[Grid, Grid, int] | None:
     dependents = np.empty(int(first[-1]), indices.dtype)
     coarsening.list_dependents(indptr, indices, is_strong, first, dependents)
     kind = np.zeros(n, np.uint8)
-    coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind)
+    entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
+    coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after)
+    del dependents, entry, after
     is_coarse = kind == coarsening.COARSE
-    coarse_count = int(np.count_nonzero(is_coarse))
-    if not 0 < coarse_count <= LARGEST_GRID_SHARE * n:
+    if not is_coarse.any():
         return None
     number = np.cumsum(is_coarse, dtype=indices.dtype)
+    coarse_count = int(number[-1])
     number -= 1
     p_indptr = np.empty(n + 1, indptr.dtype)
     p_indices = np.empty(data.size, indices.dtype)
@@ -132,99 +174,13 @@ def _coarser(grid: Grid, strength: float) -> tuple[Grid, Grid, int] | None:
     size = coarsening.direct_interpolation(
         indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
     )
-    prolongation = Operator(p_indptr, p_indices[:size].copy(), p_data[:size].copy())
-    restriction = Operator(*galerkin.transposed(coarse_count, *prolongation.arrays))
-    *coarse, products = galerkin.galerkin_product(*grid.matrix.arrays, *prolongation.arrays, *restriction.arrays)
-    return (
-        Grid(grid.matrix, grid.split, grid.inverse, is_coarse, prolongation, restriction), _grid(*coarse), products
+    is_coarse.flags.writeable = False
+    prolongation = Operator(p_indptr, p_indices[:size], p_data[:size])  # memory behind `size` was never touched
+    return Transfer(prolongation, Operator(*galerkin.transposed(coarse_count, *prolongation.arrays)), is_coarse)
+
+
+def _coarser(grid: Grid, transfer: Transfer) -> Grid:
+    arrays = galerkin.galerkin_product(
+        grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays
     )
-
-
-class TruncatedGrid:
-    """The values of one grid while some unknowns are fixed; its own, so that runs in several threads do not meet."""
-
-    def __init__(self, grid: Grid, *, is_finest: bool) -> None:
-        self.grid = grid
-        n = grid.n
-        self.values = grid.matrix.data if is_finest else grid.matrix.data.copy()
-        self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(n, np.bool_)
-        self.free_changed = np.zeros(n, np.bool_)
-        self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(n, np.bool_)
-        self.x, self.b, self.residual = np.zeros(n), np.zeros(n), np.zeros(n)
-        indptr, indices, _ = grid.matrix.arrays
-        self.diagonal = grid.split  # rows are sorted, and every diagonal entry is stored
-        self.indptr, self.indices = indptr, indices
-
-
-class Truncation:
-    """A hierarchy seen from one of its grids, with the unknowns of that grid that are fixed taken out."""
-
-    def __init__(self, hierarchy: Hierarchy) -> None:
-        self.hierarchy = hierarchy
-        self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
-        self.top = 0
-        self.work = 0.0
-
-    def take(self) -> float:
-        """Return the matrix entries touched since the last call."""
-        work, self.work = self.work, 0.0
-        return work
-
-    def start_at(self, top: int) -> None:
-        """Look from the grid `top`: it and all unknowns below are whole again."""
-        self.top = top
-        for k in range(top, len(self.grids)):
-            level, grid = self.grids[k], self.hierarchy.grids[k]
-            level.is_free[:] = True
-            level.inverse[:] = grid.inverse
-            if k > 0:
-                level.values[:] = grid.matrix.data
-            level.free_changed[:] = False
-            level.row_changed[:] = False
-
-    def update(self) -> None:
-        """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
-        top = self.grids[self.top]
-        np.multiply(self.hierarchy.grids[self.top].inverse, top.is_free, out=top.inverse)
-        top.row_changed[:] = False
-        for k in range(self.top, len(self.grids) - 1):
-            level, below, grid = self.grids[k], self.grids[k + 1], self.hierarchy.grids[k]
-            assert grid.prolongation is not None and grid.restriction is not None
-            galerkin.mark_rows(level.indptr, level.indices, level.free_changed, level.row_changed, level.touched)
-            self.work += level.indices.size
-            self.work += galerkin.update_product(
-                level.indptr, level.indices, level.values, level.is_free, level.touched,
-                *grid.prolongation.arrays, *grid.restriction.arrays,
-                below.indptr, below.indices, below.values, below.diagonal, below.inverse,
-                below.is_free, below.free_changed, below.row_changed,
-            )
-            if not below.row_changed.any():
-                break
-
-    def correct(self, k: int) -> None:
-        """x ← one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
-        level, grid = self.grids[k], self.hierarchy.grids[k]
-        arrays = level.indptr, level.indices, level.values
-        sweeps.first_sweep(level.indptr, grid.split, level.indices, level.values, level.inverse, level.b, level.x)
-        self.work += 0.5 * level.indices.size
-        if grid.prolongation is None or grid.restriction is None:
-            self._solve_coarsest(level, arrays)
-            return
-        sweeps.residual_after_first_sweep(
-            level.indptr, grid.split, level.indices, level.values, level.inverse, level.x, level.residual
-        )
-        below = self.grids[k + 1]
-        sweeps.restrict(*grid.restriction.arrays, level.residual, below.b)
-        self.correct(k + 1)
-        sweeps.add_prolonged(*grid.prolongation.arrays, below.x, level.inverse, level.x)
-        sweeps.backward_sweep(*arrays, level.inverse, level.b, level.x)
-        self.work += 1.5 * level.indices.size + 2.0 * grid.prolongation.data.size
-
-    def _solve_coarsest(self, level: TruncatedGrid, arrays: Any) -> None:
-        sweeps.backward_sweep(*arrays, level.inverse, level.b, level.x)
-        for _ in range(10):
-            sweeps.forward_sweep(*arrays, level.inverse, level.b, level.x)
-            sweeps.backward_sweep(*arrays, level.inverse, level.b, level.x)
-        self.work += 21.0 * level.indices.size
+    return _grid(Operator(*arrays))

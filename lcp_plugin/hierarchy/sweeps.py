@@ -12,7 +12,7 @@ from ..kernels import compiled
 
 @compiled
 def first_sweep(indptr, split, indices, data, inverse, b, x):  # type: ignore[no-untyped-def]
-    """x ← one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
+    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
     for i in range(uintp(b.size)):
         rest = b[i]
         for k in range(uintp(indptr[i]), uintp(split[i])):
@@ -22,7 +22,7 @@ def first_sweep(indptr, split, indices, data, inverse, b, x):  # type: ignore[no
 
 @compiled
 def residual_after_first_sweep(indptr, split, indices, data, inverse, x, residual):  # type: ignore[no-untyped-def]
-    """residual ← b − M x behind :func:`first_sweep`: row i held when it was left, only x_j, j > i, changed since."""
+    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed."""
     one = uintp(1)
     for i in range(uintp(x.size)):
         rest = 0.0
@@ -34,7 +34,7 @@ def residual_after_first_sweep(indptr, split, indices, data, inverse, x, residua
 
 @compiled
 def forward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-untyped-def]
-    """x ← one forward Gauss–Seidel sweep for M x = b."""
+    """Overwrite x by one forward Gauss–Seidel sweep for M x = b."""
     one = uintp(1)
     for i in range(uintp(b.size)):
         if inverse[i] != 0.0:
@@ -46,7 +46,7 @@ def forward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-unty
 
 @compiled
 def backward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-untyped-def]
-    """x ← one backward Gauss–Seidel sweep for M x = b."""
+    """Overwrite x by one backward Gauss–Seidel sweep for M x = b."""
     one = uintp(1)
     i = uintp(b.size)
     for _ in range(uintp(b.size)):
@@ -71,7 +71,7 @@ def restrict(r_indptr, r_indices, r_data, fine, coarse):  # type: ignore[no-unty
 
 @compiled
 def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # type: ignore[no-untyped-def]
-    """z ← mid(lower, upper, z + P coarse) on the free rows; return how many were cut off at a bound."""
+    """Overwrite z by mid(lower, upper, z + P coarse) on the free rows; return how many were cut off at a bound."""
     one = uintp(1)
     cut = 0
     for i in range(uintp(z.size)):
@@ -91,7 +91,7 @@ def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # t
 
 @compiled
 def add_prolonged(p_indptr, p_indices, p_data, coarse, inverse, x):  # type: ignore[no-untyped-def]
-    """x ← x + P coarse on the free rows."""
+    """Add P coarse to x on the free rows."""
     one = uintp(1)
     for i in range(uintp(x.size)):
         if inverse[i] != 0.0:
@@ -106,8 +106,8 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
     """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
 
     `rows` holds q, lower, upper, inverse scale. With `snaps`, an unknown that a Gauss–Seidel step would put at a bound
-    is put there: projected-type sweeps approach a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns
-    the largest scaled residual of the problem, and how many rows changed.
+    is put there: projected-type sweeps approach a bound without reaching it. Writes −w on the free rows and 0
+    elsewhere into `residual`; returns the largest scaled residual of the problem, and how many rows changed.
     """
     one = uintp(1)
     largest = 0.0
@@ -130,12 +130,9 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
         if is_changed[i]:
             changed += 1
             is_free[i] = free
-        if r < below:
-            r = below
-        if r > above:
-            r = above
-        r = abs(r)
-        if r > largest or r != r:
+        r = below if below > r else r
+        r = abs(above if above < r else r)
+        if r > largest or r != r:  # noqa: PLR0124 - NaN
             largest = r
     return largest, changed
 

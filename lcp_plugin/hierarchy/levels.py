@@ -20,8 +20,9 @@ STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
-LARGEST_COMPLEXITY = 12.0
-MOST_PRODUCTS = 60.0  # an entry of M
+LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
+LARGEST_COMPLEXITY = 8.0
+MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
 PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
 
 
@@ -111,7 +112,7 @@ def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | Non
     >>> from lcp_plugin.evidence import gallery
     >>> hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr)
     >>> [grid.n for grid in hierarchy.grids], round(hierarchy.complexity, 2)
-    ([400, 200, 50], 2.15)
+    ([400, 200, 50], 2.08)
     """
     finest = _grid(Operator(matrix.indptr, matrix.indices, matrix.data))
     entries = max(matrix.data.size, 1)
@@ -135,6 +136,8 @@ def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | Non
             return Hierarchy((finest,), work, is_helpful=False)
         grids.append(Grid(grid.matrix, grid.split, grid.inverse, transfer))
         grid = _coarser(grids[-1], transfer)
+        if grid.matrix.data.size > LARGEST_GROWTH * grids[-1].matrix.data.size:
+            return Hierarchy((finest,), work + products, is_helpful=False)
     return Hierarchy((*grids, grid), work + products, is_helpful=True)
 
 

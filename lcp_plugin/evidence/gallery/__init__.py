@@ -4,7 +4,9 @@
 same :class:`Scene`; ``describe()`` lists them all.
 """
 
+from .bearing import journal_bearing
 from .binomial_tree import binomial_put
+from .diffusion import coefficient_jumps, convection_diffusion, rotated_anisotropy
 from .matrices import murty, random_h_plus, scaling_trap
 from .obstacle import obstacle_2d, obstacle_3d, obstacle_bumps
 from .option_pricing import american_put, american_put_march
@@ -20,8 +22,11 @@ __all__ = [
     "american_put_march",
     "binomial_put",
     "build",
+    "coefficient_jumps",
+    "convection_diffusion",
     "describe",
     "half_active",
+    "journal_bearing",
     "murty",
     "names",
     "obstacle_2d",
@@ -32,6 +37,7 @@ __all__ = [
     "paper_example_2",
     "parse",
     "random_h_plus",
+    "rotated_anisotropy",
     "scaling_trap",
     "scene_builder",
 ]

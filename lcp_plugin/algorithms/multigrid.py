@@ -29,9 +29,8 @@ class Multigrid(Algorithm):
         The projected sweep on the finest grid and in the nested iteration.
     relaxation : float
         Of psor and npsor.
-    nested : bool or None
-        Whether to begin on the coarsest grid. None: only where the start is the point of [lower, upper] nearest
-        to 0, that is, where nobody gave a better one.
+    nested : bool
+        Whether to begin on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
         A grid with at most so many unknowns is not made coarser, ≥ 1.
 
@@ -67,14 +66,14 @@ class Multigrid(Algorithm):
 
     smoother: str = "pgs"
     relaxation: float = 1.7
-    nested: bool | None = None
+    nested: bool = True
     coarsest: int = 60
 
     def __post_init__(self) -> None:
         check_choice(self, "smoother", SMOOTHERS)
         check_positive(self, "relaxation")
-        if self.nested is not None and not isinstance(self.nested, bool):
-            raise InvalidOption(f"multigrid: nested must be True, False or None, got {self.nested!r}")
+        if not isinstance(self.nested, bool):
+            raise InvalidOption(f"multigrid: nested must be True or False, got {self.nested!r}")
         is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
@@ -85,10 +84,6 @@ class Multigrid(Algorithm):
         from .multigrid_run import MultigridRun
 
         yield from MultigridRun(self, problem).iterates(z0)
-
-    def is_nested(self, problem: LCP, z0: FloatVector) -> bool:
-        """Return whether this start is to be replaced by the answer of a coarser grid."""
-        return np.array_equal(z0, problem.nearest_to_zero) if self.nested is None else self.nested
 
     def rehearsal(self) -> Multigrid:
         """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""

@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
 COARSE_CYCLES = 2
 COARSEST_SWEEPS = 50
-SLOW = 0.2  # a contraction a cycle from which on Krylov steps pay
+SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 KRYLOV_GAIN = 1e-2
 PATIENCE = 12  # cycles without a new best residual
+OUT_OF_HAND = 100.0  # times the best residual, which no patience is for
 FALL_BACK_SWEEPS = 20
 GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by less has failed
 MOST_FAILED_ROUNDS = 3
@@ -93,41 +94,60 @@ class MultigridRun:
 
     def iterates(self, z: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
-        is_nested = self.algorithm.is_nested(self.problem, z)
+        is_cold = np.array_equal(z, self.problem.nearest_to_zero)
         yield Step(z, work=self._spent())
         if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
             return
-        if is_nested and len(self.hierarchy.grids) > 1:
-            self._add_coarse_problems()
-            z = self._nested_start()
+        if self.algorithm.nested and len(self.hierarchy.grids) > 1:
+            self._nested_start(z, is_cold)
             del self.problems[1:]
         yield from self._cycles(z)
 
     # --- nested iteration -------------------------------------------------------------------------------
 
-    def _add_coarse_problems(self) -> None:
+    def _nested_start(self, z: FloatVector, is_cold: bool) -> None:
+        """Add to z what the coarser grids' problems for it answer, each the start of the next finer one.
+
+        From a warm start they are asked for the increment only: its free set may have to move by more rows than cycles
+        would move it, and what the start has got right stays as it is.
+        """
+        fine = self.problems[0]
+        if is_cold:
+            z[:] = 0.0
+            self._add_coarse_problems(fine.q, fine.lower, fine.upper)
+        else:
+            fine.sweep(z, backward=False)
+            fine.sweep(z, backward=True)
+            self._add_coarse_problems(self.problem.slack(z), fine.lower - z, fine.upper - z)
+            self.work += 3.0 * fine.entries
+        coarsest, last = self.problems[-1], len(self.problems) - 1
+        answer: FloatVector = np.clip(0.0, coarsest.lower, coarsest.upper)
+        for k in range(COARSEST_SWEEPS):
+            coarsest.sweep(answer, backward=k % 2 == 1)
+        self.work += COARSEST_SWEEPS * coarsest.entries
+        for k in range(last - 1, 0, -1):
+            answer = self._interpolated(k, answer, np.zeros(self.problems[k].q.size))
+            self._cycle_on(k, answer)
+        self._interpolated(0, answer, z)
+
+    def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
         for grid, coarser in zip(self.hierarchy.grids, self.hierarchy.grids[1:], strict=False):
-            fine, transfer = self.problems[-1], grid.transfer
+            transfer = grid.transfer
             assert transfer is not None
-            q = np.empty(coarser.n)
-            sweeps.restrict(*transfer.restriction.arrays, fine.q, q)
+            fine_q, q = q, np.empty(coarser.n)
+            sweeps.restrict(*transfer.restriction.arrays, fine_q, q)
             self.work += transfer.restriction.data.size
-            lower, upper = fine.lower[transfer.is_coarse], fine.upper[transfer.is_coarse]
+            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
-    def _nested_start(self) -> FloatVector:
-        """Return the start on the finest grid that the coarser grids' answers give."""
-        coarsest = self.problems[-1]
-        z: FloatVector = np.clip(0.0, coarsest.lower, coarsest.upper)
-        for k in range(COARSEST_SWEEPS):
-            coarsest.sweep(z, backward=k % 2 == 1)
-        self.work += COARSEST_SWEEPS * coarsest.entries
-        last = len(self.problems) - 1
-        for k in range(last - 1, -1, -1):
-            if k + 1 < last:
-                self._cycle_on(k + 1, z)
-            z = self._interpolated(k, z)
+    def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
+        """Return z with P coarse added, within the bounds of grid k."""
+        fine, transfer = self.problems[k], self.hierarchy.grids[k].transfer
+        assert transfer is not None
+        everywhere = np.ones(z.size, np.bool_)
+        sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
+        self.work += transfer.prolongation.data.size
         return z
 
     def _cycle_on(self, k: int, z: FloatVector) -> None:
@@ -139,15 +159,6 @@ class MultigridRun:
             self._correct(k, z)
             own.sweep(z, backward=True)
         self.work += 2.0 * COARSE_CYCLES * own.entries
-
-    def _interpolated(self, k: int, coarse: FloatVector) -> FloatVector:
-        fine, transfer = self.problems[k], self.hierarchy.grids[k].transfer
-        assert transfer is not None
-        z = np.zeros(fine.q.size)
-        everywhere = np.ones(z.size, np.bool_)
-        sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
-        self.work += transfer.prolongation.data.size
-        return z
 
     # --- the finest grid --------------------------------------------------------------------------------
 
@@ -167,7 +178,7 @@ class MultigridRun:
             if largest < best:
                 best, since = largest, 0
                 np.copyto(best_z, z)
-            elif since >= PATIENCE:
+            elif since >= PATIENCE or not largest <= OUT_OF_HAND * best:
                 failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
                 if failed_rounds >= MOST_FAILED_ROUNDS:
                     return
@@ -176,7 +187,7 @@ class MultigridRun:
                 best_of_round, best, previous, since = best, np.inf, np.inf, 0
                 continue
             settles = changed <= max(SETTLED * z.size, 1)
-            is_slow = cycles >= 2 and largest > SLOW * previous and settles
+            is_slow = cycles >= 1 and largest > SLOW * previous and settles
             previous = largest
             cycles += 1
             if is_slow:

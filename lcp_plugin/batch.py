@@ -40,14 +40,13 @@ def prepare(problem: LCP) -> LCP:
     if not isinstance(problem, LCP):
         raise InvalidOption(f"prepare needs an LCP, got {type(problem).__name__}; write prepare(LCP(M, q))")
     from .algorithms.multigrid import Multigrid
-    from .algorithms.multigrid_run import hierarchy_of, symmetry_of
+    from .algorithms.multigrid_run import hierarchy_of
 
     inverse_residual_scale(problem)
     for backward in (False, True):
         row_splits(problem, backward)
     if has_positive_diagonal(problem).all():
         hierarchy_of(problem, Multigrid.coarsest)
-        symmetry_of(problem)
     return problem
 
 

@@ -11,7 +11,7 @@ from scipy.sparse import diags_array
 
 from .. import kernels
 from ..hierarchy import galerkin, sweeps
-from ..hierarchy.krylov import KrylovCorrection
+from ..hierarchy.krylov import KrylovCorrection, power_of_two
 from ..hierarchy.levels import Grid, Hierarchy, build_hierarchy
 from ..hierarchy.truncation import Truncation
 from ..problem import LCP, FloatVector
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 COARSE_CYCLES = 2
 COARSEST_SWEEPS = 50
+CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
+CREPT_LONG = 2  # such cycles in a row
 SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
@@ -84,9 +86,12 @@ class MultigridRun:
 
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
         self.algorithm, self.problem = algorithm, problem
-        self.hierarchy, self.work = hierarchy_of(problem, algorithm.coarsest)
-        self.is_symmetric, work = symmetry_of(problem)
+        self.is_symmetric, self.work = symmetry_of(problem)
+        self.hierarchy, work = hierarchy_of(problem, algorithm.coarsest)
         self.work += work
+        # What snaps to a bound is measured before it does.
+        is_measured = algorithm.smoother in ("pgs", "psor")
+        self.tells_residual = is_measured and np.array_equal(problem.residual_scale, problem.diagonal)
         self.truncation = Truncation(self.hierarchy)
         finest = self.hierarchy.grids[0]
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
@@ -101,7 +106,6 @@ class MultigridRun:
             return
         if self.algorithm.nested and len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
-            del self.problems[1:]
         yield from self._cycles(z)
 
     # --- nested iteration -------------------------------------------------------------------------------
@@ -130,6 +134,7 @@ class MultigridRun:
             answer = self._interpolated(k, answer, np.zeros(self.problems[k].q.size))
             self._cycle_on(k, answer)
         self._interpolated(0, answer, z)
+        del self.problems[1:]
 
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
         for grid, coarser in zip(self.hierarchy.grids, self.hierarchy.grids[1:], strict=False):
@@ -168,12 +173,14 @@ class MultigridRun:
         best_z = z.copy()
         best = best_of_round = previous = np.inf
         since = cycles = failed_rounds = 0
+        changed_before = crept = 0
+        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
+        nested_at = np.inf
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
             self.work += self.entries
-            # What snaps to a bound is measured before it does.
-            yield Step(z, residual=None if fine.is_projected_type else largest, work=self._spent())
+            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
             since += 1
             if largest < best:
                 best, since = largest, 0
@@ -186,11 +193,16 @@ class MultigridRun:
                 yield from self._fall_back(z)
                 best_of_round, best, previous, since = best, np.inf, np.inf, 0
                 continue
-            settles = changed <= max(SETTLED * z.size, 1)
-            is_slow = cycles >= 1 and largest > SLOW * previous and settles
-            previous = largest
+            is_slow = cycles >= 1 and largest > SLOW * previous
+            crept = crept + 1 if changed > CREEPING * changed_before else 0
+            may_nest = may_nest and (largest <= GAINED * nested_at)
+            previous, changed_before, nested_at = largest, changed, np.inf
             cycles += 1
-            if is_slow:
+            if is_slow and changed and crept > CREPT_LONG and may_nest:
+                self._nested_start(z, is_cold=False)
+                self.truncation.start_at(0)
+                changed_before, crept, nested_at = z.size, 0, largest
+            elif is_slow and changed <= max(SETTLED * z.size, 1):
                 yield from self._krylov(z, SHORT_KRYLOV if changed else LONG_KRYLOV)
             else:
                 self._correct(0, z)
@@ -229,8 +241,10 @@ class MultigridRun:
     @np.errstate(all="ignore")
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
-        step = z - before
-        slope = -float(step @ self.problems[0].residual)  # w = −residual on the free rows; the others did not move
+        residual = self.problems[0].residual
+        unit = power_of_two(z - before)
+        step = (z - before) / unit
+        slope = -float(step @ (residual / unit))  # w = −residual on the free rows; the others did not move
         curvature = float(step @ (self.problem.csr @ step))
         self.work += self.entries
         size = 1.0
@@ -241,7 +255,7 @@ class MultigridRun:
         else:
             size = 0.0
         if size < 1.0:
-            np.copyto(z, before + size * step)
+            np.copyto(z, before + size * unit * step)
 
     def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
         """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""
@@ -252,7 +266,7 @@ class MultigridRun:
         for k in range(most):
             if not correction.step():
                 break
-            np.clip(origin + correction.correction, fine.lower, fine.upper, out=z)
+            np.clip(correction.applied_to(origin), fine.lower, fine.upper, out=z)
             left = correction.largest()
             if left <= enough or k == most - 1:
                 break
@@ -287,9 +301,10 @@ class MultigridRun:
 def hierarchy_of(problem: LCP, coarsest: int) -> tuple[Hierarchy, float]:
     """Return the hierarchy of M, and the matrix entries touched to build it now (0 where it was there)."""
     built: list[float] = []
+    is_symmetric, _ = symmetry_of(problem)
 
     def build() -> Hierarchy:
-        hierarchy = build_hierarchy(problem.csr, coarsest)
+        hierarchy = build_hierarchy(problem.csr, coarsest, scales_rows=not is_symmetric)
         built.append(hierarchy.work)
         return hierarchy
 

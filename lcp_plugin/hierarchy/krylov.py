@@ -25,12 +25,19 @@ class KrylovCorrection:
 
     def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
-        self.correction = np.zeros_like(residual)
+        self.unit = power_of_two(residual)  # squares of very large or small numbers leave the range of a double
+        self.residual /= self.unit
+        self._sum = np.zeros_like(residual)
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+
+    def applied_to(self, origin: FloatVector) -> FloatVector:
+        """Return origin + c."""
+        return origin + self.unit * self._sum
 
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
-        return float(np.max(np.abs(self.residual * self.truncation.grids[0].inverse), initial=0.0))
+        scaled = self.residual * self.truncation.grids[0].inverse
+        return self.unit * float(max(scaled.max(initial=0.0), -scaled.min(initial=0.0)))
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
@@ -52,7 +59,7 @@ class KrylovCorrection:
         length = float(against @ self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
-        self.correction += length * p
+        self._sum += length * p
         self.residual -= length * product
         if self.is_symmetric:
             self.directions.clear()
@@ -61,3 +68,11 @@ class KrylovCorrection:
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         return p if self.is_symmetric else product
+
+
+def power_of_two(vector: FloatVector) -> float:
+    """Return the power of two just above the largest entry in absolute value; 1 where that is 0 or not finite."""
+    largest = float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))

@@ -49,7 +49,7 @@ class Operator:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ, and who is on both."""
+    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both."""
 
     prolongation: Operator
     restriction: Operator
@@ -94,7 +94,9 @@ class Hierarchy:
         return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
 
 
-def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | None = None) -> Hierarchy:
+def build_hierarchy(
+    matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False
+) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
     Parameters
@@ -106,6 +108,9 @@ def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | Non
     strength : float, optional
         Couplings smaller than this share of the row's largest are not used for interpolation. By default 0.25, and
         0.5 where M has noteworthy positive couplings: those of a rotated anisotropy mislead the weak ones.
+    scales_rows : bool
+        Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
+        but coarse matrices of a symmetric M are not symmetric.
 
     Examples
     --------
@@ -126,7 +131,7 @@ def build_hierarchy(matrix: Any, coarsest: int = COARSEST, strength: float | Non
     stored, products = 0.0, 0.0
     while grid.n > coarsest:
         work += PASSES_TO_COARSEN * grid.matrix.data.size
-        transfer = _transfer(grid, strength)
+        transfer = _transfer(grid, strength, scales_rows)
         if transfer is None:
             break
         stored += grid.matrix.data.size
@@ -151,7 +156,7 @@ def _grid(matrix: Operator) -> Grid:
     return Grid(matrix, split, inverse)
 
 
-def _transfer(grid: Grid, strength: float) -> Transfer | None:
+def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:
     """Return the way to the next coarser grid; None where nothing is coupled any more."""
     indptr, indices, data = grid.matrix.arrays
     n = grid.n
@@ -179,7 +184,10 @@ def _transfer(grid: Grid, strength: float) -> Transfer | None:
     )
     is_coarse.flags.writeable = False
     prolongation = Operator(p_indptr, p_indices[:size], p_data[:size])  # memory behind `size` was never touched
-    return Transfer(prolongation, Operator(*galerkin.transposed(coarse_count, *prolongation.arrays)), is_coarse)
+    r_indptr, r_indices, r_data = galerkin.transposed(coarse_count, *prolongation.arrays)
+    if scales_rows:
+        r_data *= grid.inverse[r_indices]
+    return Transfer(prolongation, Operator(r_indptr, r_indices, r_data), is_coarse)
 
 
 def _coarser(grid: Grid, transfer: Transfer) -> Grid:

@@ -44,7 +44,8 @@ class Multigrid(Algorithm):
     best iterate take over for a while. The run ends where three such rounds gain nothing. Where coarser grids would
     cost too much there are sweeps only, as long as they contract.
 
-    Memory, five-point matrix: about 70 bytes a nonzero of M in all, M's own 12 and the problem's vectors included.
+    Memory, five-point matrix: 580 bytes an unknown (116 a nonzero of M) at the peak, the problem included; measured at
+    n = 10⁷: 5.8 GB.
 
     References
     ----------

@@ -20,7 +20,7 @@ from .base import Step
 if TYPE_CHECKING:
     from .multigrid import Multigrid
 
-COARSE_CYCLES = 2
+COARSE_CYCLES = 3
 COARSEST_SWEEPS = 50
 CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
 CREPT_LONG = 2  # such cycles in a row

@@ -1,7 +1,7 @@
 """The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
 
-Memory, five-point matrix: about 12 bytes a nonzero of M for each of M itself, all coarser matrices together (1.4 times
-M), P and R (0.9 times M each), and 8 more for the truncated values of a run.
+Memory at 12 bytes an entry, five-point matrix: 1.4 times the entries of M in all coarser matrices together, 0.8 times in
+P and as many in its transpose; a run adds 8 bytes for each coarse entry, their values while some unknowns are fixed.
 """
 
 from __future__ import annotations

@@ -66,6 +66,8 @@ ROWS = [
         True),
 ]
 
+LARGEST = Row("10⁷ unknowns", "obstacle_2d:size=3163", "obstacle_2d:size=100", "completes")
+
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield the table, the growth with n, the march in time, and what others need."""
@@ -75,6 +77,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     for row in ROWS:
         yield _line(row, quick)
     yield from growth((40, 80, 160) if quick else (512, 1024, 2048))
+    yield _line(LARGEST, quick)
     yield american_put(*(2000, 10) if quick else (100_000, 100))
     yield from sweeping(2500 if quick else 1_000_000)
     yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)

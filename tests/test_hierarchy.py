@@ -129,6 +129,16 @@ def test_wide_indices_give_the_same_hierarchy() -> None:
         assert np.array_equal(one.matrix.data, other.matrix.data)
 
 
+def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where coarser matrices could have more entries than 32 bits count, all grids have 64-bit indices."""
+    M = gallery.build("obstacle_2d", size=20).problem.csr
+    usual = build_hierarchy(M)
+    monkeypatch.setattr(levels, "LARGEST_NARROW", 100)
+    for one, other in zip(usual.grids, build_hierarchy(M).grids, strict=True):
+        assert (one.matrix.indices.dtype, other.matrix.indices.dtype) == (np.int32, np.int64)
+        assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
 # --- When to stop -------------------------------------------------------------------------------------------
 
 

@@ -187,7 +187,7 @@ def test_a_warm_start_pays() -> None:
     cold = solve(problem, "multigrid", tolerance=1e-10)
     again = solve(problem, "multigrid", z0=cold.z)
     assert again.iterations == 0
-    near = problem.with_q(problem.q + 1e-5)
+    near = problem.with_q(problem.q + 1e-7)
     warm, anew = solve(near, "multigrid", z0=cold.z), solve(near, "multigrid")
     assert warm.is_solved
     assert warm.iterations < anew.iterations

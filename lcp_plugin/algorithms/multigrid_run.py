@@ -104,9 +104,20 @@ class MultigridRun:
         if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
             return
+        begun, start = self._residual(z), z.copy()
+        if not is_cold:  # the start may be much better than what the first cycle makes of it
+            begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
         if self.algorithm.nested and len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
-        yield from self._cycles(z)
+        yield from self._cycles(z, begun, start)
+
+    def _residual(self, z: FloatVector) -> float:
+        """Return the largest scaled residual of z, and leave everything as it is."""
+        fine = self.problems[0]
+        free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
+        largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, fine.residual)
+        self.work += fine.entries
+        return float(largest)
 
     # --- nested iteration -------------------------------------------------------------------------------
 
@@ -167,11 +178,11 @@ class MultigridRun:
 
     # --- the finest grid --------------------------------------------------------------------------------
 
-    def _cycles(self, z: FloatVector) -> Iterator[Step]:
+    def _cycles(self, z: FloatVector, best: float, best_z: FloatVector) -> Iterator[Step]:
+        """Yield cycles from z; where they fail go back to `best_z`, whose residual is at most `best`."""
         self.truncation.start_at(0)
         fine = self.problems[0]
-        best_z = z.copy()
-        best = best_of_round = previous = np.inf
+        best_of_round = previous = np.inf
         since = cycles = failed_rounds = 0
         changed_before = crept = 0
         may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
@@ -180,18 +191,22 @@ class MultigridRun:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
             self.work += self.entries
+            if not largest <= OUT_OF_HAND * best:
+                np.copyto(z, best_z)
+                largest, since = best, PATIENCE
             yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
             since += 1
             if largest < best:
                 best, since = largest, 0
                 np.copyto(best_z, z)
-            elif since >= PATIENCE or not largest <= OUT_OF_HAND * best:
+            elif since >= PATIENCE:
                 failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
                 if failed_rounds >= MOST_FAILED_ROUNDS:
                     return
                 np.copyto(z, best_z)
                 yield from self._fall_back(z)
-                best_of_round, best, previous, since = best, np.inf, np.inf, 0
+                best_of_round, best, previous, since = best, self._residual(z), np.inf, 0
+                np.copyto(best_z, z)
                 continue
             is_slow = cycles >= 1 and largest > SLOW * previous
             crept = crept + 1 if changed > CREEPING * changed_before else 0

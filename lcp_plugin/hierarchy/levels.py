@@ -1,7 +1,7 @@
 """The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
 
-Memory at 12 bytes an entry, five-point matrix: 1.4 times the entries of M in all coarser matrices together, 0.8 times in
-P and as many in its transpose; a run adds 8 bytes for each coarse entry, their values while some unknowns are fixed.
+Memory at 12 bytes an entry, five-point matrix: 1.4 times the entries of M in all coarser matrices together, 0.8 times
+in P and as many in its transpose; a run adds 8 bytes for each coarse entry, its value while some unknowns are fixed.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not 
 LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
 LARGEST_COMPLEXITY = 8.0
 MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
+LARGEST_NARROW = 2**30  # entries; a coarser matrix may have more of them, which 32 bits must still count
 PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
 
 
@@ -119,7 +120,10 @@ def build_hierarchy(
     >>> [grid.n for grid in hierarchy.grids], round(hierarchy.complexity, 2)
     ([400, 200, 50], 2.08)
     """
-    finest = _grid(Operator(matrix.indptr, matrix.indices, matrix.data))
+    indptr, indices = matrix.indptr, matrix.indices
+    if matrix.data.size > LARGEST_NARROW:
+        indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
+    finest = _grid(Operator(indptr, indices, matrix.data))
     entries = max(matrix.data.size, 1)
     work = 0.0
     if strength is None:

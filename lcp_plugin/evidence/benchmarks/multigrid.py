@@ -93,7 +93,6 @@ class Timed:
 
 def timed(call: Callable[[], Any]) -> Timed:
     """Return the answer of the call and its processor seconds."""
-    gc.collect()
     began = time.process_time()
     answer = call()
     return Timed(answer, time.process_time() - began)
@@ -121,6 +120,7 @@ def from_scratch(problem: LCP, algorithm: str = "multigrid", **options: Any) -> 
 def _line(row: Row, quick: bool) -> str:
     scene = parse(row.quick if quick else row.scene)
     problem = scene.problem
+    gc.collect()
     product = product_seconds(problem)
     ours = timed(partial(from_scratch, problem))
     theirs = timed(partial(from_scratch, problem, smoother="npsor"))
@@ -263,7 +263,7 @@ def _osqp(problem: LCP, limit: float) -> str:
         problem.lower.copy(), problem.upper.copy(), verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=1_000_000,
         time_limit=limit,
     )
-    answer = solver.solve()
+    answer = solver.solve(raise_error=False)
     return _judged(problem, answer.info.status, answer.x)
 
 

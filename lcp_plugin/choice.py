@@ -5,8 +5,10 @@
 | nothing | npsor, relaxation 1.7, its guaranteed row scaling (converges for every H₊-matrix) |
 | npsor, 1 sweep, M triangular with a positive diagonal | pgs in the order of the triangle: one sweep is exact |
 | npsor, 10 sweeps (2 where M is dense), and every 20 from then on: it will arrive within 20 at its own rate | goes on |
-| M is sparse, n > 1000, the diagonal positive | psor with automatic relaxation |
-| psor: n > 20 000, or 300 sweeps are not over, or it will arrive within 200 | goes on |
+| M is sparse, n > 1000, the diagonal positive: npsor needs more than 300 further sweeps | multigrid |
+| the same, npsor needs 20 to 300 | psor with automatic relaxation |
+| psor before multigrid, every 20 sweeps: it needs more than 100 further ones, or fails | multigrid |
+| multigrid ends without an answer, n > 20 000 | psor, until it fails |
 | otherwise, or where one of them fails | the direct methods, on the presolved problem, each until it ends |
 
 | M | direct methods, in this order |
@@ -40,8 +42,7 @@ TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE = 10, 2
 NEAR_ENOUGH = 20
 SMALL = 1000  # up to here a factorisation costs no more than some dozen sweeps
 MEDIUM = 20_000
-PATIENT_SWEEPS = 300
-PATIENT_NEAR_ENOUGH = 200
+MULTIGRID_SOON, MULTIGRID_LATER = 300, 100  # sweeps: a run of multigrid costs about as much as 150
 LARGEST_ANALYSIS = 3000
 LARGEST_PROGRAM = 5000
 LARGEST_PIVOTED = 6000
@@ -157,29 +158,44 @@ class Auto:
         now = stages[-1]
         if self._direct is not None:
             return next(self._direct, None) if failed else None
-        following = self._after_sweeps(problem, now, target, failed)
-        if following is None and (failed or self._is_too_slow(problem, now, target)):
+        following = self._after_sweeps(problem, stages, target, failed)
+        if following is None and (failed or _is_over(problem, now, target)):
             self._direct = direct_methods(problem)
             following = next(self._direct, None)
         return following
 
-    def _after_sweeps(self, problem: LCP, now: Stage, target: float, failed: bool) -> Choice | None:
-        """Return another sweep method where one is due."""
+    def _after_sweeps(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return another iteration where one is due."""
+        now = stages[-1]
+        if isinstance(now.algorithm, PSOR):
+            return self._after_psor(stages, target, failed)
+        if now.algorithm.name == "multigrid" and failed and problem.n > MEDIUM:
+            return Choice(PSOR(), "multigrid came to an end, and a factorisation may be too large")
         if not isinstance(now.algorithm, NPSOR) or not has_positive_diagonal(problem).all():
             return None
         if now.iterations == 1 and (order := _triangle(problem)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if problem.is_dense or problem.n <= SMALL or not (failed or _is_slow(problem, now, target)):
             return None
-        return Choice(PSOR(), f"{now.algorithm.name} needs more than {NEAR_ENOUGH} further sweeps")
+        if failed or now.steps_to_go(target) > MULTIGRID_SOON:
+            return Choice(create("multigrid", {}), f"npsor needs more than {MULTIGRID_SOON} further sweeps")
+        return Choice(PSOR(), f"npsor needs more than {NEAR_ENOUGH} further sweeps")
 
-    def _is_too_slow(self, problem: LCP, now: Stage, target: float) -> bool:
-        if isinstance(now.algorithm, NPSOR):
-            return _is_slow(problem, now, target)
-        if isinstance(now.algorithm, PGS):
-            return now.iterations > 1
-        asked = now.iterations >= PATIENT_SWEEPS and now.iterations % NEAR_ENOUGH == 0
-        return problem.n <= MEDIUM and asked and now.steps_to_go(target) > PATIENT_NEAR_ENOUGH
+    def _after_psor(self, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        now = stages[-1]
+        if any(stage.algorithm.name == "multigrid" for stage in stages):
+            return None
+        asked = now.iterations > 0 and now.iterations % NEAR_ENOUGH == 0
+        if failed or (asked and now.steps_to_go(target) > MULTIGRID_LATER):
+            return Choice(create("multigrid", {}), f"psor needs more than {MULTIGRID_LATER} further sweeps")
+        return None
+
+
+def _is_over(problem: LCP, now: Stage, target: float) -> bool:
+    """Return whether the direct methods are due, although nothing failed."""
+    if isinstance(now.algorithm, PGS):
+        return now.iterations > 1
+    return isinstance(now.algorithm, NPSOR) and _is_slow(problem, now, target)
 
 
 def _is_slow(problem: LCP, now: Stage, target: float) -> bool:

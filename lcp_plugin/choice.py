@@ -2,9 +2,9 @@
 
 | so far | next |
 |---|---|
-| nothing | npsor, relaxation 1.7, its guaranteed row scaling (converges for every H₊-matrix) |
+| nothing | npsor, relaxation 1.7, row scaling 1/d (converges for every H₊-matrix) |
 | npsor, 1 sweep, M triangular with a positive diagonal | pgs in the order of the triangle: one sweep is exact |
-| npsor, 10 sweeps (2 where M is dense), and every 20 from then on: it will arrive within 20 at its own rate | goes on |
+| npsor, 10 sweeps (2 where M is dense; from 3 on where two rates agree), then every 20: it arrives within 20 | goes on |
 | M is sparse, n > 1000, the diagonal positive: npsor needs more than 300 further sweeps | multigrid |
 | the same, npsor needs 20 to 300 | psor with automatic relaxation |
 | psor before multigrid, every 20 sweeps: it needs more than 100 further ones, or fails | multigrid |
@@ -38,7 +38,8 @@ from .errors import InvalidOption, UnknownAlgorithm
 from .presolve import Presolved, presolve
 from .problem import LCP, FloatVector
 
-TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE = 10, 2
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 2, 3
+STEADY = 0.05
 NEAR_ENOUGH = 20
 SMALL = 1000  # up to here a factorisation costs no more than some dozen sweeps
 MEDIUM = 20_000
@@ -98,6 +99,13 @@ class Stage:
             return 1.0
         return float((last / first) ** (1.0 / (last_step - first_step)))
 
+    def is_steady(self) -> bool:
+        """Return whether the last two contractions of the residual agree."""
+        (_, first), (_, second), (_, third) = self.residuals[-3:]
+        if not min(first, second, third) > 0.0:
+            return False
+        return abs(third / second - second / first) <= STEADY * second / first
+
     def steps_to_go(self, target: float) -> float:
         """Return how many more steps arrive at that residual, at the stage's own rate."""
         if not self.residuals:
@@ -149,9 +157,8 @@ class Auto:
         self._direct: Iterator[Choice] | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return NPSOR at a row scaling that is proved to converge for every H₊-matrix: on dense M the cheapest one."""
-        scaling = "diagonal" if problem.is_dense else "auto"
-        return Choice(NPSOR(scaling=scaling), "the projected-type iteration comes first")
+        """Return NPSOR at a row scaling that is proved to converge for every H₊-matrix and costs no look at M."""
+        return Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return what the tables say, or None to go on."""
@@ -202,7 +209,8 @@ def _is_slow(problem: LCP, now: Stage, target: float) -> bool:
     """Return whether the trial of the first iteration is over and does not promise to arrive soon."""
     trial = TRIAL_SWEEPS_DENSE if problem.is_dense else TRIAL_SWEEPS
     asked = now.iterations >= trial and (now.iterations - trial) % NEAR_ENOUGH == 0
-    return asked and now.steps_to_go(target) > NEAR_ENOUGH
+    agreed = SHORTEST_TRIAL <= now.iterations < trial and now.is_steady()
+    return (asked or agreed) and now.steps_to_go(target) > NEAR_ENOUGH
 
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:

@@ -89,7 +89,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         }
         status = _status(result, qp)
         if status not in settings.SOLUTION_PRESENT:
-            attributes["message"] = result.status.value
+            attributes["message"] = result.advice
             return failure_solution(status, attributes)
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]

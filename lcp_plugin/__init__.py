@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .batch import prepare as prepare
+    from .batch import solve_many as solve_many
     from .certificates.error_bounds import ErrorBound as ErrorBound
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
@@ -48,6 +50,8 @@ _HOME = {
     "Sample": "result",
     "Status": "result",
     "solve": "driver",
+    "prepare": "batch",
+    "solve_many": "batch",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

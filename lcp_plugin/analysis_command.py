@@ -8,10 +8,13 @@ from typing import Any
 
 from .algorithms import REGISTRY
 from .certificates.convergence import Guarantee
+from .certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
 from .guarantees import convergence_guarantee
 from .matrix_classes import analyze
+from .matrix_classes.report import wrapped
 from .problem import LCP
 
+SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("npj", {"scaling": None}),
     ("npgs", {"scaling": None}),
@@ -40,18 +43,25 @@ def story(problem: LCP) -> str:
     >>> print(story(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
     matrix of size 2, 4 nonzeros
     """
-    lines = [str(analyze(problem)), "", f"{'algorithm':<29} {'verdict':<12} {'rate':<8} because"]
+    lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     said: dict[str, list[str]] = {}
+    first: dict[str, str] = {}
     for title, guarantee in guarantees(problem):
         rate = "" if guarantee.rate is None else _rate(guarantee.rate)
-        remedy = f"  →  {guarantee.remedy}" if guarantee.remedy else ""
-        lines.append(f"{title:<29} {guarantee.verdict:<12} {rate:<8} {guarantee.theorem}{remedy}")
+        because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
+        named = f"as {first[because]}" if because in first else _with_numbers(because)
+        first.setdefault(because, title)
+        lines += wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
         if guarantee.paper:
             said.setdefault(guarantee.paper, []).append(title.partition(",")[0])
+    lines.append("")
+    for k, source in SOURCES.items():
+        if any(source in text for text in first):
+            lines += wrapped(f"[{k}] ", f"{source}, {PAPER_TITLE}" if source == PAPER else source)
     if said:
         lines += ["", "The paper's Theorem 4.2, for its methods without row scaling:"]
-        lines += [f"{', '.join(names)}: {text}" for text, names in said.items()]
-    return "\n".join(lines)
+        lines += [line for text, names in said.items() for line in wrapped(f"{', '.join(names)}: ", text)]
+    return "\n".join(lines).rstrip()
 
 
 def content(problem: LCP) -> dict[str, Any]:
@@ -66,6 +76,13 @@ def content(problem: LCP) -> dict[str, Any]:
     ]
     told: dict[str, Any] = _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
     return told
+
+
+def _with_numbers(text: str) -> str:
+    """Return the text with [1], [2] … for its sources."""
+    for k, source in SOURCES.items():
+        text = text.replace(f"({source})", f"[{k}]").replace(source, f"[{k}]")
+    return text
 
 
 def _rate(rate: float) -> str:

@@ -13,7 +13,7 @@
 
 | M | direct methods, in this order |
 |---|---|
-| symmetric up to rounding, diagonal > 0; or PSD, n ≤ 3000 | interior_point, newton, feasibility, lemke, search |
+| symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
 To fail is to diverge, to stall, or to have nothing more to offer. `feasibility` looks for a proof that there is no
@@ -44,7 +44,7 @@ NEAR_ENOUGH = 20
 SMALL = 1000  # up to here a factorisation costs no more than some dozen sweeps
 MEDIUM = 20_000
 MULTIGRID_SOON, MULTIGRID_LATER = 300, 100  # sweeps: a run of multigrid costs about as much as 150
-LARGEST_ANALYSIS = 3000
+LARGEST_ANALYSIS = 20_000
 LARGEST_PROGRAM = 5000
 LARGEST_PIVOTED = 6000
 KEPT_RESIDUALS = 512
@@ -222,12 +222,12 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
-    is_monotone = _seems_monotone(left)
+    is_monotone = _seems_monotone(left, problem.origin)
     yield interior if is_monotone else newton
-    if is_monotone:
-        yield newton
     if problem.n <= LARGEST_PROGRAM:
         yield Choice(FeasibilityCheck(), "is there a solution at all?")
+    if is_monotone:
+        yield newton
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     if not is_monotone and left.n > SMALL:
         yield interior
@@ -245,19 +245,27 @@ def last_resort(problem: LCP) -> Algorithm:
     return create("lemke" if problem.n <= LARGEST_PIVOTED else "psor", {})
 
 
-def _seems_monotone(problem: LCP) -> bool:
+def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
     from .algorithms.active_set import is_nearly_symmetric
+    from .conversions.qp_forms import QPOrigin
 
     if problem.n == 0:
         return False
+    if isinstance(origin, QPOrigin):  # only convex programs are converted
+        return True
     if bool(has_positive_diagonal(problem).all()) and is_nearly_symmetric(problem):
         return True
-    if problem.n > LARGEST_ANALYSIS:
-        return False
-    from .matrix_classes import analyze
+    from .matrix_classes.definiteness import is_positive_semidefinite, symmetric_part
 
-    return analyze(problem).is_positive_semidefinite is True
+    twice = symmetric_part(problem.M)
+    if bool((twice.diagonal() < 0.0).any()):
+        return False
+    # The multipliers of a quadratic program have empty rows and columns there.
+    rows = np.flatnonzero(abs(twice).sum(axis=1))
+    if rows.size > LARGEST_ANALYSIS:
+        return False
+    return not rows.size or is_positive_semidefinite(twice[rows][:, rows]) is True
 
 
 def _triangle(problem: LCP) -> str | None:

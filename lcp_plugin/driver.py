@@ -26,6 +26,7 @@ from .settings import Settings, checked_start
 Callback = Callable[[Sample, FloatVector], Any]
 
 DIVERGED_BEYOND = 1e8
+FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 SAMPLE_GROWTH = 1.05
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
@@ -110,7 +111,8 @@ def solve(
         result = run.judged(start, run.drive(start))
     except KeyboardInterrupt:
         return run.judged(start, Status.INTERRUPTED)
-    if isinstance(policy, Single) and result.status in (Status.STALLED, Status.DIVERGED):
+    # What could be learnt from an analysis is not worth more time than the caller allows.
+    if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
         warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
     return result
 
@@ -228,9 +230,9 @@ class _Run:
         if residual is not None:
             if self._passes(step.z, residual):
                 return Status.SOLVED
-            if not is_monotone and math.isfinite(residual):
-                pass
-            elif not residual <= DIVERGED_BEYOND * self.start_residual and not residual <= DIVERGED_BEYOND * self._unit:
+            is_lost = (is_monotone and self.progress.is_rising(residual)) or not math.isfinite(residual)
+            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
+            if is_beyond and not residual <= DIVERGED_BEYOND * self._unit:
                 return Status.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return Status.DIVERGED
@@ -250,7 +252,9 @@ class _Run:
 
     def _passes(self, z: FloatVector, residual: float) -> bool:
         if self.settings.is_on_error:
-            return self.errors.proves(z, residual * self.reference)
+            if self.settings.measure == "euclidean":  # another norm, in another unit
+                residual = Certificate.of(self.problem, z).relative_residual
+            return self.errors.proves(z, residual * self.reference, self.iteration)
         return bool(residual <= self.settings.tolerance)
 
     # --- measuring --------------------------------------------------------------------------------------
@@ -336,6 +340,8 @@ class _Run:
         problem = self.problem
         self._keep_if_better(self._unmeasured)
         z = start if self.best_z is None else self.best_z
+        if self.errors.proof is not None:  # in another measure it need not be the best
+            z = self.errors.proof[0]
         certificate = self._last_certificate
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from .algorithms import Algorithm
 from .algorithms.base import has_positive_diagonal
-from .certificates.contraction import triangle_sums, unit_triangle_sums
+from .certificates.contraction import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from .certificates.convergence import (
     CAN_DIVERGE,
     GUARANTEED,
@@ -151,7 +151,8 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    return _kept(problem, algorithm, "full", lambda: _full(problem, facts))
+    options = {field.name for field in fields(algorithm)}
+    return _kept(problem, algorithm, "full", lambda: _full(problem, facts, options))
 
 
 def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
@@ -180,7 +181,7 @@ def _of_auto(problem: LCP) -> Guarantee:
     return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {last_resort(problem).name}: {last.theorem}")
 
 
-def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
+def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     paper = _paper_says(problem, facts)
     proof = _best_proof(problem, facts)
     if proof is not None:
@@ -194,7 +195,7 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    remedy = _remedy(problem, facts)
+    remedy = _remedy(problem, facts, options)
     reason = divergence(facts, problem)
     if reason is not None:
         return Guarantee(CAN_DIVERGE, reason, remedy=remedy, paper=paper)
@@ -296,7 +297,8 @@ def _quick(problem: LCP, facts: IterationFacts) -> Guarantee | None:
         if step == QUICK_STEPS or not np.isfinite(grown).all() or facts.family == PROJECTED_SPLITTING:
             return None
         if facts.family == PROJECTED_TYPE and bool(np.all(grown > v * CLEARLY)):
-            return Guarantee(NOT_COVERED, "no weighted maximum norm contracts", remedy=_generic_remedy(facts))
+            remedy = f"{_scaling_remedy(facts)}, which is proven where M is an H₊-matrix"
+            return Guarantee(NOT_COVERED, "no weighted maximum norm contracts", remedy=remedy)
         v = grown
         sums = triangle_sums(problem, v)
     return None
@@ -346,29 +348,38 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     return "M is not proven to be an H₊-matrix"
 
 
-def _remedy(problem: LCP, facts: IterationFacts) -> str:
-    from .matrix_classes import analyze, h_verdict
+def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
+    """Return what to change; followed literally, it is guaranteed wherever it names options."""
+    from .matrix_classes import analyze
 
     if _is_h_plus(problem):
-        generic = _generic_remedy(facts)
+        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
+            return _scaling_remedy(facts)
+        limit = "relaxation ≤ 1" if facts.family == MODULUS else _relaxation_limit(problem, facts)
+        limit = f"0 ≤ acceleration ≤ {limit}" if "acceleration" in options else limit
         if facts.family == PROJECTED_RELAXATION:
-            largest = 2.0 / (1.0 + min(h_verdict(problem).upper, 1.0))
-            limit = f"relaxation < {np.floor(1000.0 * largest) / 1000.0:g}"
-            return limit if facts.acceleration in (0.0, facts.relaxation) else f"0 ≤ acceleration ≤ {limit}"
-        return generic
+            return limit
+        return f"omega=1.0 and {limit}" if "relaxation" in options else "omega=1.0"
     report = analyze(problem)
     if has_positive_diagonal(problem).all() and report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'
     return 'nothing here is proven for this M; algorithm="auto" tries more than one'
 
 
-def _generic_remedy(facts: IterationFacts) -> str:
+def _scaling_remedy(facts: IterationFacts) -> str:
     alpha, beta = numbers(facts)
     if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
         return 'a splitting by name, with scaling="auto"'
-    if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING):
-        inside = facts.family == PROJECTED_SPLITTING or 0.0 <= beta <= alpha
-        return 'scaling="auto"' + ("" if inside else " and 0 ≤ acceleration ≤ relaxation")
-    if facts.family == MODULUS:
-        return "omega=1.0 and 0 ≤ acceleration ≤ relaxation ≤ 1"
-    return "0 ≤ acceleration ≤ relaxation ≤ 1"
+    inside = facts.family == PROJECTED_SPLITTING or 0.0 <= beta <= alpha
+    return 'scaling="auto"' + ("" if inside else " and 0 ≤ acceleration ≤ relaxation")
+
+
+def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
+    """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem))
+        largest = min(
+            float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
+        )
+    limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
+    return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .certificates.contraction import unit_triangle_sums
 from .checks import FloatVector
 from .errors import UnsuitableMatrix
 from .problem import LCP
@@ -20,9 +21,11 @@ CHECK_GROWTH = 1.5
 FIRST_FLOOR_CHECK = 25
 PROGRESS = 0.99
 LONGEST_FRONT = 2000
-WORTH_BOUNDING = 100.0  # times the tolerance: a larger residual belongs to a larger error
-CHEAP_EVERY = 0.5
+CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next cheap bound
 SHARP_EVERY = 0.1
+SHARP_WORTH = 200  # sweeps that a sharp bound may cost
+OUT_OF_STEP = 2.0
+RISING = 10
 
 
 class CheckSchedule:
@@ -54,12 +57,19 @@ class Progress:
         self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, LONGEST_FRONT))
         self.max_iterations = max_iterations
         self.window_start: tuple[int, float] | None = None
+        self.last_residual, self.rises = math.inf, 0
         self.last_fall: tuple[int, float] = (0, math.inf)
         self.next_floor_check = FIRST_FLOOR_CHECK
 
     def restart(self, iteration: int, best: float) -> None:
         """Begin to watch for a standstill afresh at this iteration."""
         self.window_start = (iteration, best) if math.isfinite(best) else None
+
+    def is_rising(self, residual: float) -> bool:
+        """Return whether a measured residual is not finite, or higher than the one before for ten times in a row."""
+        self.rises = self.rises + 1 if residual > self.last_residual else 0
+        self.last_residual = residual
+        return self.rises >= RISING or not math.isfinite(residual)
 
     def is_flat(self, iteration: int, best: float) -> bool:
         """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""
@@ -91,42 +101,75 @@ class Progress:
 
 
 class ErrorWatch:
-    """When to bound the error of an iterate: seldom, since a sharp bound costs about a linear solve."""
+    """When to bound the error of an iterate: a sharp bound costs about a linear solve, a cheap one some sweeps.
+
+    As long as the cheap bound falls in step with the residual, sweeping on is the way to a proof; where it does not,
+    or after as many sweeps as a sharp bound may cost, a sharp one is tried.
+    """
 
     def __init__(self, problem: LCP, settings: Settings) -> None:
         self.problem, self.settings = problem, settings
-        self.last_cheap = self.last_sharp = math.inf
+        self.next_cheap = self.last_residual = self.last_cheap = self.last_sharp = math.inf
+        self.sharp_from = math.inf
+        self.proof: tuple[FloatVector, ErrorBound] | None = None
+        # ‖r‖∞ ≤ (1 + max Σ|m_ij|/d_i)‖z − z*‖∞: a larger residual belongs to a larger error.
+        self.residual_per_error = 1.0
         if settings.is_on_error:
-            self._bound(problem.nearest_to_zero, sharp=False)  # refuses what can never be proved before the first step
+            self.residual_per_error += float(np.add(*unit_triangle_sums(problem)).max(initial=0.0))
+        # Nothing has to be measured to know the kind of the bounds to come.
+        if settings.is_on_error and self._bound(np.full(problem.n, np.nan), sharp=False).kind != "rigorous":
+            raise UnsuitableMatrix(
+                'tolerance_on="error" needs a rigorous bound, but M is not proven to be an H₊-matrix, and a proof that '
+                f"its symmetric part is positive definite needs a factorisation that n = {problem.n} makes too large: "
+                'there is only an estimate; ask for it by error_bound=True and stop on tolerance_on="residual"'
+            )
 
-    def proves(self, z: FloatVector, residual: float) -> bool:
+    def proves(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether a bound proves the tolerance for z, which has that scaled residual (its unit is that of z)."""
+        tolerance = self.settings.tolerance
         largest = float(np.max(np.abs(z), initial=0.0))
-        if residual > WORTH_BOUNDING * self.settings.tolerance * largest or residual > CHEAP_EVERY * self.last_cheap:
+        if not residual <= self.residual_per_error * tolerance * largest:
             return False
-        self.last_cheap = residual
-        if self._bound(z, sharp=False).proves(self.settings.tolerance):
+        if residual > self.next_cheap and not (iteration >= self.sharp_from and residual < self.last_sharp):
+            return False
+        bound = self._bound(z, sharp=False)
+        if not bound.proves(tolerance) and self._is_sharp_due(bound, residual, iteration):
+            self.last_sharp, self.sharp_from = residual, iteration + max(SHARP_WORTH, iteration // 2)
+            sharp = self._bound(z, sharp=True)
+            bound = sharp if sharp.proves(tolerance) else bound
+        if bound.proves(tolerance):
+            self.proof = z.copy(), bound
             return True
-        if residual > SHARP_EVERY * self.last_sharp:
-            return False
-        self.last_sharp = residual
-        return self._bound(z, sharp=True).proves(self.settings.tolerance)
+        self.next_cheap = residual * min(max(tolerance / bound.relative, CHEAP_AFTER[0]), CHEAP_AFTER[1])
+        self.last_residual, self.last_cheap = residual, bound.infinity
+        return False
+
+    def _is_sharp_due(self, cheap: ErrorBound, residual: float, iteration: int) -> bool:
+        self.sharp_from = min(self.sharp_from, iteration + SHARP_WORTH)
+        if cheap.infinity * self.last_residual <= OUT_OF_STEP * self.last_cheap * residual:
+            return iteration >= self.sharp_from
+        return residual <= SHARP_EVERY * self.last_sharp
 
     def along_the_run(self, z: FloatVector) -> float | None:
         """Return the cheap bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
         if not (self.settings.error_bound or self.settings.is_on_error):
             return None
         try:
-            return self._bound(z, sharp=False).infinity
+            bound = self._bound(z, sharp=False)
         except UnsuitableMatrix:
             return None
+        return bound.infinity if bound.kind == "rigorous" else None
 
     def final(self, z: FloatVector) -> tuple[ErrorBound | None, str]:
-        """Return the sharp bound, or None and the reason, where the caller wants one."""
+        """Return the bound that proves the tolerance, else the sharp one, or None and the reason; where wanted."""
         if not (self.settings.error_bound or self.settings.is_on_error):
             return None, ""
+        if self.proof is not None and np.array_equal(self.proof[0], z):
+            return self.proof[1], ""
         try:
-            return self._bound(z, sharp=True), ""
+            cheap = self._bound(z, sharp=False) if self.settings.is_on_error else None
+            is_enough = cheap is not None and cheap.proves(self.settings.tolerance)
+            return cheap if is_enough else self._bound(z, sharp=True), ""
         except UnsuitableMatrix as error:
             return None, str(error)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
 
+
 class Status(Enum):
     """Why a run ended; the value of each member is the advice that goes with it."""
 
@@ -61,6 +62,19 @@ class StageRecord(NamedTuple):
     because: str
     iterations: int
     work: float
+
+
+ON_ERROR = {
+    Status.SOLVED: "the error is proved to be within the tolerance",
+    Status.PRECISION_LIMIT: (
+        "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
+        "precision explains: accept z with the bound it has, or rescale the data"
+    ),
+    Status.STALLED: (
+        "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
+        "raise the tolerance, or try another algorithm or a better start z0"
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -145,6 +159,11 @@ class Result:
         """The residual in the measure of the run."""
         return self.certificate.measured(self.measure)
 
+    @property
+    def advice(self) -> str:
+        """What the status means for this run, in a sentence."""
+        return ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+
     def require_solved(self) -> Result:
         """Return this result, or raise where it is not solved.
 
@@ -156,14 +175,14 @@ class Result:
         if not self.is_solved:
             raise NotConverged(
                 f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self._reached()}; "
-                f"{self.status.value}"
+                f"{self.advice}"
             )
         return self
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
         lines = [
-            f"{self.status.name}: {self.status.value}.",
+            f"{self.status.name}: {self.advice}.",
             self._reached(),
             f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
             f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
@@ -185,9 +204,10 @@ class Result:
     def _reached(self) -> str:
         """Return what was reached beside what was asked for."""
         residual = f"{self.measure} residual {self.residual:.3e}"
-        if self.error_bound is None:
-            return f"{residual}, asked for {self.tolerance:.3e}"
         asked_on_error = self.tolerance_on == "error"
+        if self.error_bound is None:
+            what = "a relative error of " if asked_on_error else ""
+            return f"{residual}, asked for {what}{self.tolerance:.3e}"
         residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e})"
         asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
         bound, *proven = str(self.error_bound).splitlines()
@@ -200,8 +220,8 @@ class Result:
             factor = self.error_bound.relative / relative if relative > 0.0 else 0.0
             if not factor > STIFF_FACTOR:
                 return []
-            return [f"stiff: the error may be {factor:.0e} times the residual; "
-                    'trust the bound, and ask for tolerance_on="error"']
+            further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
+            return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
         scale = self.certificate.problem.residual_scale
         spread = float(scale.max() / scale.min()) if scale.size else 1.0
         if not spread > STIFF_SPREAD or not self.is_solved:
@@ -233,7 +253,7 @@ class Result:
             numbers["relative_error_bound"] = self.error_bound.relative
         return {
             "status": self.status.name,
-            "advice": self.status.value,
+            "advice": self.advice,
             "algorithm": self.algorithm,
             "n": certificate.problem.n,
             "iterations": self.iterations,

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from families import BOUNDED, DIRECT
 
 from lcp_plugin import (
@@ -23,10 +24,14 @@ from lcp_plugin import (
     Sample,
     Status,
     UnsuitableMatrix,
+    convergence_guarantee,
+    error_bound,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.evidence import gallery
+from lcp_plugin.pacing import ErrorWatch
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -104,9 +109,20 @@ def test_nan_in_the_middle_is_diverged_with_the_best_so_far() -> None:
 
 
 def test_explosion_is_diverged() -> None:
-    """A residual 1e8 times that of the start ends the run."""
-    result = solve(TWO, Scripted(points=((0.0, 0.0), (1e12, 1e12))))
-    assert (result.status, result.iterations) == (Status.DIVERGED, 1)
+    """A residual above 1e8 times that of the start that rose ten times in a row ends the run."""
+    growing = tuple((10.0**k, 10.0**k) for k in range(1, 30))
+    result = solve(TWO, Scripted(points=((0.0, 0.0), *growing)))
+    assert (result.status, result.iterations) == (Status.DIVERGED, 10)
+
+
+@pytest.mark.parametrize("name", ["npsor", "npgs"])
+def test_a_guaranteed_run_over_a_mountain_arrives(name: str) -> None:
+    """A residual that rises by ten decades on the way is no divergence where it falls again."""
+    problem = LCP([[1.0, -1e10], [0.0, 1.0]], [0.0, -1.0])
+    assert convergence_guarantee(problem, name).is_guaranteed
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, [1e10, 1.0], rtol=1e-7)
 
 
 def test_standstill_is_stalled_after_two_hundred_steps() -> None:
@@ -454,6 +470,109 @@ def test_stiff_data_tell_the_truth() -> None:
     assert "stiff: the diagonal of M spans" in solve(problem, "pgs").explain()
     strict = solve(problem, "pgs", tolerance_on="error", max_iterations=3 * fooled.iterations)
     assert strict.status is Status.MAX_ITERATIONS
+    assert "trust the bound" in strict.explain()
+    assert "ask for tolerance_on" not in strict.explain()
+
+
+def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
+    """A five-point problem, with half of the rows active at level 0 and none at a high one, and its solution."""
+    line = sp.diags_array([-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
+    M = sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
+    M = sp.csr_array(M + shift * sp.eye_array(side * side))
+    exact = np.maximum(np.random.default_rng(0).standard_normal(side * side) + level, 0.0)
+    return LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact), exact
+
+
+@pytest.fixture
+def bounds_asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, ErrorBound]]:
+    """Whether it is sharp, and the bound, each time that a run asks for one."""
+    asked: list[tuple[bool, ErrorBound]] = []
+    bound = ErrorWatch._bound
+
+    def counted(self: ErrorWatch, z: np.ndarray, *, sharp: bool) -> ErrorBound:
+        asked.append((sharp, bound(self, z, sharp=sharp)))
+        return asked[-1][1]
+
+    monkeypatch.setattr(ErrorWatch, "_bound", counted)
+    return asked
+
+
+def test_sharp_bounds_are_not_wasted(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """Where the cheap bound falls with the residual, tolerance_on="error" asks for three of them and no sharp one."""
+    problem, exact = grid(60, 4.0)
+    result = solve(problem, "npsor", tolerance_on="error")
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - exact)) <= 1e-8 * exact.max()
+    assert not any(sharp for sharp, _ in bounds_asked)
+    assert len(bounds_asked) <= 6
+
+
+def test_the_bound_that_proved_it_is_the_result_s(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """The bound of the run is not computed again at the end where z is the same."""
+    result = solve(grid(20, 4.0)[0], "pgs", tolerance_on="error")
+    assert result.error_bound is bounds_asked[-1][1]
+    assert [bound.proves(1e-8) for _, bound in bounds_asked].count(True) == 1
+
+
+def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """A slow run on a nearly singular matrix is not swept on to rounding: a sharp bound is tried, but seldom."""
+    result = solve(grid(30, 1e-4, level=9.0)[0], "pgs", tolerance_on="error", tolerance=1e-6)
+    assert result.status is Status.SOLVED
+    assert 1 <= sum(sharp for sharp, _ in bounds_asked) <= 6
+
+
+def test_an_estimate_proves_no_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """tolerance_on="error" is refused before the first step where only an estimate exists; a sample has no bound."""
+    monkeypatch.setattr("lcp_plugin.certificates.definite_bounds.SPARSE_UP_TO", 100)
+    M = grid(20, 0.0)[0].csr
+    problem = LCP(sp.csr_array(M @ M), -np.ones(400))
+    assert error_bound(problem, np.zeros(400)).kind == "estimate"
+    seen: list[int] = []
+    with pytest.raises(UnsuitableMatrix, match="only an estimate"):
+        solve(problem, "pgs", tolerance_on="error", callback=lambda sample, z: seen.append(sample.iteration))
+    assert seen == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        history = solve(problem, "pgs", error_bound=True, record=True, max_iterations=2).history
+    assert [sample.error_bound for sample in history] == [None] * len(history)
+
+
+def test_an_exact_zero_is_proved() -> None:
+    """Where z = 0 solves the problem without any residual, the error is 0 and tolerance_on="error" says so."""
+    problem = LCP([[1.3, -6.3], [6.3, 1.8]], [1.3, 0.0], lower=[0.0, -np.inf])
+    assert error_bound(problem, [0.0, 0.0]).relative == 0.0
+    assert solve(problem, tolerance_on="error").status is Status.SOLVED
+
+
+def test_the_euclidean_residual_is_no_error() -> None:
+    """measure="euclidean" with tolerance_on="error" stops where the error is proved, whatever the unit of w is."""
+    for unit in (1e-12, 1.0, 1e12):
+        problem = LCP(unit * np.array([[4.0, -1.0], [-1.0, 4.0]]), unit * np.array([-3.0, 5.0]))
+        result = solve(problem, "npsor", tolerance_on="error", measure="euclidean")
+        assert result.status is Status.SOLVED
+        assert result.iterations == solve(problem, "npsor", tolerance_on="error").iterations
+
+
+def test_texts_speak_of_what_was_asked() -> None:
+    """Under tolerance_on="error" no text says that the residual is above the tolerance."""
+    result = solve(grid(8, 1.0)[0], "pgs", tolerance_on="error", tolerance=0.0)
+    assert result.status in (Status.PRECISION_LIMIT, Status.STALLED)
+    assert result.certificate.relative_residual < 1e-14
+    with pytest.raises(NotConverged, match="the error is not proved to be within the tolerance"):
+        result.require_solved()
+    assert "residual is above" not in result.explain()
+
+
+def test_a_time_limit_is_not_followed_by_an_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After MAX_ITERATIONS an uncovered choice is warned of, but not once the time limit is used up."""
+    monkeypatch.setattr("lcp_plugin.guarantees.LARGEST_QUICK", 0)
+    trap = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
+    with pytest.warns(ConvergenceWarning, match="npsor"):
+        result = solve(LCP(trap, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
+    assert result.status is Status.MAX_ITERATIONS
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solve(LCP(trap, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5, max_seconds=0.0)
 
 
 def test_bounds_are_recorded_along_the_run() -> None:

@@ -179,6 +179,24 @@ def test_large_five_point_matrix() -> None:
     assert bound.is_active_set_proven
 
 
+def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch) -> None:
+    """Where a sweep contracts well, a few of them lead to a point whose bound is sharp."""
+    monkeypatch.setattr("lcp_plugin.certificates.error_bounds._sharpen", lambda *_: pytest.fail("not needed"))
+    side = 50
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
+    M = sp.csr_array(laplacian + 4.0 * sp.eye_array(side**2))
+    rng = np.random.default_rng(0)
+    exact = np.maximum(rng.integers(-5, 6, side**2), 0).astype(float)
+    problem = LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact)
+    for size in (1e-2, 1e-6, 1e-10):
+        z = np.maximum(exact + size * rng.standard_normal(side**2), 0.0)
+        bound, error = error_bound(problem, z), np.abs(z - exact)
+        assert np.all(error <= bound.componentwise)
+        assert bound.infinity <= 1.1 * error.max()
+        assert bound.kind == "rigorous"
+
+
 def test_large_matrix_with_both_signs() -> None:
     """A large H₊-matrix that is no Z-matrix is sharpened by a Krylov method."""
     generator = np.random.default_rng(0)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice, pairwise
 from typing import Any
 
@@ -273,6 +274,45 @@ def test_a_relaxation_of_two_or_more_can_diverge_on_every_matrix(name: str, opti
     assert not solve(free, name, max_iterations=300, **options).is_solved
 
 
+CHANGEABLE = ("psor", "paor", "gfp", "npsor", "npaor", "npsplitting", "mj", "mgs", "msor", "maor")
+
+
+@settings(max_examples=80, deadline=None)
+@given(h_plus_matrices(), st.sampled_from(CHANGEABLE), st.floats(0.2, 2.5), st.floats(-0.5, 2.5), st.floats(0.0, 1.0))
+def test_a_remedy_followed_to_the_letter_is_guaranteed(
+    M: Any, name: str, alpha: float, beta: float, share: float
+) -> None:
+    """On an H₊-matrix the remedy names options the algorithm has, and any values in its range are guaranteed."""
+    known = {field.name for field in fields(create(name, {}))}
+    options: dict[str, Any] = {"scaling": None, "omega": 0.3, "relaxation": alpha, "acceleration": beta}
+    options["relaxation"] = min(alpha, 1.99) if name == "psor" else alpha
+    options = {option: value for option, value in options.items() if option in known}
+    problem = with_matrix(M)
+    guarantee = convergence_guarantee(problem, name, **options)
+    if guarantee.is_guaranteed or "it cannot run" in guarantee.theorem:
+        return
+    remedy = guarantee.remedy
+    assert {word for word in ("scaling", "omega", "relaxation", "acceleration") if word in remedy} <= known
+    if "scaling=" in remedy:
+        options["scaling"] = "auto"
+    if "omega=" in remedy:
+        options["omega"] = 1.0
+    if limit := re.search(r"relaxation (<|≤) ([\d.]+)", remedy):
+        options["relaxation"] = max(1e-3, share) * float(limit[2]) * (1.0 - 1e-9 * (limit[1] == "<"))
+    if "acceleration" in remedy:
+        options["acceleration"] = share * options["relaxation"]
+    assert convergence_guarantee(problem, name, **options).is_guaranteed, remedy
+
+
+def test_a_remedy_names_what_was_given() -> None:
+    """A paor with α = β hears of both options, msor of none that it does not have."""
+    problem = with_matrix([[1.0, -0.9], [-0.9, 1.0]])
+    both = convergence_guarantee(with_matrix([[1.0, -0.9], [0.9, 1.0]]), "paor", relaxation=1.8, acceleration=1.8)
+    assert both.remedy == "0 ≤ acceleration ≤ relaxation < 1.052"
+    assert convergence_guarantee(problem, "msor", omega=0.3, relaxation=1.9).remedy == "omega=1.0 and relaxation ≤ 1"
+    assert convergence_guarantee(problem, "mgs", omega=0.3).remedy == "omega=1.0"
+
+
 def test_an_iteration_that_cannot_run_is_not_covered() -> None:
     """A zero diagonal or an upper bound is told as the algorithm tells it."""
     assert "positive diagonal" in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
@@ -460,11 +500,20 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     """One line a claim, one an algorithm, the paper's variants, and what its theorem says; exit code 0."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
-    for words in ("H₊-matrix                     yes", "npsor, scaling=none           not covered"):
+    for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
         assert words in result.stdout
     assert "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling" in result.stdout
     lines = result.stdout.splitlines()
     assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
+
+
+@pytest.mark.parametrize("scene", ["paper_example_1:n=100", "murty:n=4", "obstacle_2d:size=6"])
+def test_the_command_keeps_to_a_hundred_columns(scene: str) -> None:
+    """No line of the table is longer than 100 columns, and a source stands in it once, in the legend."""
+    text = told(scene).stdout
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.count("Kumar") == text.count("[1] Kumar")
+    assert text.count("doi:10.1137/0309028") <= 1
 
 
 def test_the_command_prints_json() -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,7 +17,8 @@ import scipy.sparse as sp
 from lcp_plugin import LCP
 from lcp_plugin.errors import InvalidOption, InvalidProblem
 from lcp_plugin.matrix_classes import analyze, comparison_certificate, comparison_solve, h_verdict, prove_m_matrix
-from lcp_plugin.matrix_classes.definiteness import is_positive_definite, symmetric_part
+from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_positive_semidefinite, symmetric_part
+from lcp_plugin.matrix_classes.factorisation import factor_fits
 from lcp_plugin.matrix_classes.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 
 CAMPAIGN = Path(__file__).parent / "campaigns" / "matrix_verdicts.py"
@@ -242,6 +244,99 @@ def test_symmetric_part_is_rounded_once() -> None:
 
 
 # --- What other rooms use -----------------------------------------------------------------------------------
+
+
+def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
+    """A symmetric matrix of random entries on a random graph, plus a multiple of the identity."""
+    rng = np.random.default_rng(0)
+    where = rng.integers(n, size=n * degree // 2), rng.integers(n, size=n * degree // 2)
+    R = sp.coo_array((rng.uniform(-1, 1, where[0].size), where), shape=(n, n)).tocsr()
+    return sp.csr_array(0.5 * (R + R.T) + shift * sp.eye_array(n))
+
+
+def test_a_random_graph_is_not_factorised() -> None:
+    """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
+    M = random_graph(20_000, 8, 1.2)
+    assert not factor_fits(M)
+    report = analyze(M)
+    began = time.process_time()
+    print(report)
+    assert report.is_positive_definite is None
+    assert report.is_p_matrix is None
+    assert time.process_time() - began < 30.0
+    assert analyze(random_graph(20_000, 8, 12.0)).is_h_plus
+    assert is_positive_definite(M) is is_positive_semidefinite(M) is None
+
+
+def test_grids_are_factorised() -> None:
+    """A plane grid of a quarter million and a chain of a million unknowns fit, in whatever order, an arrow too."""
+    rng = np.random.default_rng(0)
+    n = 200_000
+    chain = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    order = rng.permutation(n)
+    shuffled = sp.csr_array(chain[order][:, order])
+    arrow = sp.lil_array((5000, 5000))
+    arrow[0], arrow[:, 0] = 1.0, 1.0
+    arrow.setdiag(5000.0)
+    for matrix in (chain, shuffled, laplacian(400), sp.csr_array(arrow)):
+        assert factor_fits(matrix)
+
+
+def test_too_many_blocks_are_not_looked_at() -> None:
+    """Whether M is P is left open where thousands of diagonal blocks would have to be asked."""
+    M = sp.csr_array(sp.kron(sp.eye_array(1500), np.array([[1.0, 3.0, 0.1], [-3.0, 1.0, 3.0], [0.2, -3.0, 1.0]])))
+    verdict = analyze(M).verdict("is_p_matrix")
+    assert verdict.value is None
+    assert "1500 diagonal blocks" in verdict.evidence
+
+
+def test_evidence_cannot_be_written_to() -> None:
+    """What a report hands out is shared by all who ask, and read-only."""
+    no = analyze([[1.0, 2.0], [2.0, 1.0]])
+    yes = analyze(laplacian(5))
+    certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)))
+    proof = prove_m_matrix(np.array([2.0, 2.0]), sp.csr_array(np.array([[0.0, 1.0], [1.0, 0.0]]))).certificate
+    arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
+    arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = -1.0
+    with pytest.raises(TypeError):
+        yes.scale_spread["entries"] = 0.0
+
+
+def test_ragged_rows_are_refused_as_by_lcp() -> None:
+    """Rows of unequal length are no matrix, and analyze says so in the words of LCP."""
+    with pytest.raises(InvalidProblem) as by_lcp:
+        LCP([[1, 2], [3]], [0, 0])
+    with pytest.raises(InvalidProblem) as by_analyze:
+        analyze([[1, 2], [3]])
+    assert str(by_analyze.value) == str(by_lcp.value)
+
+
+def test_the_empty_matrix_is_everything() -> None:
+    """Without rows every claim about all rows holds."""
+    report = analyze(np.zeros((0, 0)))
+    assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(report.evidence, True)
+
+
+@pytest.mark.parametrize(
+    ("M", "is_semidefinite"),
+    [
+        ([[1.0, 1.0], [1.0, 1.0]], True),
+        ([[1.0, 1.0], [1.0, 1.0 - 2.0**-53]], False),
+        ([[0.0, 0.0], [0.0, 1.0]], True),
+        ([[0.0, 1e-300], [1e-300, 1.0]], False),
+        ([[4.0, 2.0, -2.0], [2.0, 1.0, -1.0], [-2.0, -1.0, 1.0]], True),
+        ([[1.0, 5.0], [-3.0, 1.0]], True),
+        ([[1.0, 5.0], [-3.0 + 2.0**-50, 1.0]], False),
+    ],
+)
+def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite: bool) -> None:
+    """Up to n = 10 semidefiniteness is decided in rational arithmetic, without any δ."""
+    report = analyze(M)
+    assert report.is_positive_semidefinite is is_semidefinite
+    assert report.semidefinite_delta == (0.0 if is_semidefinite else None)
 
 
 def test_certificate_is_shared() -> None:

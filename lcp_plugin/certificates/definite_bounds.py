@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..matrix_classes.equilibration import row_numbers
+from ..matrix_classes.factorisation import factor_fits, positive_pivot_factor
 from ..problem import LCP, FloatVector
 from ..rounding import TINY, UNIT, compensated_product, gamma
 from .row_inequality import RowInequality
@@ -51,7 +53,7 @@ def smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
     -----
     C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
     bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
-    n ≤ 30 000. Larger: Lanczos, an estimate.
+    n ≤ 30 000, where its fill is bounded. Larger: Lanczos, an estimate.
 
     References
     ----------
@@ -70,9 +72,11 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
     # Two ends of each r_i; where z_i sits on a bound that w_i keeps it at, they are the same whatever rounds in w_i.
-    residual = np.minimum(np.maximum(at.slack / inverse_step, at.over), at.above)
-    low = np.minimum(np.maximum(-at.negative_slack / inverse_step, -at.below), -at.under)
-    blur = sum_above(np.maximum(sum_above(residual, -low), 0.0), TINY)
+    residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
+    negative = np.maximum(np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under)
+    blur = np.maximum(sum_above(residual, negative), 0.0)
+    if not (residual.any() or blur.any()):
+        return np.zeros(problem.n)
     transpose = problem.shared("transpose", lambda: sp.csr_array(problem.csr.T))
     value, radius = compensated_product(transpose, residual, residual * inverse_step)
     absolute = problem.shared("absolute_transpose", lambda: abs(transpose))
@@ -104,7 +108,7 @@ def _smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
     part, blur = _symmetric_part(problem.csr.toarray() if is_dense else problem.csr, exponent)
     if not np.isfinite(blur):
         return None
-    is_rigorous = is_dense or problem.n <= SPARSE_UP_TO
+    is_rigorous = is_dense or (problem.n <= SPARSE_UP_TO and factor_fits(part))
     if is_dense:
         value = _dense_bound(part, blur)
     else:
@@ -115,7 +119,7 @@ def _smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
 def _symmetric_part(M: Any, exponent: Any) -> tuple[Any, float]:
     """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
     if sp.issparse(M):
-        rows = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
+        rows = row_numbers(M)
         scaled: Any = sp.csr_array(
             (np.ldexp(M.data, exponent[rows] + exponent[M.indices]), M.indices, M.indptr), shape=M.shape
         )
@@ -147,13 +151,13 @@ def _dense_bound(part: Any, blur: float) -> float | None:
 
 
 def _sparse_bound(part: Any, blur: float) -> float | None:
-    factor = _symmetric_factor(part)
+    factor = positive_pivot_factor(part)
     if factor is None:
         return None
     estimate = _inverse_iteration(factor.solve, part)
     for share in SHARES:
         shift = share * estimate
-        factor = _symmetric_factor(part - shift * sp.eye_array(part.shape[0]))
+        factor = positive_pivot_factor(part - shift * sp.eye_array(part.shape[0]))
         if factor is None:
             continue
         rounding = _factor_error(factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
@@ -161,21 +165,6 @@ def _sparse_bound(part: Any, blur: float) -> float | None:
         if value > 0.0:
             return value
     return None
-
-
-def _symmetric_factor(part: Any) -> Any | None:
-    """Return LU with pivots from the diagonal, all positive, in one order for rows and columns, or None."""
-    from scipy.sparse.linalg import splu
-
-    try:
-        factor = splu(
-            part.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError:  # "Factor is exactly singular"
-        return None
-    if not np.array_equal(factor.perm_r, factor.perm_c) or not (factor.U.diagonal() > 0.0).all():
-        return None
-    return factor
 
 
 def _factor_error(factor: Any) -> float:

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..matrix_classes import analyze
 from ..matrix_classes.comparison import hierarchy, krylov, shared_comparison, v_cycle
+from ..matrix_classes.factorisation import diagonal_pivot_factor, factor_fits
 from ..problem import LCP, FloatVector
 from .row_inequality import BoolVector, RowInequality
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
-BAND_OPERATIONS = 3e10  # more than this for a band factorisation hints at a fill that costs minutes
 KRYLOV_STEPS = 60
 ITERATIVE_TOLERANCE = 1e-2
 
@@ -67,9 +68,9 @@ def _solver(problem: LCP, free: BoolVector) -> Solver:
     if rows.size <= DENSE_UP_TO or (problem._dense is not None and rows.size <= SPARSE_FACTOR_UP_TO):
         return _dense_solver(problem.M, rows)
     block = problem.csr if rows.size == problem.n else problem.csr[rows][:, rows]
-    if rows.size <= SPARSE_FACTOR_UP_TO and _is_factorable(block):
+    if rows.size <= SPARSE_FACTOR_UP_TO and factor_fits(block):
         return _sparse_solver(block)
-    return _multigrid_solver(problem, block) if _is_z_matrix(problem) else _krylov_solver(block)
+    return _multigrid_solver(problem, block) if analyze(problem).is_z_matrix else _krylov_solver(block)
 
 
 def _multigrid_solver(problem: LCP, block: Any) -> Solver:
@@ -97,24 +98,9 @@ def _dense_solver(M: Any, rows: Any) -> Solver:
     return solve
 
 
-def _is_factorable(block: Any) -> bool:
-    """Whether a reordering to a narrow band bounds the operations of a sparse factorisation."""
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    n = block.shape[0]
-    position = np.empty(n, dtype=np.int64)
-    position[reverse_cuthill_mckee(sp.csr_array(block), symmetric_mode=False)] = np.arange(n)
-    rows = np.repeat(np.arange(n), np.diff(block.indptr))
-    band = int(np.abs(position[rows] - position[block.indices]).max(initial=0))
-    return bool(n * float(band) ** 2 <= BAND_OPERATIONS)
-
-
 def _sparse_solver(block: Any) -> Solver:
-    from scipy.sparse.linalg import splu
-
-    try:
-        factor = splu(block.tocsc())
-    except RuntimeError:  # "Factor is exactly singular"
+    factor = diagonal_pivot_factor(block)
+    if factor is None:
         return lambda rhs: np.full(rhs.shape, np.nan)
     solve: Solver = factor.solve
     return solve
@@ -131,11 +117,3 @@ def _krylov_solver(block: Any) -> Solver:
         return solution
 
     return solve
-
-
-def _is_z_matrix(problem: LCP) -> bool:
-    """Return whether no entry off the diagonal is positive."""
-    def compute() -> bool:
-        return int(np.count_nonzero(problem.csr.data > 0.0)) == int(np.count_nonzero(problem.diagonal > 0.0))
-
-    return problem.shared("is_z_matrix", compute)

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..matrix_classes.equilibration import row_numbers
+from ..matrix_classes.factorisation import diagonal_pivot_factor, factor_fits
 from ..problem import FloatVector
 from ..rounding import compensated_product, lower_end, upper_end
 
 POWER_STEPS = 30
 NODA_STEPS = 40
 ENOUGH = 1e-9  # relative width at which nobody asks for better
-FACTOR_LIMIT = 50_000
+FACTOR_LIMIT = 2_000
 COMPLEX_ROUNDING = 8.0  # a complex product or sum errs at most so many times as much as a real one
 
 
@@ -29,7 +31,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     Notes
     -----
     On each strongly connected block, min (Bx)_i/x_i ≤ ρ ≤ max (Bx)_i/x_i for every x > 0; the radius of the whole is
-    the largest of the blocks'. x comes from some power steps and, up to n = 50 000, from Noda's iteration
+    the largest of the blocks'. x comes from some power steps and, up to n = 2000, from Noda's iteration
     (σI − B)x⁺ = x with σ = max (Bx)_i/x_i: σI − B is an M-matrix, so that small entries of x come out right too.
 
     References
@@ -52,7 +54,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
         return 0.0, 0.0
     _, labels = connected_components(B, directed=True, connection="strong")
     # What leads from block to block is not felt by the radius.
-    rows = np.repeat(np.arange(n), np.diff(B.indptr))
+    rows = row_numbers(B)
     data = np.where(labels[rows] == labels[B.indices], B.data, 0.0)
     B = sp.csr_array((data, B.indices, B.indptr), shape=B.shape)
     B.eliminate_zeros()
@@ -61,7 +63,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     blocks = _Blocks(B, labels)
     x = blocks.power_steps(np.ones(n))
     best = blocks.bounds(x)
-    for better in blocks.noda_steps(x) if n <= FACTOR_LIMIT else ():
+    for better in blocks.noda_steps(x) if n <= FACTOR_LIMIT and factor_fits(B) else ():
         now = blocks.bounds(better)
         best = max(best[0], now[0]), min(best[1], now[1])
         if best[1] - best[0] <= ENOUGH * best[1]:
@@ -93,20 +95,14 @@ class _Blocks:
 
     def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
         """Yield x after each step of Noda's iteration, all blocks at once, until a factor is singular."""
-        from scipy.sparse.linalg import splu
-
         for _ in range(NODA_STEPS):
             with np.errstate(all="ignore"):
                 ratio = (self.B @ x) / x
                 largest = np.maximum.reduceat(ratio[self.order], self.starts) * (1.0 + 1e-12)
             shift = np.empty_like(x)
             shift[self.order] = np.repeat(np.maximum(largest, 1e-300), self.sizes)
-            try:
-                factor = splu(
-                    sp.csc_array(sp.diags_array(shift) - self.B), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                    options={"SymmetricMode": True},
-                )
-            except RuntimeError:  # SuperLU's word for a singular factor: σ is ρ up to rounding
+            factor = diagonal_pivot_factor(sp.diags_array(shift) - self.B)
+            if factor is None:  # σ is ρ up to rounding
                 return
             x = factor.solve(x)
             highest = np.maximum.reduceat(x[self.order], self.starts)

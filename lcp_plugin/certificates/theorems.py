@@ -18,6 +18,7 @@ from .convergence import (
 )
 
 PAPER = "Kumar, Deepmala, Das"
+PAPER_TITLE = "More on projected type iteration method and linear complementarity problem"
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"

@@ -15,14 +15,13 @@ import scipy.sparse as sp
 from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector
 from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
+from .factorisation import diagonal_pivot_factor, factor_fits
 
 Solver = Callable[[FloatVector], FloatVector]
 BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 
 DENSE_LIMIT = 300
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
-LU_LIMIT = 50_000  # above, the fill of a three-dimensional grid takes gigabytes
-LARGEST_BAND = 2e8  # entries of a band that a factor may fill, whatever n
 KRYLOV_STEPS = 60
 SYMMETRY = 1e-12  # relative asymmetry that conjugate gradients do not notice
 
@@ -181,22 +180,8 @@ def direct_solver(matrix: Any) -> Solver | None:
         if info != 0:
             return None
         return lambda rhs: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, rhs)[0])
-    from scipy.sparse.linalg import splu
-
-    try:
-        factor = splu(
-            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError:  # "Factor is exactly singular"
-        return None
-    return lambda rhs: np.asarray(factor.solve(rhs))
-
-
-def factor_fits(matrix: Any) -> bool:
-    """Return whether the factor of a CSR array fits into memory whatever its pattern, by size or by band."""
-    n = matrix.shape[0]
-    band = int(np.abs(row_numbers(matrix) - matrix.indices).max(initial=0))
-    return bool(n <= LU_LIMIT or n * band <= LARGEST_BAND)
+    factor = diagonal_pivot_factor(matrix)
+    return None if factor is None else lambda rhs: np.asarray(factor.solve(rhs))
 
 
 def hierarchy(matrix: Any) -> Any:

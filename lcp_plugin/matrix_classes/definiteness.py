@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..problem import FloatVector
+from .factorisation import factor_fits, positive_pivot_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
@@ -27,7 +28,7 @@ class Factor(NamedTuple):
 
 
 def positive_definite_solver(P: Any) -> Solver | None:
-    """Return the function rhs ↦ P⁻¹ rhs where P is proven positive definite, else None.
+    """Return the function rhs ↦ P⁻¹ rhs where P is proven positive definite, else None (also where it is too large).
 
     Parameters
     ----------
@@ -58,6 +59,8 @@ def positive_definite_solver(P: Any) -> Solver | None:
         return None
     if is_diagonal(P):
         return lambda rhs: rhs / _column_like(diagonal, rhs)
+    if not _can_factorise(P):
+        return None
     scale = 1.0 / np.sqrt(diagonal)
     unit = _scaled(P, scale)
     factor = factorised(unit, 0.0)
@@ -78,7 +81,8 @@ def is_positive_semidefinite(P: Any) -> bool | None:
     Notes
     -----
     True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵² – no factorisation can say more
-    of a singular matrix. False is a proof up to the same rounding. None: δ > 1e-6 (n above some 67 000).
+    of a singular matrix. False is a proof up to the same rounding. None: δ > 1e-6 (n above some 67 000), or the fill of
+    a factorisation would be too large.
 
     Examples
     --------
@@ -96,7 +100,7 @@ def is_positive_semidefinite(P: Any) -> bool | None:
     if is_diagonal(P):
         return True
     shift = _margin(diagonal.size, diagonal.size)
-    if shift > LARGEST_SHIFT:
+    if shift > LARGEST_SHIFT or not _can_factorise(P):
         return None
     unit = _scaled(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
     if not np.isfinite(unit.data if sp.issparse(unit) else unit).all():
@@ -135,7 +139,7 @@ def is_positive_definite(P: Any) -> bool | None:
     if is_diagonal(P):
         return True
     unit = _scaled(P, 1.0 / np.sqrt(diagonal))
-    if not np.isfinite(unit.data if sp.issparse(unit) else unit).all():
+    if not np.isfinite(unit.data if sp.issparse(unit) else unit).all() or not _can_factorise(P):
         return None
     if positive_definite_solver(P) is not None:
         return True
@@ -197,6 +201,10 @@ def is_diagonal(P: Any) -> bool:
     return int(nonzeros) == np.count_nonzero(P.diagonal())
 
 
+def _can_factorise(P: Any) -> bool:
+    return not sp.issparse(P) or factor_fits(P)
+
+
 def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
@@ -231,16 +239,5 @@ def factorised(unit: Any, shift: float) -> Factor | None:
         except np.linalg.LinAlgError:
             return None
         return Factor(lambda rhs: scipy.linalg.cho_solve(factor, rhs), n)
-    from scipy.sparse.linalg import splu
-
-    try:
-        # Pivots are taken from the diagonal, in an order that is the same for rows and columns.
-        lu = splu(
-            (unit + shift * sp.eye_array(n)).tocsc(),
-            permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True},
-        )
-    except RuntimeError:  # "Factor is exactly singular"
-        return None
-    if not np.array_equal(lu.perm_r, lu.perm_c) or not (lu.U.diagonal() > 0.0).all():
-        return None
-    return Factor(lu.solve, int(np.bincount(lu.L.indices).max()))
+    lu = positive_pivot_factor(unit + shift * sp.eye_array(n))
+    return None if lu is None else Factor(lu.solve, int(np.bincount(lu.L.indices).max()))

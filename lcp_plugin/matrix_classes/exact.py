@@ -39,6 +39,16 @@ def has_positive_pivots(matrix: Rows) -> bool:
     return True
 
 
+def has_nonnegative_pivots(matrix: Rows) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite: a pivot of zero has nothing beside it."""
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot < 0 or (pivot == 0 and any(matrix[0])):
+            return False
+        matrix = schur_complement(matrix) if pivot else [row[1:] for row in matrix[1:]]
+    return True
+
+
 def has_positive_minors(matrix: Rows) -> bool:
     """Return whether all principal minors are positive."""
     if not matrix:

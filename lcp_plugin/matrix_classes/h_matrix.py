@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
+from ..checks import read_only
 from ..errors import InvalidOption, InvalidProblem
 from ..problem import LCP, FloatVector
 from ..rounding import comparison_product, exact_comparison_row, lower_end, upper_end
@@ -36,9 +37,9 @@ LARGEST = Fraction(float(np.finfo(np.float64).max))
 CENTRED = 64  # power of two that is near enough to 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HCertificate:
-    """A proof that ⟨M⟩ is a nonsingular M-matrix: ⟨M⟩v ≥ margin > 0, v > 0, both of shape (n,).
+    """A proof that ⟨M⟩ is a nonsingular M-matrix: ⟨M⟩v ≥ margin > 0, v > 0, both of shape (n,), read-only.
 
     `margin` is a lower bound of the exact product of the stored doubles.
     """
@@ -46,8 +47,12 @@ class HCertificate:
     v: FloatVector
     margin: FloatVector
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "v", read_only(self.v))
+        object.__setattr__(self, "margin", read_only(self.margin))
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class HVerdict:
     """What is known about ⟨M⟩: `is_h` True, False or None, and its proof.
 
@@ -61,6 +66,10 @@ class HVerdict:
     not_h_vector: FloatVector | None = None
     lower: float = 0.0
     upper: float = np.inf
+
+    def __post_init__(self) -> None:
+        if self.not_h_vector is not None:
+            object.__setattr__(self, "not_h_vector", read_only(self.not_h_vector))
 
 
 def comparison_certificate(problem: LCP) -> HCertificate | None:
@@ -162,6 +171,11 @@ def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
     return margin
 
 
+def _certified(M: Any, v: FloatVector) -> HCertificate | None:
+    margin = positive_margin(M, v)
+    return None if margin is None else HCertificate(v, margin)
+
+
 def is_nonpositive(M: Any, y: FloatVector) -> bool:
     """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
     if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
@@ -242,9 +256,9 @@ def _by_sweeps(M: Any, system: ComparisonMatrix, verdict: HVerdict) -> HVerdict:
 
 def _proven(M: Any, v: FloatVector, low: float, high: float, how: str) -> HVerdict | None:
     if high < 1.0:
-        margin = positive_margin(M, v)
-        if margin is not None:
-            return HVerdict(True, f"v after {how}: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ {high:.6g}", HCertificate(v, margin))
+        certificate = _certified(M, v)
+        if certificate is not None:
+            return HVerdict(True, f"v after {how}: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ {high:.6g}", certificate)
     if low >= 1.0 and is_nonpositive(M, v):
         return HVerdict(False, f"y after {how}: ⟨M⟩y ≤ 0 checked, ρ(D⁻¹|B|) ≥ {low:.6g}", not_h_vector=v)
     return None
@@ -273,14 +287,13 @@ def _by_solving(M: Any, system: ComparisonMatrix, verdict: HVerdict) -> HVerdict
 
 def _proven_by_solution(M: Any, system: ComparisonMatrix, x: FloatVector, verdict: HVerdict) -> HVerdict | None:
     if (x > 0.0).all():
-        v = _centred(system.to_caller(x))
-        margin = positive_margin(M, v)
-        if margin is not None:
+        certificate = _certified(M, _centred(system.to_caller(x)))
+        if certificate is not None:
             with np.errstate(all="ignore"):
-                smallest = float((margin / np.abs(M.diagonal()) / v).min())
+                smallest = float((certificate.margin / np.abs(M.diagonal()) / certificate.v).min())
             evidence = f"v from a solve with ⟨M⟩: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ 1 − {smallest:.3g}"
             upper = min(verdict.upper, 1.0 - smallest)
-            return HVerdict(True, evidence, HCertificate(v, margin), lower=verdict.lower, upper=upper)
+            return HVerdict(True, evidence, certificate, lower=verdict.lower, upper=upper)
     y = _centred(system.to_caller(np.maximum(-x, 0.0)))
     if is_nonpositive(M, y):
         evidence = "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked"
@@ -338,8 +351,7 @@ def _joined(M: Any, labels: Any, v: FloatVector, margin: FloatVector) -> HCertif
             if not np.isfinite(factor).all():
                 return None
         whole = _centred(v * factor[labels])
-        checked = positive_margin(M, whole)
-    return None if checked is None else HCertificate(whole, checked)
+        return _certified(M, whole)
 
 
 def _centred(v: FloatVector) -> FloatVector:

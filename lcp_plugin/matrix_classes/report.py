@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from ..checks import read_only
 from ..problem import LCP, FloatVector
 from . import verdicts
-from .comparison import factor_fits
 from .definiteness import semidefinite_margin, symmetric_part
+from .exact import EXACT_SIZE
+from .factorisation import factor_fits
 from .h_matrix import HVerdict, h_verdict
 from .structure import IntVector, asymmetry, components, row_excess_signs, scale_spread, strong_blocks, triangular_form
 from .verdicts import Verdict
 
+LINE = 100
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
@@ -54,7 +59,7 @@ class MatrixReport:
         Numbers of connected components and of strongly connected blocks of the graph of M.
     zero_diagonal, negative_diagonal : arrays
         Row numbers.
-    scale_spread : dict
+    scale_spread : mapping
         log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
 
     Examples
@@ -138,7 +143,7 @@ class MatrixReport:
     @cached_property
     def row_excess_signs(self) -> IntVector:
         """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
-        return row_excess_signs(self.csr)
+        return read_only(row_excess_signs(self.csr))
 
     @cached_property
     def triangular_form(self) -> str | None:
@@ -147,7 +152,8 @@ class MatrixReport:
 
     @cached_property
     def _strong(self) -> tuple[int, IntVector]:
-        return strong_blocks(self.csr)
+        count, labels = strong_blocks(self.csr)
+        return count, read_only(labels)
 
     @property
     def blocks(self) -> int:
@@ -175,14 +181,18 @@ class MatrixReport:
         return np.flatnonzero(self.diagonal < 0.0)
 
     @cached_property
-    def scale_spread(self) -> dict[str, float]:
+    def scale_spread(self) -> Mapping[str, float]:
         """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
-        return scale_spread(self.csr)
+        return MappingProxyType(scale_spread(self.csr))
 
     @cached_property
     def sparse_symmetric_part(self) -> Any:
         """(M + Mᵀ)/2 as CSR, each entry rounded once."""
-        return self.csr if self.is_symmetric else symmetric_part(self.csr)
+        if self.is_symmetric:
+            return self.csr
+        part = symmetric_part(self.csr)
+        part.data.flags.writeable = False
+        return part
 
     @property
     def symmetric_part(self) -> Any:
@@ -192,7 +202,7 @@ class MatrixReport:
 
     @cached_property
     def can_factorise(self) -> bool:
-        """Whether a factor of the symmetric part fits into memory."""
+        """Whether a factorisation of the symmetric part has its end in sight."""
         return factor_fits(self.sparse_symmetric_part)
 
     @property
@@ -201,7 +211,7 @@ class MatrixReport:
         if not self.is_positive_semidefinite:
             return None
         is_exact = self.is_positive_definite or (self.is_symmetric and (self.row_excess_signs >= 0).all())
-        return 0.0 if is_exact else semidefinite_margin(self.symmetric_part)
+        return 0.0 if is_exact or self.n <= EXACT_SIZE else semidefinite_margin(self.symmetric_part)
 
     def to_content(self) -> dict[str, Any]:
         """Return all verdicts and facts as a dict that JSON can hold."""
@@ -214,7 +224,7 @@ class MatrixReport:
             "blocks": self.blocks,
             "zero_diagonal": [int(row) for row in self.zero_diagonal],
             "negative_diagonal": [int(row) for row in self.negative_diagonal],
-            "scale_spread": self.scale_spread,
+            "scale_spread": dict(self.scale_spread),
         }
 
     def _all(self) -> Iterator[tuple[str, Verdict]]:
@@ -222,7 +232,8 @@ class MatrixReport:
 
     def __str__(self) -> str:
         lines = [f"matrix of size {self.n}, {self._problem.nonzeros} nonzeros"]
-        lines += [f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} {v.evidence}" for name, v in self._all()]
+        for name, v in self._all():
+            lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} ", v.evidence)
         lines.append(f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}")
         rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
         lines.append(f"{'diagonal':<29} {rows}")
@@ -282,6 +293,14 @@ def analyze(M: Any) -> MatrixReport:
     return problem.shared("matrix_report", lambda: MatrixReport(problem))
 
 
+def wrapped(title: str, text: str) -> list[str]:
+    """Return the text beside its title, in lines of at most 100 columns."""
+    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [title.rstrip()]
+
+
 def _rows(M: Any) -> int:
-    shape = getattr(M, "shape", None) or np.shape(M)
+    """Return the number of rows, or 0 where M is no array: LCP says what is wrong with it."""
+    if isinstance(M, (list, tuple)):
+        return len(M)
+    shape = getattr(M, "shape", None)
     return int(shape[0]) if shape else 0

@@ -11,7 +11,7 @@ from ..problem import LCP
 from ..rounding import UNIT
 from .definiteness import is_positive_definite, is_positive_semidefinite, semidefinite_margin
 from .equilibration import row_numbers
-from .exact import EXACT_SIZE, exact_symmetric_part, has_positive_pivots
+from .exact import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from .h_matrix import prove_m_matrix
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
 from .structure import block_rows
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .report import MatrixReport
 
 DENSE_LIMIT = 500
+LARGEST_COUNT = 1_000  # of diagonal blocks to look at one by one
 SYMMETRIC_TO_ROUNDING = 64 * UNIT
 SMALLEST_DIAGONAL = 2.0**-960  # of a symmetric part, whose subnormal entries are rounded absolutely
 UNDECIDED = "undecided: singular up to rounding"
@@ -72,7 +73,7 @@ def irreducibly_dominant(report: MatrixReport) -> Verdict:
     signs = report.row_excess_signs
     if (signs < 0).any():
         return Verdict(False, f"|m_ii| < Σ|m_ij| on row {int(np.flatnonzero(signs < 0)[0])}")
-    if not (signs > 0).any():
+    if signs.size and not (signs > 0).any():
         return Verdict(False, "|m_ii| = Σ|m_ij| on every row")
     if not report.is_irreducible:
         return Verdict(False, f"reducible: {report.blocks} strongly connected blocks")
@@ -122,7 +123,7 @@ def positive_definite(report: MatrixReport) -> Verdict:
 
 
 def positive_semidefinite(report: MatrixReport) -> Verdict:
-    """xᵀM x ≥ 0 for every x, up to the δ in the evidence."""
+    """xᵀM x ≥ 0 for every x: exactly up to n = 10, up to the δ in the evidence beyond."""
     if (report.diagonal < 0.0).any():
         return _nonpositive_diagonal(report) or Verdict(False, "")
     if report.is_symmetric and (report.row_excess_signs >= 0).all():
@@ -134,6 +135,10 @@ def positive_semidefinite(report: MatrixReport) -> Verdict:
         return Verdict(None, _too_large(report))
     part = report.symmetric_part
     value = is_positive_semidefinite(part) if _is_well_rounded(report) else None
+    if value is not False and report.n <= EXACT_SIZE:
+        exact = has_nonnegative_pivots(exact_symmetric_part(report.csr))
+        what = "M" if report.is_symmetric else "the symmetric part of M"
+        return Verdict(exact, f"{'λ_min ≥ 0' if exact else 'λ_min < 0'}: exact elimination of {what}")
     if value is None and not _is_well_rounded(report):
         return Verdict(None, "undecided: the diagonal is near the smallest doubles")
     if value is None:
@@ -181,9 +186,11 @@ def _p_by_class(report: MatrixReport) -> Verdict | None:
 def _p_by_blocks(report: MatrixReport) -> Verdict:
     """M is P exactly if each strongly connected diagonal block is."""
     undecided: Verdict | None = None
-    for rows in block_rows(report.block_labels, report.blocks):
-        if rows.size == 1:  # its diagonal is positive
-            continue
+    # A block of one row is positive.
+    parts = [rows for rows in block_rows(report.block_labels, report.blocks) if rows.size > 1]
+    if len(parts) > LARGEST_COUNT:
+        return Verdict(None, f"not computed: {len(parts)} diagonal blocks are too many")
+    for rows in parts:
         part = type(report)(LCP(sp.csr_array(report.csr[rows][:, rows]), np.zeros(rows.size))).verdict("is_p_matrix")
         if part.value is False:
             return Verdict(False, f"the diagonal block of row {rows[0]}: {part.evidence}")

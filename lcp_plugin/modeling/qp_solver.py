@@ -82,7 +82,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             settings.EXTRA_STATS: result if proof is None else proof,
         }
         if status not in settings.SOLUTION_PRESENT:
-            attributes["message"] = result.status.value if proof is None else str(proof)
+            attributes["message"] = result.advice if proof is None else str(proof)
             return failure_solution(status, attributes)
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]

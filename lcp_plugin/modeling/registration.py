@@ -136,7 +136,7 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     """Give the cvxpy problem its status, values, duals and statistics."""
     status = CVXPY_STATUS.get(result.status)
     if status is None:
-        raise SolverError(f"{result.status.name}: {result.status.value}")
+        raise SolverError(f"{result.status.name}: {result.advice}")
     attributes = {
         settings.SOLVE_TIME: result.seconds,
         settings.SETUP_TIME: result.setup_seconds,
@@ -153,5 +153,5 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
     if status in settings.INACCURATE:
         warnings.warn(
-            f"the solution may be inaccurate ({result.status.name}): {result.status.value}", UserWarning, stacklevel=4
+            f"the solution may be inaccurate ({result.status.name}): {result.advice}", UserWarning, stacklevel=4
         )

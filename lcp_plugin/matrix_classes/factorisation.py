@@ -1,0 +1,66 @@
+"""The sparse factorisation that proofs ask for, and whether it is worth beginning."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from .equilibration import row_numbers
+
+ALWAYS = 1_000  # rows; up to here any fill is cheap
+LARGEST_OPERATIONS = 4e10  # about ten seconds, a 3-D grid of 37³; a random graph's n³ exceeds it at some thousands
+LARGEST_FILL = 2e8  # entries
+
+
+def factor_fits(matrix: Any) -> bool:
+    """Return whether a factorisation of a CSR or CSC array has its end in sight.
+
+    Notes
+    -----
+    The factor in the order of Cuthill and McKee stays within an envelope, whose Σ width and Σ width² count its entries
+    and operations. The order used has less fill on grids, and none has much less on random graphs.
+    """
+    n = matrix.shape[0]
+    if n <= ALWAYS:
+        return True
+    pattern = sp.csr_array((np.ones(matrix.indices.size), matrix.indices, matrix.indptr), shape=matrix.shape)
+    rows = row_numbers(pattern)
+    if _is_affordable(rows, pattern.indices, n):
+        return True
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    position = np.empty(n, dtype=np.int64)
+    position[reverse_cuthill_mckee(pattern, symmetric_mode=False)] = np.arange(n)
+    return _is_affordable(position[rows], position[pattern.indices], n)
+
+
+def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
+    first = np.arange(n)
+    np.minimum.at(first, np.maximum(rows, columns), np.minimum(rows, columns))
+    width = (np.arange(n) - first).astype(np.float64)
+    return bool(width.sum() <= LARGEST_FILL and width @ width <= LARGEST_OPERATIONS)
+
+
+def diagonal_pivot_factor(matrix: Any) -> Any | None:
+    """Return SuperLU's factor with pivots from the diagonal, in one order for rows and columns, or None if singular.
+
+    That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
+    """
+    from scipy.sparse.linalg import splu
+
+    try:
+        return splu(
+            sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:  # "Factor is exactly singular"
+        return None
+
+
+def positive_pivot_factor(matrix: Any) -> Any | None:
+    """Return the factor of a symmetric matrix where all pivots are positive and from the diagonal, else None."""
+    factor = diagonal_pivot_factor(matrix)
+    if factor is None or not np.array_equal(factor.perm_r, factor.perm_c):
+        return None
+    return factor if (factor.U.diagonal() > 0.0).all() else None

@@ -4,7 +4,7 @@
 |---|---|
 | nothing | npsor, relaxation 1.7, row scaling 1/d (converges for every H₊-matrix) |
 | npsor, 1 sweep, M triangular with a positive diagonal | pgs in the order of the triangle: one sweep is exact |
-| npsor, 10 sweeps (2 where M is dense; from 3 on where two rates agree), then every 20: it arrives within 20 | goes on |
+| npsor, 10 sweeps (dense M: 2; from 3 on where two rates agree), then every 20: it arrives within 20 | goes on |
 | M is sparse, n > 1000, the diagonal positive: npsor needs more than 300 further sweeps | multigrid |
 | the same, npsor needs 20 to 300 | psor with automatic relaxation |
 | psor before multigrid, every 20 sweeps: it needs more than 100 further ones, or fails | multigrid |

@@ -77,7 +77,8 @@ SMALL = [
 ]
 
 PLANTED = [text for text in SMALL if gallery.parse(text).exact is not None and not text.startswith("bimatrix")]
-M_MATRICES = [text for text in SMALL if text.startswith(("american", "coefficient", "convection", "half", "journal", "obstacle", "optimal", "paper"))]
+OF_GRIDS = ("american", "coefficient", "convection", "half", "journal", "obstacle", "optimal", "paper")
+M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 
 
 @pytest.fixture(params=SMALL)

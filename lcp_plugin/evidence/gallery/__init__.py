@@ -8,9 +8,9 @@ from .bearing import journal_bearing
 from .binomial_tree import binomial_put
 from .circuits import diode_bridge, relay_control
 from .contact import rigid_stack
+from .diffusion import coefficient_jumps, convection_diffusion, rotated_anisotropy
 from .equilibria import market_equilibrium
 from .games import bimatrix_game
-from .diffusion import coefficient_jumps, convection_diffusion, rotated_anisotropy
 from .matrices import murty, random_h_plus, scaling_trap
 from .obstacle import obstacle_2d, obstacle_3d, obstacle_bumps
 from .option_pricing import american_put, american_put_march

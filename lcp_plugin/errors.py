@@ -6,6 +6,9 @@ import difflib
 from collections.abc import Iterable
 
 
+LONG_LIST = 20  # more names than this are not listed beside a guess
+
+
 class LCPError(Exception):
     """Base of every error this package raises on purpose."""
 
@@ -56,5 +59,7 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     """
     names = sorted(known)
     close = difflib.get_close_matches(str(word).lower(), names, n=1)
+    if close and len(names) > LONG_LIST:
+        return f"; did you mean {close[0]!r}? ({len(names)} are known)"
     guess = f"; did you mean {close[0]!r}?" if close else ";"
     return f"{guess} (known: {', '.join(names)})" if close else f"{guess} known: {', '.join(names)}"

@@ -10,5 +10,7 @@ SPLITTINGS = [name for name, kind in KINDS.items() if kind.is_monotone]  # itera
 DIRECT = [name for name, kind in KINDS.items() if not kind.is_monotone]  # end by themselves
 MODULUS = [name for name in SWEEPERS if "omega" in KINDS[name].__dataclass_fields__]
 BOUNDED = [name for name in REGISTRY if name not in MODULUS]  # take upper bounds and free rows
+# Reliable by experience only.
+UNPROVEN = [name for name, kind in KINDS.items() if kind.converges_on.startswith("–")]
 # Monotone is what M is with its rows as they are: no method that needs it can be blind to their scaling.
 NEEDS_MONOTONE = [name for name, kind in KINDS.items() if kind.assumption.startswith("monotone")]

@@ -32,8 +32,11 @@ SMALL_SCENES = [
     "american_put:size=20", "american_put:size=1",
     "american_put_march:size=20,steps=3",
     "bimatrix_game",
+    "coefficient_jumps:size=6",
+    "convection_diffusion:size=6",
     "diode_bridge",
     "half_active:n=25",
+    "journal_bearing:size=6",
     "market_equilibrium:goods=4,activities=5",
     "murty:n=4", "murty:n=1",
     "obstacle_2d:size=6", "obstacle_2d:size=1",
@@ -45,6 +48,7 @@ SMALL_SCENES = [
     "random_h_plus:n=10", "random_h_plus:n=100",
     "relay_control:n=5",
     "rigid_stack:blocks=2",
+    "rotated_anisotropy:size=6",
     "scaling_trap",
 ]
 

@@ -85,7 +85,8 @@ MEASURED: dict[str, tuple[int | None, ...]] = {
     "newton": (2, 4, 2, 1, 2, 3),
     "interior_point": (7, None, 7, 1, 1, 1),
     "lemke": (1, 3, 2, 2, 2, 1),
-    "auto": (17, 11, 17, 11, 11, 4),
+    "multigrid": (3, 14, 7, 7, 8, 5),
+    "auto": (14, 8, 11, 5, 5, 3),
 }
 PAIRS = [
     pytest.param(name, kind, count, id=f"{name}-{kind}")

@@ -16,7 +16,7 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
-To fail is to diverge, to stall, or to have nothing more to offer. `feasibility` looks for a proof that there is no
+A row that contradicts its bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to have nothing more to offer. `feasibility` looks for a proof that there is no
 solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` decides
 problems with at most 24 rows that leave a choice. No clock is asked: the same call gives the same answer bit for bit.
 """
@@ -34,6 +34,7 @@ from .algorithms import Algorithm, Step, create
 from .algorithms.base import has_positive_diagonal
 from .algorithms.projected_relaxation import PGS, PSOR
 from .algorithms.projected_type import NPSOR
+from .certificates.infeasibility import contradictory_row
 from .errors import InvalidOption, UnknownAlgorithm
 from .presolve import Presolved, presolve
 from .problem import LCP, FloatVector
@@ -223,6 +224,8 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
     is_monotone = _seems_monotone(left, problem.origin)
+    if contradictory_row(problem) is not None:
+        yield Choice(FeasibilityCheck(), "one row contradicts its bounds by itself")
     yield interior if is_monotone else newton
     if problem.n <= LARGEST_PROGRAM:
         yield Choice(FeasibilityCheck(), "is there a solution at all?")

@@ -219,6 +219,66 @@ def test_numbers_that_are_not_integers() -> None:
     assert unbounded.holds()
 
 
+@pytest.mark.parametrize("n", [8, 80])
+@pytest.mark.parametrize("kind", ["inequality", "equality below", "equality above"])
+def test_one_row_is_enough(kind: str, n: int) -> None:
+    """A row that the bounds contradict is found by its signs, where the bounds come as rows in any unit as well."""
+    rng = np.random.default_rng(n)
+    unit = rng.uniform(0.1, 3.0, n)
+    A = np.abs(rng.standard_normal((n // 2, n)))
+    bounds: dict[str, Any] = {"G": -np.diag(unit), "h": np.zeros(n)}
+    if kind == "inequality":
+        bounds = {"G": np.vstack([A, bounds["G"]]), "h": np.concatenate([np.full(n // 2, -1.0), np.zeros(n)])}
+    else:
+        sign = -1.0 if kind == "equality below" else 1.0
+        bounds |= {"A": sign * A, "b": np.full(n // 2, -sign)}
+    program = QuadraticProgram(np.zeros((n, n)), np.ones(n), **bounds)
+    proof = proof_of_no_minimum(program)
+    assert isinstance(proof, QPInfeasibility)
+    assert proof.program is program
+    assert proof.holds()
+    assert not any((*proof.lower, *proof.upper))
+    used = sum(map(bool, (*proof.inequality, *proof.equality)))
+    assert used == n + 1
+
+
+def test_a_rounded_bound_proves_nothing() -> None:
+    """3 x ≥ 1 and x = the double below 1/3 contradict; x rounded to it does not matter to the proof."""
+    for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0):
+        program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
+        proof = proof_of_no_minimum(program)
+        assert proof is None or (Fraction(right) * 3 < 1 and proof.holds())
+
+
+@pytest.mark.parametrize("form", ["dual", "auto"])
+def test_infeasible_strictly_convex_programs_are_called_so(form: str) -> None:
+    """Whatever form was solved, recover says infeasible, and a proven problem has no multipliers."""
+    A = np.abs(np.random.default_rng(1).standard_normal((10, 20)))
+    problem = LCP.from_qp(np.eye(20), np.zeros(20), A, -np.ones(10), lower=0.0, form=form)
+    result = solve(problem)
+    solution = problem.origin.recover(result)
+    assert solution.status == "infeasible"
+    assert form == "dual" or problem.origin.form == "kkt"
+    single = LCP.from_qp([[1.0]], [0.0], G=[[-1.0], [1.0]], h=[-1.0, 0.0], form="kkt")
+    solution = single.origin.recover(solve(single))
+    assert np.isnan(solution.inequality).all()
+    assert solution.status == "infeasible"
+    assert not solution.is_optimal()
+
+
+def test_a_full_program_gives_a_full_matrix() -> None:
+    """The KKT form of dense data is an ndarray, of sparse data CSR, and both hold the same numbers."""
+    rng = np.random.default_rng(4)
+    F, G = rng.standard_normal((30, 30)), rng.standard_normal((20, 30))
+    for P, few, kind in ((F + F.T, 0, np.ndarray), (np.diag(F[0]), 28, sp.csr_array)):
+        C = np.triu(G, few)
+        problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
+        rows = problem.origin.rows.inequalities
+        expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
+        assert isinstance(problem.M, kind)
+        assert np.array_equal(problem.csr.toarray(), expected)
+
+
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0])

@@ -17,6 +17,7 @@ from lcp_plugin.certificates.exact_linear import rank_profile, solve_exactly
 from lcp_plugin.certificates.forced_bounds import ForcedContradiction, find_forced_contradiction
 from lcp_plugin.certificates.infeasibility import (
     Infeasibility,
+    contradictory_row,
     decide_feasibility,
     find_infeasibility,
     margin_with_rounding,
@@ -258,3 +259,13 @@ def test_a_vector_found_elsewhere_is_proven() -> None:
     assert refutes(problem, list(again.exact_y or ()))
     assert prove_infeasibility(problem, -noisy) is None
     assert prove_infeasibility(problem, np.full(8, np.nan)) is None
+
+
+def test_signs_of_one_row_refute_a_large_problem() -> None:
+    """A row of M ≤ 0 with q < 0 is a proof that a look at each entry finds; rows that can be satisfied are none."""
+    M = -abs(sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr"))
+    proof = contradictory_row(LCP(M, np.full(5000, -1.0)))
+    assert proof is not None
+    assert proof.verify()
+    assert np.count_nonzero(proof.y) == 1
+    assert contradictory_row(LCP(M, np.full(5000, 1.0))) is None

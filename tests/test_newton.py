@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from fractions import Fraction
 from itertools import islice, product
 
@@ -249,6 +251,68 @@ def test_a_singular_block_is_flagged_and_solved_where_it_is_consistent(is_sparse
     assert solution.is_singular
     assert np.allclose(problem.slack(solution.z), 0.0, atol=1e-12)
     assert np.allclose(solution.z, np.tile([3.0, -1.0], 60), atol=1e-6)
+
+
+@pytest.mark.parametrize("shift", [0.0, np.nan])
+def test_superlu_is_never_given_a_block_that_it_cannot_take(shift: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Structurally singular blocks, stored zeros included, and those that are not finite have no factor."""
+    from scipy.sparse import linalg
+
+    monkeypatch.setattr(linalg, "splu", lambda *_, **__: pytest.fail("splu was called"))
+    wide = sp.random_array((60, 140), density=0.1, rng=np.random.default_rng(3))
+    saddle = sp.csr_array(sp.block_array([[None, wide.T], [-wide, None]]) + sp.diags_array(np.full(200, shift)))
+    assert factorise(saddle) is None
+    stored_zeros = sp.csr_array(five_point(20))
+    stored_zeros.data[stored_zeros.indices == 7] = 0.0
+    assert factorise(stored_zeros) is None
+
+
+def test_a_permuted_diagonal_is_regular() -> None:
+    """A zero diagonal alone is no obstacle: the solution of a shifted identity is right."""
+    shifted = sp.csr_array(five_point(20)[np.roll(np.arange(400), 200)])
+    assert not shifted.diagonal().any()
+    right = shifted @ np.arange(400.0)
+    factor = factorise(shifted)
+    assert factor is not None
+    assert np.allclose(factor.solve(right), np.arange(400.0))
+
+
+TRANSPORT = """
+import sys
+import numpy as np, scipy.sparse as sp
+from itertools import islice
+from lcp_plugin import LCP
+from lcp_plugin.algorithms.semismooth_newton import Newton
+a, b = int(sys.argv[1]), int(sys.argv[2])
+cost = np.random.default_rng(5).uniform(1, 10, a * b)
+sums = [sp.kron(sp.eye_array(a), np.ones((1, b))), sp.kron(np.ones((1, a)), sp.eye_array(b))]
+supply = np.r_[np.full(a, float(b)), np.full(b, float(a))]
+free = sp.csr_array((a * b, a * b))
+problem = LCP.from_qp(free, cost, A=sp.vstack(sums).tocsr(), b=supply, lower=np.zeros(a * b))
+print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)))
+"""
+
+
+@pytest.mark.parametrize("size", [(55, 60), (50, 70)])
+def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
+    """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
+    command = [sys.executable, "-c", TRANSPORT, *map(str, size)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert not ended.stderr
+    assert ended.stdout.strip().isdigit()
+
+
+def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
+    """Where full steps gain nothing, more than 3000 rows cost a few dozen factorisations, 3000 cost hundreds."""
+    rng = np.random.default_rng(0)
+    steps = []
+    for copies in (375, 376):
+        blocks = sp.csr_array(sp.block_diag([rng.standard_normal((8, 8)) for _ in range(copies)]))
+        problem = LCP(blocks, rng.standard_normal(8 * copies))
+        steps.append(sum(1 for _ in full_steps(NewtonState(problem, np.zeros(problem.n)))))
+    assert steps[0] > 250
+    assert steps[1] < 60
 
 
 def test_a_cached_factor_serves_the_same_free_set() -> None:

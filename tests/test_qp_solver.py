@@ -155,3 +155,24 @@ def test_a_saddle_is_not_a_minimum() -> None:
     goal = cp.quad_form(x, cp.psd_wrap(np.array([[1.0, 2.0], [2.0, 1.0]])))
     with pytest.raises(UnsupportedModel, match="not convex"):
         cp.Problem(cp.Minimize(goal), [x >= -1, x <= 1]).solve(solver=QPSolver)
+
+
+def without_minimum(kind: str, n: int) -> Any:
+    rng = np.random.default_rng(3)
+    x = cp.Variable(n)
+    if kind == "infeasible":
+        A = np.abs(rng.standard_normal((2 * n // 3, n)))
+        return cp.Problem(cp.Minimize(cp.sum_squares(x)), [A @ x <= -1, x >= 0])
+    C = rng.standard_normal((n // 2, n))
+    return cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(C.T @ C)) + rng.standard_normal(n) @ x))
+
+
+@pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
+def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
+    """A program without minimum gets its status with a proof before other methods are tried; the callback is called."""
+    labels = set()
+    problem = without_minimum(kind, 90)
+    problem.solve(solver=QPSolver, callback=lambda sample, z: labels.add(sample.label))
+    assert problem.status == kind
+    assert problem.solver_stats.extra_stats.holds()
+    assert not labels & {"newton", "lemke", "search"}

@@ -12,14 +12,14 @@ from ..problem import LCP, FloatVector
 from .active_set import bandwidth, classify
 from .base import Step
 from .factorisation import factorise
-from .newton_state import NewtonState
+from .newton_state import LARGE_PATIENCE, NewtonState
 
 LONGEST_RUN = 150
 SUFFICIENT = 1e-4
 FULL_STEP_GAIN = 0.5  # a full active-set step must reduce ‖Φ‖ to this share
 HALVINGS = 25
 MEMORY = 5  # the line search compares with the worst of so many merits
-STAGNANT = 25  # steps without a fall of ‖Φ‖ by one per cent
+STAGNANT = 25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
 SHIFT = 1e-3  # keeps the Jacobian regular where M is only P₀
 
 
@@ -81,6 +81,7 @@ def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
     state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
     phi = fischer_burmeister(state.problem, state.z, state.w)
     recent, lowest, since = [phi.norm], phi.norm, 0
+    gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, STAGNANT)
     for _ in range(LONGEST_RUN):
         if not 0.0 < phi.norm < np.inf:
             return False
@@ -94,9 +95,8 @@ def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
         yield state.step()
         if is_settled:
             return True
-        since = 0 if phi.norm < 0.99 * lowest else since + 1
-        lowest = min(lowest, phi.norm)
-        if since >= STAGNANT:
+        since, lowest = (0, phi.norm) if phi.norm < gain * lowest else (since + 1, lowest)
+        if since >= patience:
             break
     return False
 

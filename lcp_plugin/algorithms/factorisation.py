@@ -147,6 +147,9 @@ class SparseLU(Factor):
     def __init__(self, matrix: sp.csr_array, is_symmetric: bool) -> None:
         from scipy.sparse.linalg import splu
 
+        # SuperLU reads and writes outside its arrays where no permutation has a full diagonal.
+        if not is_structurally_regular(matrix):
+            raise _Singular
         # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose.
         transpose = matrix.T
         if is_symmetric:
@@ -165,3 +168,24 @@ class SparseLU(Factor):
         """Return x with A x = right, shape (n,)."""
         x: FloatVector = self._factor.solve(right, trans="T")
         return x
+
+
+def is_structurally_regular(matrix: sp.csr_array) -> bool:
+    """Return whether some permutation of a square matrix's rows leaves no zero on the diagonal, and all is finite.
+
+    Examples
+    --------
+    >>> is_structurally_regular(sp.csr_array([[0.0, 1.0], [2.0, 0.0]]))
+    True
+    >>> is_structurally_regular(sp.csr_array([[0.0, 1.0], [0.0, 2.0]]))
+    False
+    """
+    if not np.isfinite(matrix.data).all():
+        return False
+    if np.all(matrix.diagonal() != 0.0):
+        return True
+    from scipy.sparse.csgraph import structural_rank
+
+    pattern = sp.csr_array(matrix, copy=True)
+    pattern.eliminate_zeros()
+    return bool(np.diff(pattern.indptr).all() and structural_rank(pattern) == matrix.shape[0])

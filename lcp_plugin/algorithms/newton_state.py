@@ -11,6 +11,9 @@ from ..problem import LCP, FloatVector
 from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
 from .base import Step
 
+LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
+LARGE_PATIENCE = 20
+
 
 class NewtonState:
     """The iterate z with w = M z + q, the best z so far, and the work since the last step.
@@ -48,6 +51,11 @@ class NewtonState:
             size = float(np.max(self._residual(inside, self.slack(inside)), initial=0.0))
         if size < self.inside or not self._solved:
             self.inside, self.inside_z = size, inside
+
+    @property
+    def is_large(self) -> bool:
+        """Whether steps without clear gain are given up after LARGE_PATIENCE."""
+        return self.problem.n > LARGE
 
     def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
         with np.errstate(all="ignore"):

@@ -13,7 +13,7 @@ from ..problem import LCP, FloatVector
 from .active_set import classify
 from .base import Algorithm, Step, without_warnings
 from .damped_newton import damped_steps
-from .newton_state import NewtonState
+from .newton_state import LARGE_PATIENCE, NewtonState
 from .principal_pivoting import LARGEST, principal_pivots
 
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
@@ -32,7 +32,8 @@ class Newton(Algorithm):
     full steps again where they halve it. Small problems that resist are pivoted, one index at a time where blocks
     do not pay, and tried once more from the point of the box nearest to 0. In theory the line search converges, and
     the pivots are finite, on P-matrices; here both are bounded in number. Singular blocks are regularised, and the
-    residual judges what comes of it. Each step yields the best z so far, projected onto the bounds.
+    residual judges what comes of it. On more than 3000 rows, steps that gain little are given up early. Each step
+    yields the best z so far, projected onto the bounds.
 
     References
     ----------
@@ -88,7 +89,7 @@ def rounds(state: NewtonState) -> Generator[Step, None, bool]:
         is_settled = is_settled or (yield from damped_steps(state))
         if is_settled:
             return True
-        if not state.best < before:
+        if not state.best < (0.9 * before if state.is_large else before):
             break
     yield from principal_pivots(state)
     return False
@@ -100,7 +101,7 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
     Return whether the last set reproduced itself with a regular block: nothing but rounding is left.
     """
     problem = state.problem
-    patience = PATIENCE + min(problem.n, PATIENT_ROWS)
+    patience = LARGE_PATIENCE if state.is_large else PATIENCE + min(problem.n, PATIENT_ROWS)
     lowest, fewest, idle = math.inf, problem.n + 1, 0
     previous = classify(problem, state.z, state.w)
     while idle < patience and not state.is_known(*previous):

@@ -138,7 +138,7 @@ def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feas
         raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
     if problem.n == 0:
         return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
-    proof = _contradictory_row(problem)
+    proof = contradictory_row(problem)
     if proof is not None:
         return Feasibility("infeasible", proof, reason="one row contradicts its bounds")
     if not effort_limit:
@@ -261,8 +261,16 @@ def _slack_lists(problem: LCP) -> tuple[list[float], list[float]]:
     return lower.tolist(), upper.tolist()
 
 
-def _contradictory_row(problem: LCP) -> Infeasibility | None:
-    """Return the proof of a row that no z within the bounds can satisfy."""
+def contradictory_row(problem: LCP) -> Infeasibility | None:
+    """Return the proof of a row that no z within the bounds can satisfy, or None where no single row is enough.
+
+    Cost: one look at each entry of M.
+
+    Examples
+    --------
+    >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    """
     csr, rows = problem.csr, _rows_of(problem.csr)
     with np.errstate(all="ignore"):
         ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]

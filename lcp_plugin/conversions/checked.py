@@ -41,19 +41,21 @@ def checked_matrix(values: Any, name: str, rows: int | None, columns: int | None
     return frozen(matrix) if sp.issparse(matrix) else read_only(matrix.copy())
 
 
-def checked_vector(values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False) -> FloatVector:
+def checked_vector(
+    values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False
+) -> FloatVector:
     """Return a read-only copy of a real, finite vector of that length (any length for None).
 
     Raises
     ------
     InvalidProblem
-        For another shape, for numbers that are not real or not finite (+∞ passes where allowed).
+        For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
     """
     need = f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
     vector = real_array(values, need)
     if vector.ndim != 1 or (length is not None and vector.size != length):
         raise InvalidProblem(f"{need}, got shape {vector.shape}")
-    refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf))
+    refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf)) & ~(allow_nan & np.isnan(vector))
     if refused.any():
         at = int(np.flatnonzero(refused)[0])
         finite = "finite or inf" if allow_plus_infinity else "finite"

@@ -1,116 +1,35 @@
 """Proofs that a quadratic program has no minimum: contradicting constraints, or a direction of endless descent.
 
-A linear program of HiGHS says where to look; the answer is repaired and then checked in rational arithmetic on the
-program's own numbers. Nothing else counts as a proof.
+Rows of one variable become bounds, then each row is held against the bounds. Where that does not decide, a linear
+program of HiGHS says where to look; the answer is repaired and then checked in rational arithmetic on the program's
+own numbers. Nothing else counts as a proof.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..problem import FloatVector
+from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, is_feasible, is_recession
 from .quadratic_program import QuadraticProgram
-from .rational import ZERO, Row, Vector, dot, rational, rational_rows, short, solved_nearby, transposed_product
+from .rational import ZERO, Row, Vector, rational, rational_rows, short, solved_nearby, transposed_product
+from .simple_rows import OWN, FoldedRows, activity, fold_simple_rows
+
+__all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_infeasible", "prove_unbounded"]
 
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000
 LARGEST_DENSE = 1500
 TIGHT = 1e-7  # HiGHS's own tolerance
 NEGLIGIBLE = 1e-9  # below this HiGHS's answers say nothing
-EPSILON = 2.0**-52
-
-
-@dataclass(frozen=True, eq=False)
-class QPInfeasibility:
-    """Multipliers that prove, after Farkas, that no x satisfies G x ≤ h, A x = b, lower ≤ x ≤ upper.
-
-    Gᵀ inequality + Aᵀ equality − lower + upper = 0 with inequality, lower, upper ≥ 0 (0 where the limit is infinite)
-    and hᵀ inequality + bᵀ equality − (program.lower)ᵀ lower + (program.upper)ᵀ upper < 0.
-
-    Attributes
-    ----------
-    program : QuadraticProgram
-    inequality, equality, lower, upper : tuple of Fraction
-    """
-
-    program: QuadraticProgram = field(repr=False)
-    verdict: ClassVar[str] = "infeasible"
-    inequality: tuple[Fraction, ...]
-    equality: tuple[Fraction, ...]
-    lower: tuple[Fraction, ...]
-    upper: tuple[Fraction, ...]
-
-    def holds(self) -> bool:
-        """Return whether the multipliers are a proof; exact."""
-        program = self.program
-        if min([*self.inequality, *self.lower, *self.upper], default=ZERO) < 0:
-            return False
-        total = transposed_product(rational_rows(program.G), self.inequality, program.n)
-        equations = transposed_product(rational_rows(program.A), self.equality, program.n)
-        sums = zip(total, equations, self.lower, self.upper, strict=True)
-        if any(g + a - low + high for g, a, low, high in sums):
-            return False
-        parts = [(self.inequality, program.h), (self.equality, program.b), (self.upper, program.upper)]
-        value = ZERO
-        for multipliers, limits in [*parts, (self.lower, -program.lower)]:
-            for multiplier, limit in zip(multipliers, limits.tolist(), strict=True):
-                if multiplier:
-                    if not np.isfinite(limit):
-                        return False
-                    value += multiplier * Fraction(limit)
-        return value < 0
-
-    def __str__(self) -> str:
-        used = sum(1 for part in (self.inequality, self.equality, self.lower, self.upper) for y in part if y)
-        return f"infeasible: {used} of its constraints contradict one another (multipliers checked exactly)"
-
-
-@dataclass(frozen=True, eq=False)
-class QPUnboundedness:
-    """A feasible point and a direction along which the objective falls for ever.
-
-    point satisfies all constraints; point + t direction does so for every t ≥ 0; and directionᵀP direction < 0, or
-    P direction = 0 with cᵀ direction < 0.
-
-    Attributes
-    ----------
-    program : QuadraticProgram
-    point, direction : tuple of Fraction, shape (n,)
-    is_exact : bool
-        False where P direction is zero only to within the rounding errors that P itself carries,
-        n ε Σ_j √(p_ii p_jj) |direction_j|: the program is then as good as unbounded, as a P that is positive
-        semidefinite is so to rounding only. Everything else is always exact.
-    """
-
-    program: QuadraticProgram = field(repr=False)
-    verdict: ClassVar[str] = "unbounded"
-    point: tuple[Fraction, ...]
-    direction: tuple[Fraction, ...]
-    is_exact: bool
-
-    def holds(self) -> bool:
-        """Return whether point and direction are a proof; exact but for what `is_exact` admits."""
-        program, d = self.program, self.direction
-        G, A = rational_rows(program.G), rational_rows(program.A)
-        if not _is_feasible(program, G, A, self.point) or not _is_recession(program, G, A, d):
-            return False
-        slope = sum((Fraction(c) * entry for c, entry in zip(program.c.tolist(), d, strict=True)), ZERO)
-        curvature = [dot(row, d) for row in rational_rows(program.P)]
-        square = sum((p * entry for p, entry in zip(curvature, d, strict=True)), ZERO)
-        if square < 0 or not any(curvature):
-            return square < 0 or slope < 0
-        return not self.is_exact and slope < 0 and _is_rounding(program, curvature, d)
-
-    def __str__(self) -> str:
-        how = "checked exactly" if self.is_exact else "P d = 0 to the rounding errors of P"
-        return f"unbounded: the objective falls for ever along a direction from a feasible point ({how})"
+SUSPECTS = 8  # rows that are checked exactly
 
 
 def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
@@ -119,12 +38,12 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
     Parameters
     ----------
     program : QuadraticProgram
-        Up to 5000 variables and rows; beyond, None.
+        Up to 5000 variables and rows; beyond, only single rows that contradict the bounds are found.
 
     Notes
     -----
-    Cost: up to three linear programs, and an elimination in rationals among the constraints that matter. None is
-    no proof that there is a minimum.
+    Cost: a look at each row, at any size; then up to three linear programs, and an elimination in rationals among the
+    constraints that matter. None is no proof that there is a minimum.
 
     References
     ----------
@@ -138,10 +57,75 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
     unbounded: the objective falls for ever along a direction from a feasible point (checked exactly)
     """
+    rows = fold_simple_rows(program)
+    reduced = _folded(program, rows)
+    found = contradictory_row(reduced) or _by_programs(reduced)
+    if found is None or reduced is program:
+        return found
+    unfolded = _unfolded(program, rows, found)
+    # A bound that a row gives is rounded, the row is not.
+    return unfolded if unfolded.holds() else _by_programs(program)
+
+
+def _by_programs(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
+    """Return a proof that linear programs find."""
     entries = sum(sp.csr_array(matrix).nnz for matrix in (program.P, program.G, program.A))
     if program.n + program.h.size + program.b.size > LARGEST or entries > MOST_NONZEROS:
         return None
     return prove_infeasible(program) or prove_unbounded(program)
+
+
+def _folded(program: QuadraticProgram, rows: FoldedRows) -> QuadraticProgram:
+    """Return the program with its simple rows as bounds; the program itself where it has none."""
+    if rows.count == program.h.size + program.b.size:
+        return program
+    inequalities, equalities = rows.inequalities, rows.equalities
+    return QuadraticProgram(
+        program.P, program.c, program.G[inequalities], program.h[inequalities],
+        program.A[equalities], program.b[equalities], rows.lower, rows.upper,
+    )
+
+
+def _unfolded(
+    program: QuadraticProgram, rows: FoldedRows, proof: QPInfeasibility | QPUnboundedness
+) -> QPInfeasibility | QPUnboundedness:
+    """Return the proof in the terms of the whole program: what a bound has, its row gets."""
+    if isinstance(proof, QPUnboundedness):
+        return replace(proof, program=program)
+    m = program.h.size
+    multipliers = [ZERO] * rows.coefficient.size
+    kept = np.concatenate([rows.inequalities, m + rows.equalities]).tolist()
+    for i, value in zip(kept, (*proof.inequality, *proof.equality), strict=True):
+        multipliers[i] = value
+    own: list[list[Fraction]] = []
+    for values, owner, sign in ((proof.lower, rows.lower_row, -1), (proof.upper, rows.upper_row, 1)):
+        own.append([value if row == OWN else ZERO for value, row in zip(values, owner, strict=True)])
+        for value, row in zip(values, owner.tolist(), strict=True):
+            if value and row != OWN:
+                multipliers[row] += sign * value / Fraction(float(rows.coefficient[row]))
+    return QPInfeasibility(
+        program, tuple(multipliers[:m]), tuple(multipliers[m:]), tuple(own[0]), tuple(own[1])
+    )
+
+
+def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
+    """Return the proof of a row that no x within the bounds satisfies; None where no single row is enough."""
+    stacked = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)], format="csr"))
+    m, count = program.h.size, stacked.shape[0]
+    lowest, highest = activity(stacked, program.lower, program.upper)
+    limits = np.concatenate([program.h, program.b])
+    for sign, suspects in ((1, lowest > limits), (-1, (highest < limits) & (np.arange(count) >= m))):
+        for i in np.flatnonzero(suspects)[:SUSPECTS].tolist():
+            y = [ZERO] * count
+            y[i] = Fraction(sign)
+            left = transposed_product(rational_rows(stacked[[i]]), [y[i]], program.n)
+            proof = QPInfeasibility(
+                program, tuple(y[:m]), tuple(y[m:]),
+                tuple(max(entry, ZERO) for entry in left), tuple(max(-entry, ZERO) for entry in left),
+            )
+            if proof.holds():
+                return proof
+    return None
 
 
 def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
@@ -235,7 +219,7 @@ def _directions(program: QuadraticProgram, G: list[Row], A: list[Row]) -> Iterat
     system = [*(curved[i] for i in _independent_rows(P)), *A, *tight]
     for guess in (few_digits(d), short(d, 1 << 60)):
         exact = solved_nearby(system, [ZERO] * len(system), guess, [bool(entry) for entry in guess])
-        if exact is not None and any(exact) and _is_recession(program, G, A, exact):
+        if exact is not None and any(exact) and is_recession(program, G, A, exact):
             yield exact
 
 
@@ -293,7 +277,7 @@ def _feasible_point(program: QuadraticProgram, G: list[Row], A: list[Row]) -> Ve
     exact = solved_nearby(
         system, [*rational(program.b), *rational(program.h[tight])], guess, [not stuck for stuck in at_bound]
     )
-    return exact if exact is not None and _is_feasible(program, G, A, exact) else None
+    return exact if exact is not None and is_feasible(program, G, A, exact) else None
 
 
 def _minimised(
@@ -317,32 +301,6 @@ def _minimised(
         return None
     x: FloatVector = np.asarray(answer.x)
     return x
-
-
-def _is_feasible(program: QuadraticProgram, G: list[Row], A: list[Row], x: Any) -> bool:
-    return (
-        all(dot(row, x) == Fraction(b) for row, b in zip(A, program.b.tolist(), strict=True))
-        and all(dot(row, x) <= Fraction(h) for row, h in zip(G, program.h.tolist(), strict=True) if h != np.inf)
-        and all(entry >= Fraction(low) for entry, low in zip(x, program.lower.tolist(), strict=True) if low != -np.inf)
-        and all(entry <= Fraction(top) for entry, top in zip(x, program.upper.tolist(), strict=True) if top != np.inf)
-    )
-
-
-def _is_recession(program: QuadraticProgram, G: list[Row], A: list[Row], d: Any) -> bool:
-    return (
-        all(dot(row, d) == 0 for row in A)
-        and all(dot(row, d) <= 0 for row, h in zip(G, program.h.tolist(), strict=True) if h != np.inf)
-        and all(entry >= 0 for entry, low in zip(d, program.lower.tolist(), strict=True) if low != -np.inf)
-        and all(entry <= 0 for entry, top in zip(d, program.upper.tolist(), strict=True) if top != np.inf)
-    )
-
-
-def _is_rounding(program: QuadraticProgram, curvature: Vector, d: Any) -> bool:
-    """Whether P d is within n ε √p_ii Σ_j √p_jj |d_j|, the rounding of a P = F Fᵀ."""
-    root = np.sqrt(np.maximum(program.P.diagonal(), 0.0))
-    size = float(root @ np.abs(np.array([float(entry) for entry in d])))
-    margin = program.n * EPSILON * size * root
-    return all(abs(float(p)) <= limit for p, limit in zip(curvature, margin.tolist(), strict=True))
 
 
 def _row_largest(matrix: Any) -> FloatVector:

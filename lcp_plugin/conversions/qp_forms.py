@@ -51,7 +51,8 @@ class QPOrigin:
         Parameters
         ----------
         answer : Result or array, shape (rows of the problem,)
-            Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here.
+            Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
+            result with a proof that there is no solution has no multipliers: NaN.
 
         Raises
         ------
@@ -59,6 +60,10 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, inequality, equality = self._split(answer)
+        if getattr(answer, "infeasibility", None) is not None:
+            program = self.program
+            sizes = program.h.size, program.b.size, program.n, program.n
+            return QPSolution(program, x, *(np.full(size, np.nan) for size in sizes))
         reduced_cost = self.program.P @ x + self.program.c
         reduced_cost = reduced_cost + self._G.T @ inequality + self._A.T @ equality
         return QPSolution(
@@ -109,17 +114,25 @@ class KKTForm(QPOrigin):
     def problem(self) -> LCP:
         """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
         m, p = self._h.size, self._b.size
-        blocks = [
-            [sp.csr_array(self.program.P), self._G.T, self._A.T],
-            [-self._G, sp.csr_array((m, m)), sp.csr_array((m, p))],
-            [-self._A, sp.csr_array((p, m)), sp.csr_array((p, p))],
-        ]
         return LCP(
-            sp.block_array(blocks, format="csr"),
+            self._matrix(),
             np.concatenate([self.program.c, self._h, self._b]),
             lower=np.concatenate([self.rows.lower, np.zeros(m), np.full(p, -np.inf)]),
             upper=np.concatenate([self.rows.upper, np.full(m + p, np.inf)]),
         )
+
+    def _matrix(self) -> Any:
+        """Return M, an ndarray where it is small and full."""
+        P, C = self.program.P, sp.vstack([self._G, self._A], format="csr")
+        n, rows = self.program.n, C.shape[0]
+        nonzeros = (P.nnz if sp.issparse(P) else np.count_nonzero(P)) + 2 * C.nnz
+        if n + rows > DENSE_UP_TO_SIZE or nonzeros <= DENSE_ABOVE_DENSITY * (n + rows) ** 2:
+            return sp.block_array([[sp.csr_array(P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr")
+        M = np.zeros((n + rows, n + rows))
+        M[:n, :n] = P.toarray() if sp.issparse(P) else P
+        M[n:, :n] = -C.toarray()
+        M[:n, n:] = C.toarray().T
+        return M
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
         n, m, p = self.program.n, self._h.size, self._b.size

@@ -14,7 +14,7 @@ from ..problem import FloatVector
 from .checked import checked_vector
 
 if TYPE_CHECKING:
-    from .qp_certificates import QPInfeasibility, QPUnboundedness
+    from .qp_proofs import QPInfeasibility, QPUnboundedness
     from .quadratic_program import QuadraticProgram
 
 
@@ -36,7 +36,8 @@ class QPSolution:
     equality : ndarray, shape (rows of A,)
         Of A x − b = 0, of either sign.
     lower, upper : ndarray, shape (n,)
-        Of lower ≤ x and of x ≤ upper; 0 where the bound is infinite.
+        Of lower ≤ x and of x ≤ upper; 0 where the bound is infinite. All multipliers are NaN where the answer came
+        with a proof that there are none.
 
     Notes
     -----
@@ -47,7 +48,7 @@ class QPSolution:
     Raises
     ------
     InvalidProblem
-        Where one of them is no finite vector of its length.
+        Where one of them is no vector of its length, or has an infinite entry; x must have no NaN either.
     """
 
     program: QuadraticProgram = field(repr=False)
@@ -62,7 +63,8 @@ class QPSolution:
         n, program = self.program.n, self.program
         sizes = {"x": n, "inequality": program.h.size, "equality": program.b.size, "lower": n, "upper": n}
         for name, size in sizes.items():
-            object.__setattr__(self, name, checked_vector(getattr(self, name), name, size))
+            vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
+            object.__setattr__(self, name, vector)
 
     @cached_property
     def objective(self) -> float:
@@ -174,9 +176,7 @@ class QPSolution:
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the program has no minimum: looked for, by linear programs, where this is not optimal."""
-        from .qp_certificates import proof_of_no_minimum
-
-        return None if self.is_optimal() else proof_of_no_minimum(self.program)
+        return None if self.is_optimal() else self.program.proof_of_no_minimum
 
     @property
     def status(self) -> str:

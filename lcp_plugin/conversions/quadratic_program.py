@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +23,9 @@ from ..problem import LCP
 from .checked import attach_origin, checked_matrix, checked_vector
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
 from .simple_rows import FoldedRows, fold_simple_rows
+
+if TYPE_CHECKING:
+    from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 SYMMETRIC_TO = 1e-12
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
@@ -169,6 +173,13 @@ class QuadraticProgram:
         """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
         return is_positive_semidefinite(self.P)
 
+    @cached_property
+    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found."""
+        from .qp_certificates import proof_of_no_minimum
+
+        return proof_of_no_minimum(self)
+
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
         point = checked_vector(x, "x", self.n)
@@ -199,7 +210,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
         auto: direct where it can be; dual where P is positive definite with a condition number (at unit diagonal) of
-        at most about 1e6, it has no more rows than kkt, and M is not a dense matrix of more than 5000 rows; else kkt.
+        at most about 1e6, it has no more rows than kkt, M is not a dense matrix of more than 5000 rows, and no row
+        contradicts the bounds (which kkt shows at once); else kkt.
 
     Returns
     -------
@@ -218,7 +230,10 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
 
     Notes
     -----
-    Constraints that contradict one another are not looked for: such a program gives a problem without solution.
+    Constraints that contradict one another are not looked for: such a program gives a problem without solution, or
+    with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. The
+    tolerance of ``solve`` speaks of the complementarity problem, `is_optimal` of what ``recover`` returns of the
+    program: where that is False, solve again with a smaller tolerance and ``z0=result.z``, or take form="kkt".
 
     References
     ----------
@@ -333,11 +348,12 @@ def _with_infinities(limit: FloatVector) -> FloatVector:
 
 
 def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
-    """Whether the dual problem is no larger than the KKT one, and no large dense matrix."""
+    """Whether the dual problem is no larger than the KKT one, no large dense matrix, and not clearly insoluble."""
     if not rows.count:
         return False
     size = DualForm.size(rows)
-    return size <= rows.count + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
+    is_small = size <= rows.count + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
+    return is_small and not rows.contradict(program)
 
 
 def _checked_rows(

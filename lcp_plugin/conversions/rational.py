@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from ..certificates.exact import common_denominator
 from ..certificates.exact_linear import rank_profile, solve_exactly
 from ..problem import FloatVector
 
@@ -20,7 +21,7 @@ ZERO = Fraction(0)
 FEW_ENTRIES = 120  # up to which plain elimination is quicker
 MOST_UNKNOWNS = 600
 MOST_ENTRIES = 4_000_000
-MOST_BITS = 8_000  # digits of a block's determinant, about: some seconds
+MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
 
 
 def rational(values: Iterable[float]) -> Vector:
@@ -38,19 +39,26 @@ def rational_rows(matrix: Any) -> list[Row]:
     ]
 
 
-def dot(row: Row, vector: Sequence[Fraction]) -> Fraction:
-    """Return Σ row_j vector_j."""
-    return sum((entry * vector[j] for j, entry in row.items() if vector[j]), ZERO)
+def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fraction]:
+    """Yield Σ_j row_j vector_j of each row; in integers, as fractions would look for common divisors at every term."""
+    numerators, denominator = common_denominator(vector)
+    for row in rows:
+        used = [(entry, numerators[j]) for j, entry in row.items() if numerators[j]]
+        common = math.lcm(*(entry.denominator for entry, _ in used))
+        total = sum(entry.numerator * (common // entry.denominator) * factor for entry, factor in used)
+        yield Fraction(total, common * denominator) if total else ZERO
 
 
 def transposed_product(rows: list[Row], vector: Sequence[Fraction], columns: int) -> Vector:
     """Return rowsᵀ vector, of length `columns`."""
-    total = [ZERO] * columns
-    for row, factor in zip(rows, vector, strict=True):
-        if factor:
-            for j, entry in row.items():
-                total[j] += factor * entry
-    return total
+    numerators, denominator = common_denominator(vector)
+    used = [(row, factor) for row, factor in zip(rows, numerators, strict=True) if factor]
+    common = math.lcm(*{entry.denominator for row, _ in used for entry in row.values()})
+    total = [0] * columns
+    for row, factor in used:
+        for j, entry in row.items():
+            total[j] += factor * entry.numerator * (common // entry.denominator)
+    return [Fraction(value, common * denominator) if value else ZERO for value in total]
 
 
 def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
@@ -83,7 +91,7 @@ def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Seq
     -----
     Small systems by Gaussian elimination in fractions, larger ones by p-adic lifting on a largest nonsingular block.
     """
-    rest = [value - dot(row, guess) for row, value in zip(rows, right, strict=True)]
+    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
     if not any(rest):
         return list(guess)
     movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
@@ -154,8 +162,5 @@ def _lifted(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
     if values is None:
         return None
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
-    is_right = all(
-        sum((entry * solution[j] for j, entry in row.items() if j in solution), ZERO) == value
-        for row, value in zip(rows, right, strict=True)
-    )
-    return solution if is_right else None
+    whole_vector = [solution.get(j, ZERO) for j in range(len(guess))]
+    return solution if list(products(rows, whole_vector)) == right else None

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram
 
 Indices = NDArray[np.intp]
+CLEARLY = 1e-9  # of the numbers that are compared
 OWN = -1  # the variable's own bound, not a row's
 
 
@@ -47,6 +48,16 @@ class FoldedRows:
         """Number of rows that remain."""
         return int(self.inequalities.size + self.equalities.size)
 
+    def contradict(self, program: QuadraticProgram) -> bool:
+        """Return whether, by far more than rounding, no x within the bounds satisfies one of the rows that remain."""
+        left = [sp.csr_array(program.G)[self.inequalities], sp.csr_array(program.A)[self.equalities]]
+        limits = np.concatenate([program.h[self.inequalities], program.b[self.equalities]])
+        lowest, highest = activity(sp.csr_array(sp.vstack(left, format="csr")), self.lower, self.upper)
+        is_equality = np.arange(limits.size) >= self.inequalities.size
+        too_high = lowest - CLEARLY * (np.abs(lowest) + np.abs(limits)) > limits
+        too_low = highest + CLEARLY * (np.abs(highest) + np.abs(limits)) < limits
+        return bool(np.any(too_high | too_low & is_equality))
+
     def spread(
         self, program: QuadraticProgram, inequality: FloatVector, equality: FloatVector, reduced_cost: FloatVector
     ) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector]:
@@ -73,6 +84,17 @@ class FoldedRows:
         own_lower = np.where(self.lower_row == OWN, at_lower, 0.0)
         own_upper = np.where(self.upper_row == OWN, at_upper, 0.0)
         return multipliers[:m], multipliers[m:], own_lower, own_upper
+
+
+def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
+    m = matrix.shape[0]
+    at = np.repeat(np.arange(m), np.diff(matrix.indptr))
+    with np.errstate(all="ignore"):
+        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
+        lowest = np.bincount(at, weights=np.minimum(*ends), minlength=m)
+        highest = np.bincount(at, weights=np.maximum(*ends), minlength=m)
+    return lowest.astype(np.float64), highest.astype(np.float64)
 
 
 def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:

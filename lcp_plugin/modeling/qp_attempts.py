@@ -15,11 +15,12 @@ from ..driver import solve as solve_lcp
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..matrix_classes.definiteness import EPSILON, is_positive_semidefinite
 from ..problem import LCP, FloatVector
-from ..result import Result, Status
+from ..result import Result, Sample, Status
 
 KKT_TOLERANCE = 1e-6
 LARGEST_CHECKED = 5000  # variables; beyond, the convexity of what comes is the caller's word
 TIGHTER = 1e-4
+PROVES_ITSELF = "feasibility"  # the stage that looks for a proof on the complementarity problem
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -37,6 +38,8 @@ def solve_quadratic_program(
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
         and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
+        As soon as a method has ended without a solution, ``program.proof_of_no_minimum`` is looked for; where there
+        is one, it ends them too, and the run is INTERRUPTED.
 
     guess : array, optional
         An earlier run's z: the start where it has the right length.
@@ -49,11 +52,19 @@ def solve_quadratic_program(
     refuse_nonconvex(program)
     best: tuple[Result, QPSolution] | None = None
     refusal: Exception | None = None
+    own_callback = options.pop("callback", None)
+
+    def callback(sample: Sample, z: FloatVector) -> bool:
+        is_told = own_callback is not None and bool(own_callback(sample, z))
+        return is_told or (sample.label == PROVES_ITSELF and program.proof_of_no_minimum is not None)
+
     for problem, substitution in _forms(program, algorithm):
         for factor in (1.0, TIGHTER):
             start = {"z0": guess} if guess is not None and guess.size == problem.n else {}
             try:
-                result = solve_lcp(problem, algorithm, tolerance=factor * tolerance, **{**start, **options})
+                result = solve_lcp(
+                    problem, algorithm, tolerance=factor * tolerance, callback=callback, **{**start, **options}
+                )
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
                 break
@@ -66,6 +77,8 @@ def solve_quadratic_program(
             guess = result.z
             options.pop("z0", None)
             if not result.is_solved:  # a smaller tolerance would change nothing
+                if program.proof_of_no_minimum is not None:
+                    return best
                 break
     if best is None:
         raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal

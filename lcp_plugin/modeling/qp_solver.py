@@ -11,7 +11,7 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
-from ..conversions.qp_certificates import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
+from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.quadratic_program import QuadraticProgram
 from ..result import Result, Status
 from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
@@ -66,8 +66,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             solver_cache[self.name()] = result.z
         proof = None
         is_optimal = solution.is_optimal(kkt_goal(options["tolerance"]))
-        if not is_optimal and not ended_by_caller(result, options):
-            proof = proof_of_no_minimum(program)
+        is_proven = program.__dict__.get("proof_of_no_minimum") is not None
+        if not is_optimal and (is_proven or not ended_by_caller(result, options)):
+            proof = program.proof_of_no_minimum
         if verbose:
             print(result.explain() if proof is None else f"{result.explain()}\n{proof}")
         return result, solution, _status(result, is_optimal, proof), proof

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..algorithms.base import Algorithm, Step, without_warnings
 from ..certificates.forced_bounds import find_forced_contradiction
-from ..certificates.infeasibility import decide_feasibility
+from ..certificates.infeasibility import contradictory_row, decide_feasibility
 from ..problem import LCP, FloatVector
 from . import LARGEST_CHOICES, LARGEST_SIZE, Found, NoSolution, explore
 
@@ -35,7 +35,7 @@ class FeasibilityCheck(Algorithm):
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        proof = decide_feasibility(problem).proof or find_forced_contradiction(problem)
+        proof = contradictory_row(problem) or decide_feasibility(problem).proof or find_forced_contradiction(problem)
         if proof is not None:
             yield Step(z0, proof=proof)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-
 LONG_LIST = 20  # more names than this are not listed beside a guess
 
 

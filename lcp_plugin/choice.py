@@ -16,9 +16,10 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
-A row that contradicts its bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall,
-or to have nothing more to offer. `feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` decides
-problems with at most 24 rows that leave a choice. No clock is asked: the same call gives the same answer bit for bit.
+A row that contradicts its bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to
+have nothing more to offer. `feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000
+(beyond, psor comes back at the end, until it stalls), `search` decides problems with at most 24 rows that leave a
+choice. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations

@@ -192,7 +192,7 @@ def test_three_ways_to_build_agree() -> None:
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
-        ("obstacle2d", {}, r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\?.*murty"),
+        ("obstacle2d", {}, r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\? \(\d+ are known"),
         (
             "obstacle_2d",
             {"siez": 9},

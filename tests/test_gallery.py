@@ -44,6 +44,12 @@ SMALL = [
     "market_equilibrium:goods=6,activities=9",
     "market_equilibrium:goods=5,activities=3,running=1,seed=2",
     "market_equilibrium:goods=1,activities=0",
+    "coefficient_jumps:size=11",
+    "coefficient_jumps:size=3,contrast=1,seed=2",
+    "convection_diffusion:size=11",
+    "convection_diffusion:size=6,diffusion=0,wind_angle=3.6",
+    "journal_bearing:size=11",
+    "journal_bearing:size=10,eccentricity=0.99,half_length=0.5",
     "murty:n=7",
     "murty:n=7,orientation=lower",
     "murty:n=1",
@@ -65,11 +71,13 @@ SMALL = [
     "rigid_stack:blocks=3",
     "rigid_stack:blocks=4,points=2",
     "rigid_stack:blocks=2,points=3,mass_ratio=100,push=3",
+    "rotated_anisotropy:size=11",
+    "rotated_anisotropy:size=6,ratio=1",
     "scaling_trap",
 ]
 
 PLANTED = [text for text in SMALL if gallery.parse(text).exact is not None and not text.startswith("bimatrix")]
-M_MATRICES = [text for text in SMALL if text.startswith(("american", "half", "obstacle", "optimal", "paper"))]
+M_MATRICES = [text for text in SMALL if text.startswith(("american", "coefficient", "convection", "half", "journal", "obstacle", "optimal", "paper"))]
 
 
 @pytest.fixture(params=SMALL)

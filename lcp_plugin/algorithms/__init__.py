@@ -29,6 +29,7 @@ REGISTRY = {
     "newton": "semismooth_newton:Newton",
     "interior_point": "interior_point:InteriorPoint",
     "lemke": "lemke:Lemke",
+    "multigrid": "multigrid:Multigrid",
 }
 
 

@@ -8,6 +8,7 @@ from importlib import import_module
 BENCHMARKS = {
     "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",
     "paper-at-scale": "the paper's Example 1 at n = 10⁶ by NPSOR(1.7) against scipy implementations, end to end",
+    "multigrid": "projected multigrid on obstacle, bearing, wind, jumps … against a linear solve, up to n = 4·10⁶",
     "small": "a warm solve of Example 1 with n = 100",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "modeling": "the cost of stating a problem in cvxpy, against cvxpy's own compilation",

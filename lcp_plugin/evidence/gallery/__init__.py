@@ -4,11 +4,13 @@
 same :class:`Scene`; ``describe()`` lists them all.
 """
 
+from .bearing import journal_bearing
 from .binomial_tree import binomial_put
 from .circuits import diode_bridge, relay_control
 from .contact import rigid_stack
 from .equilibria import market_equilibrium
 from .games import bimatrix_game
+from .diffusion import coefficient_jumps, convection_diffusion, rotated_anisotropy
 from .matrices import murty, random_h_plus, scaling_trap
 from .obstacle import obstacle_2d, obstacle_3d, obstacle_bumps
 from .option_pricing import american_put, american_put_march
@@ -25,10 +27,13 @@ __all__ = [
     "bimatrix_game",
     "binomial_put",
     "build",
+    "coefficient_jumps",
+    "convection_diffusion",
     "describe",
     "diode_bridge",
     "half_active",
     "market_equilibrium",
+    "journal_bearing",
     "murty",
     "names",
     "obstacle_2d",
@@ -41,6 +46,7 @@ __all__ = [
     "random_h_plus",
     "relay_control",
     "rigid_stack",
+    "rotated_anisotropy",
     "scaling_trap",
     "scene_builder",
 ]

@@ -1,0 +1,98 @@
+"""Projected full multigrid: projected sweeps find the free unknowns, truncated V-cycles correct them.
+
+A hierarchy of M, built from its entries alone, gives the linear corrections. The answer of each grid starts the next
+finer one (nested iteration), so that the free set is nearly right before the finest grid is touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..problem import LCP, FloatVector
+from .base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
+
+SMOOTHERS = ("pgs", "psor", "npgs", "npsor")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multigrid(Algorithm):
+    """Projected full multigrid: a projected sweep, a truncated V-cycle on the free unknowns, a projected sweep back.
+
+    Parameters
+    ----------
+    smoother : {"pgs", "psor", "npgs", "npsor"}
+        The projected sweep on the finest grid and in the nested iteration.
+    relaxation : float
+        Of psor and npsor.
+    nested : bool
+        Whether to begin on the coarsest grid: for z itself, or from a warm start for the increment.
+    coarsest : int
+        A grid with at most so many unknowns is not made coarser, ≥ 1.
+
+    Notes
+    -----
+    The hierarchy is classical (first pass of Ruge and Stüben, direct interpolation). Unknowns at a bound are taken out
+    of all grids, and a coarse row is computed again only where that changes it. Where the free set hardly changes and
+    a cycle gains less than a factor 10, a few steps of conjugate gradients (M symmetric) or generalised conjugate
+    residuals accelerate the correction, one V-cycle each. A correction that raises the energy (M symmetric) is
+    shortened; where the residual grows a hundredfold or no longer falls, plain projected Gauss–Seidel sweeps from the
+    best iterate take over for a while. The run ends where three such rounds gain nothing. Where coarser grids would
+    cost too much there are sweeps only, as long as they contract.
+
+    Memory, five-point matrix: 580 bytes an unknown (116 a nonzero of M) at the peak, the problem included; measured at
+    n = 10⁷: 5.8 GB.
+
+    References
+    ----------
+    C. Gräser, R. Kornhuber, *Multigrid methods for obstacle problems*, J. Comput. Math. 27 (2009).
+    J. Toivanen, C. W. Oosterlee, *A projected algebraic multigrid method for linear complementarity problems*,
+    Numer. Math. Theory Methods Appl. 5 (2012), doi:10.4208/nmtma.2011.m11si05.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> from lcp_plugin.evidence import gallery
+    >>> lcp_plugin.solve(gallery.build("obstacle_2d", size=60).problem, "multigrid").status.name
+    'SOLVED'
+    """
+
+    name: ClassVar[str] = "multigrid"
+    assumption: ClassVar[str] = "positive diagonal"
+    converges_on: ClassVar[str] = "–"
+    cost: ClassVar[str] = "about 10 passes"
+    reference: ClassVar[str] = "Gräser, Kornhuber: Multigrid methods for obstacle problems"
+    is_compiled: ClassVar[bool] = True
+    is_monotone: ClassVar[bool] = False
+
+    smoother: str = "pgs"
+    relaxation: float = 1.7
+    nested: bool = True
+    coarsest: int = 60
+
+    def __post_init__(self) -> None:
+        check_choice(self, "smoother", SMOOTHERS)
+        check_positive(self, "relaxation")
+        if not isinstance(self.nested, bool):
+            raise InvalidOption(f"multigrid: nested must be True or False, got {self.nested!r}")
+        is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
+        if not is_count or self.coarsest < 1:
+            raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then z after each sweep that follows a correction on the finest grid."""
+        require_positive_diagonal(problem, self.name)
+        from .multigrid_run import MultigridRun
+
+        yield from MultigridRun(self, problem).iterates(z0)
+
+    def rehearsal(self) -> Multigrid:
+        """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""
+        from .multigrid_run import rehearse
+
+        rehearse(replace(self, coarsest=1, nested=True))
+        return self

@@ -1,0 +1,357 @@
+"""One run of projected full multigrid: the problems of its grids, its truncation, its safeguards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import diags_array
+
+from .. import kernels
+from ..hierarchy import galerkin, sweeps
+from ..hierarchy.krylov import KrylovCorrection, power_of_two
+from ..hierarchy.levels import Grid, Hierarchy, build_hierarchy
+from ..hierarchy.truncation import Truncation
+from ..problem import LCP, FloatVector
+from .base import Step
+
+if TYPE_CHECKING:
+    from .multigrid import Multigrid
+
+COARSE_CYCLES = 3
+COARSEST_SWEEPS = 50
+CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
+CREPT_LONG = 2  # such cycles in a row
+SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
+SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
+SHORT_KRYLOV, LONG_KRYLOV = 2, 8
+KRYLOV_GAIN = 1e-2
+PATIENCE = 12  # cycles without a new best residual
+OUT_OF_HAND = 100.0  # times the best residual, which no patience is for
+FALL_BACK_SWEEPS = 20
+GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by less has failed
+MOST_FAILED_ROUNDS = 3
+NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
+HALVINGS = 4
+ROUNDING = 1e-12  # to which m_ij and m_ji may differ in a symmetric matrix
+
+
+class GridProblem:
+    """The complementarity problem of one grid, with its projected sweep."""
+
+    def __init__(
+        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> None:
+        self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
+        self.arrays = grid.matrix.arrays
+        self.entries = grid.matrix.data.size
+        self.rows = kernels.packed(q, lower, upper, grid.inverse)
+        # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
+        self.splits = {False: grid.split, True: _behind(grid.split)}
+        self.residual = np.empty(q.size)
+        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
+        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
+        if self.is_projected_type:
+            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
+            self.new = np.empty(q.size)
+
+    def sweep(self, z: FloatVector, backward: bool) -> None:
+        """Overwrite z by one projected sweep."""
+        if not self.is_projected_type:
+            self._relax(z, self.relaxation, backward)
+            return
+        indptr, indices, data = self.arrays
+        kernels.splitting_sweep(
+            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
+        )
+        np.copyto(z, self.new)
+
+    def gauss_seidel(self, z: FloatVector) -> float:
+        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
+        return self._relax(z, 1.0, backward=False)
+
+    def _relax(self, z: FloatVector, relaxation: float, backward: bool) -> float:
+        indptr, indices, data = self.arrays
+        largest, _ = kernels.relaxation_sweep(
+            indptr, self.splits[backward], indices, data, self.rows, relaxation, backward, z
+        )
+        return float(largest)
+
+
+class MultigridRun:
+    """The state of one run on one problem."""
+
+    def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
+        self.algorithm, self.problem = algorithm, problem
+        self.is_symmetric, self.work = symmetry_of(problem)
+        self.hierarchy, work = hierarchy_of(problem, algorithm.coarsest)
+        self.work += work
+        # What snaps to a bound is measured before it does.
+        is_measured = algorithm.smoother in ("pgs", "psor")
+        self.tells_residual = is_measured and np.array_equal(problem.residual_scale, problem.diagonal)
+        self.truncation = Truncation(self.hierarchy)
+        finest = self.hierarchy.grids[0]
+        self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
+        self.entries = float(max(problem.csr.nnz, 1))
+
+    def iterates(self, z: FloatVector) -> Iterator[Step]:
+        """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
+        is_cold = np.array_equal(z, self.problem.nearest_to_zero)
+        yield Step(z, work=self._spent())
+        if not self.hierarchy.is_helpful:
+            yield from self._sweeps_alone(z)
+            return
+        begun, start = self._residual(z), z.copy()
+        if not is_cold:  # the start may be much better than what the first cycle makes of it
+            begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
+        if self.algorithm.nested and len(self.hierarchy.grids) > 1:
+            self._nested_start(z, is_cold)
+        yield from self._cycles(z, begun, start)
+
+    def _residual(self, z: FloatVector) -> float:
+        """Return the largest scaled residual of z, and leave everything as it is."""
+        fine = self.problems[0]
+        free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
+        largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, fine.residual)
+        self.work += fine.entries
+        return float(largest)
+
+    # --- nested iteration -------------------------------------------------------------------------------
+
+    def _nested_start(self, z: FloatVector, is_cold: bool) -> None:
+        """Add to z what the coarser grids' problems for it answer, each the start of the next finer one.
+
+        From a warm start they are asked for the increment only: its free set may have to move by more rows than cycles
+        would move it, and what the start has got right stays as it is.
+        """
+        fine = self.problems[0]
+        if is_cold:
+            z[:] = 0.0
+            self._add_coarse_problems(fine.q, fine.lower, fine.upper)
+        else:
+            fine.sweep(z, backward=False)
+            fine.sweep(z, backward=True)
+            self._add_coarse_problems(self.problem.slack(z), fine.lower - z, fine.upper - z)
+            self.work += 3.0 * fine.entries
+        coarsest, last = self.problems[-1], len(self.problems) - 1
+        answer: FloatVector = np.clip(0.0, coarsest.lower, coarsest.upper)
+        for k in range(COARSEST_SWEEPS):
+            coarsest.sweep(answer, backward=k % 2 == 1)
+        self.work += COARSEST_SWEEPS * coarsest.entries
+        for k in range(last - 1, 0, -1):
+            answer = self._interpolated(k, answer, np.zeros(self.problems[k].q.size))
+            self._cycle_on(k, answer)
+        self._interpolated(0, answer, z)
+        del self.problems[1:]
+
+    def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+        for grid, coarser in zip(self.hierarchy.grids, self.hierarchy.grids[1:], strict=False):
+            transfer = grid.transfer
+            assert transfer is not None
+            fine_q, q = q, np.empty(coarser.n)
+            sweeps.restrict(*transfer.restriction.arrays, fine_q, q)
+            self.work += transfer.restriction.data.size
+            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
+            self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
+
+    def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
+        """Return z with P coarse added, within the bounds of grid k."""
+        fine, transfer = self.problems[k], self.hierarchy.grids[k].transfer
+        assert transfer is not None
+        everywhere = np.ones(z.size, np.bool_)
+        sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
+        self.work += transfer.prolongation.data.size
+        return z
+
+    def _cycle_on(self, k: int, z: FloatVector) -> None:
+        own = self.problems[k]
+        self.truncation.start_at(k)
+        for _ in range(COARSE_CYCLES):
+            own.sweep(z, backward=False)
+            self._look(k, z)
+            self._correct(k, z)
+            own.sweep(z, backward=True)
+        self.work += 2.0 * COARSE_CYCLES * own.entries
+
+    # --- the finest grid --------------------------------------------------------------------------------
+
+    def _cycles(self, z: FloatVector, best: float, best_z: FloatVector) -> Iterator[Step]:
+        """Yield cycles from z; where they fail go back to `best_z`, whose residual is at most `best`."""
+        self.truncation.start_at(0)
+        fine = self.problems[0]
+        best_of_round = previous = np.inf
+        since = cycles = failed_rounds = 0
+        changed_before = crept = 0
+        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
+        nested_at = np.inf
+        while True:
+            fine.sweep(z, backward=False)
+            largest, changed = self._look(0, z)
+            self.work += self.entries
+            if not largest <= OUT_OF_HAND * best:
+                np.copyto(z, best_z)
+                largest, since = best, PATIENCE
+            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
+            since += 1
+            if largest < best:
+                best, since = largest, 0
+                np.copyto(best_z, z)
+            elif since >= PATIENCE:
+                failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
+                if failed_rounds >= MOST_FAILED_ROUNDS:
+                    return
+                np.copyto(z, best_z)
+                yield from self._fall_back(z)
+                best_of_round, best, previous, since = best, self._residual(z), np.inf, 0
+                np.copyto(best_z, z)
+                continue
+            is_slow = cycles >= 1 and largest > SLOW * previous
+            crept = crept + 1 if changed > CREEPING * changed_before else 0
+            may_nest = may_nest and (largest <= GAINED * nested_at)
+            previous, changed_before, nested_at = largest, changed, np.inf
+            cycles += 1
+            if is_slow and changed and crept > CREPT_LONG and may_nest:
+                self._nested_start(z, is_cold=False)
+                self.truncation.start_at(0)
+                changed_before, crept, nested_at = z.size, 0, largest
+            elif is_slow and changed <= max(SETTLED * z.size, 1):
+                yield from self._krylov(z, SHORT_KRYLOV if changed else LONG_KRYLOV)
+            else:
+                self._correct(0, z)
+            fine.sweep(z, backward=True)
+            self.work += self.entries
+
+    def _look(self, k: int, z: FloatVector) -> tuple[float, int]:
+        """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
+        top, own = self.truncation.grids[k], self.problems[k]
+        largest, changed = sweeps.free_rows(
+            *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual
+        )
+        self.work += own.entries
+        if changed:
+            self.truncation.update()
+        return largest, changed
+
+    def _correct(self, k: int, z: FloatVector) -> None:
+        """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
+        own, transfer = self.problems[k], self.hierarchy.grids[k].transfer
+        top = self.truncation.grids[k]
+        if transfer is None:
+            np.copyto(top.b, own.residual)
+            self.truncation.correct(k)
+            np.clip(z + top.x, own.lower, own.upper, out=z)
+            return
+        below = self.truncation.grids[k + 1]
+        sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
+        self.truncation.correct(k + 1)
+        before = z.copy() if k == 0 and self.is_symmetric else None
+        cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, own.lower, own.upper, z)
+        self.work += 2.0 * transfer.prolongation.data.size
+        if before is not None and cut > NOTEWORTHY_CUT * z.size:
+            self._shorten(before, z)
+
+    @np.errstate(all="ignore")
+    def _shorten(self, before: FloatVector, z: FloatVector) -> None:
+        """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
+        residual = self.problems[0].residual
+        unit = power_of_two(z - before)
+        step = (z - before) / unit
+        slope = -float(step @ (residual / unit))  # w = −residual on the free rows; the others did not move
+        curvature = float(step @ (self.problem.csr @ step))
+        self.work += self.entries
+        size = 1.0
+        for _ in range(HALVINGS):
+            if size * slope + 0.5 * size * size * curvature <= 0.0:
+                break
+            size *= 0.5
+        else:
+            size = 0.0
+        if size < 1.0:
+            np.copyto(z, before + size * unit * step)
+
+    def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
+        """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""
+        fine = self.problems[0]
+        correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
+        enough = KRYLOV_GAIN * correction.largest()
+        origin = z.copy()
+        for k in range(most):
+            if not correction.step():
+                break
+            np.clip(correction.applied_to(origin), fine.lower, fine.upper, out=z)
+            left = correction.largest()
+            if left <= enough or k == most - 1:
+                break
+            yield Step(z, increment=left, work=self._spent())
+
+    # --- without coarser grids --------------------------------------------------------------------------
+
+    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
+        """Yield sweeps as long as they contract: multigrid is no help for this matrix."""
+        before = np.inf
+        while True:
+            for _ in range(FALL_BACK_SWEEPS):
+                change = self.problems[0].gauss_seidel(z)
+                yield Step(z, increment=change, work=1.0)
+            if not change < GAINED * before:
+                return
+            before = change
+
+    def _fall_back(self, z: FloatVector) -> Iterator[Step]:
+        for _ in range(FALL_BACK_SWEEPS):
+            change = self.problems[0].gauss_seidel(z)
+            self.work += self.entries
+            yield Step(z, increment=change, work=self._spent())
+
+    def _spent(self) -> float:
+        """Return the passes over M since the last step."""
+        work = self.work + self.truncation.take_work()
+        self.work = 0.0
+        return work / self.entries
+
+
+def hierarchy_of(problem: LCP, coarsest: int) -> tuple[Hierarchy, float]:
+    """Return the hierarchy of M, and the matrix entries touched to build it now (0 where it was there)."""
+    built: list[float] = []
+    is_symmetric, _ = symmetry_of(problem)
+
+    def build() -> Hierarchy:
+        hierarchy = build_hierarchy(problem.csr, coarsest, scales_rows=not is_symmetric)
+        built.append(hierarchy.work)
+        return hierarchy
+
+    hierarchy = problem.shared(f"hierarchy_{coarsest}", build)
+    return hierarchy, sum(built)
+
+
+def symmetry_of(problem: LCP) -> tuple[bool, float]:
+    """Return whether M is symmetric up to rounding, and the matrix entries touched to find out now."""
+    read: list[float] = []
+
+    def compute() -> bool:
+        M = problem.csr
+        read.append(float(M.nnz))
+        return bool(galerkin.is_symmetric(M.indptr, M.indices, M.data, ROUNDING))
+
+    is_symmetric = problem.shared("is_symmetric", compute)
+    return is_symmetric, sum(read)
+
+
+def rehearse(algorithm: Multigrid) -> None:
+    """Run every kernel once, on a chain of 16 unknowns."""
+    M = diags_array([-np.ones(15), np.full(16, 2.0), -np.ones(15)], offsets=[-1, 0, 1], format="csr")
+    run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
+    steps = run.iterates(np.zeros(16))
+    for _ in range(3):
+        next(steps)
+    KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric).step()
+    run.problems[0].gauss_seidel(np.zeros(16))
+
+
+def _behind(split: NDArray[Any]) -> NDArray[Any]:
+    after: NDArray[Any] = split + 1
+    after.flags.writeable = False
+    return after

@@ -1,0 +1,292 @@
+"""Multigrid, everything from (M, q) to the verified result, against one product with M and against a linear solve.
+
+Times are processor seconds of this process (one thread computes): on a busy machine they keep their ratios better than
+elapsed ones. Cycles are corrections and fall-back sweeps on the finest level, failed ones included, and the sweep
+before the first; work counts matrix entries touched on all levels, set-up and Galerkin updates included, divided by the
+nonzeros of M.
+"""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...algorithms import REGISTRY
+from ...batch import prepare
+from ...driver import solve
+from ...problem import LCP, FloatVector
+from ...result import Result
+from ..gallery import Scene, build, parse
+
+TOLERANCE = 1e-8
+TRUE_ERROR = 1e-6
+TIME_LIMIT = 60.0
+ACTIVE_SET_STEPS = 30
+
+
+class Row(NamedTuple):
+    """One scene of the table: what it is called, how it is written, and what is asked of it."""
+
+    title: str
+    scene: str
+    quick: str
+    target: str
+    linear: bool = False  # compare with pyamg's solution of M x = −q
+    exact: bool = False  # compare with the direct active-set answer
+
+
+JUMPS = "coefficient_jumps:size={},contrast={}"
+WIND = "convection_diffusion:size={},diffusion={}"
+ROWS = [
+    Row("obstacle, sphere", "obstacle_2d:size=1024", "obstacle_2d:size=60", "≤ 0.9 linear, 300 products", True),
+    Row("obstacle, bumps", "obstacle_bumps:size=1024", "obstacle_bumps:size=60", "≤ 0.9 linear, 300 products", True),
+    Row("obstacle 3-D", "obstacle_3d:size=100", "obstacle_3d:size=12", "≤ 1.2 linear", True),
+    Row("bearing 0.9", "journal_bearing:size=1000,eccentricity=0.9", "journal_bearing:size=50", "≤ 2 linear", True),
+    Row("bearing 0.99", "journal_bearing:size=1000,eccentricity=0.99", "journal_bearing:size=50,eccentricity=0.99",
+        "≤ 2 linear", True),
+    *(
+        Row(f"wind, ε = {e}", WIND.format(500, e), WIND.format(50, e), "≤ 25 cycles", True, True)
+        for e in ("1", "1e-2", "1e-3", "1e-5")
+    ),
+    Row("anisotropy, 30°", "rotated_anisotropy:size=500", "rotated_anisotropy:size=50", "≤ 25 cycles", True, True),
+    *(
+        Row(f"jumps {c}", JUMPS.format(500, c), JUMPS.format(50, c), target, True, True)
+        for c, target in (("1e2", "≤ 20 cycles"), ("1e6", "≤ 60 cycles"), ("1e10", "≤ newton's time"))
+    ),
+    Row("Example 1, δ = 0", "paper_example_1:n=1000000,delta=0", "paper_example_1:n=2500,delta=0", "≤ 0.9 linear",
+        True),
+]
+
+LARGEST = Row("10⁷ unknowns", "obstacle_2d:size=3163", "obstacle_2d:size=100", "completes")
+
+
+def run(*, quick: bool = False) -> Iterator[str]:
+    """Yield the table, the growth with n, the march in time, and what others need."""
+    warm_up = parse(ROWS[0].quick if quick else ROWS[0].scene)  # compiles, and touches the memory for the first time
+    for smoother in ("pgs", "npsor"):
+        from_scratch(warm_up.problem, smoother=smoother)
+    linear_solve(warm_up)
+    for row in ROWS:
+        yield _line(row, quick)
+    yield from growth((40, 80, 160) if quick else (512, 1024, 2048))
+    yield _line(LARGEST, quick)
+    yield american_put(*(2000, 10) if quick else (100_000, 100))
+    yield from sweeping(2500 if quick else 1_000_000)
+    yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)
+
+
+@dataclass(frozen=True)
+class Timed:
+    """What one call gave, and its processor seconds."""
+
+    answer: Any
+    seconds: float
+
+
+def timed(call: Callable[[], Any]) -> Timed:
+    """Return the answer of the call and its processor seconds."""
+    began = time.process_time()
+    answer = call()
+    return Timed(answer, time.process_time() - began)
+
+
+def rounds(calls: dict[str, Callable[[], Any]]) -> dict[str, Timed]:
+    """Return the quicker of two runs of each call, all treated alike and in turn."""
+    first = {name: timed(call) for name, call in calls.items()}
+    second = {name: timed(call) for name, call in calls.items()}
+    return {name: min(first[name], second[name], key=lambda run: run.seconds) for name in calls}
+
+
+def product_seconds(problem: LCP) -> float:
+    """Return the median processor seconds of one scipy product with M."""
+    M, x = problem.csr, np.random.default_rng(0).random(problem.n)
+    repeats = max(1, 2_000_000 // max(problem.nonzeros, 1))
+
+    def products() -> None:
+        for _ in range(repeats):
+            M @ x
+
+    products()
+    return max(statistics.median(timed(products).seconds for _ in range(9)) / repeats, 1e-9)
+
+
+def from_scratch(problem: LCP, algorithm: str = "multigrid", **options: Any) -> Result:
+    """Return the result for a problem stated anew, so that nothing computed before is used."""
+    fresh = LCP(problem.csr, problem.q, lower=problem.lower, upper=problem.upper)
+    return solve(fresh, algorithm, tolerance=TOLERANCE, **options)
+
+
+def _line(row: Row, quick: bool) -> str:
+    scene = parse(row.quick if quick else row.scene)
+    problem = scene.problem
+    gc.collect()
+    product = product_seconds(problem)
+    calls: dict[str, Callable[[], Any]] = {
+        "pgs": partial(from_scratch, problem),
+        "npsor": partial(from_scratch, problem, smoother="npsor"),
+    }
+    if row.linear:
+        calls["linear"] = partial(linear_solve, scene)
+    best = rounds(calls)
+    ours, theirs, linear = best["pgs"], best["npsor"], best.get("linear")
+    seconds, product = ours.seconds, statistics.median((product, product_seconds(problem)))
+    result: Result = ours.answer
+    parts = [
+        f"{row.title:<22} n = {problem.n:<8}", f"{result.status.name} {result.iterations:3d} cycles",
+        f"work {result.work:4.0f}", f"{seconds:7.3f} s = {seconds / product:5.0f} products",
+        f"npsor {theirs.answer.status.name} {theirs.answer.iterations} cycles, ÷ pgs {theirs.seconds / seconds:.2f}",
+    ]
+    if linear is not None:
+        parts.append(f"÷ linear solve {seconds / linear.seconds:.2f} ({linear.answer})")
+    if row.exact:
+        parts.append(f"true error {true_error(problem, result.z):.1e} (target {TRUE_ERROR:g})")
+    if "newton" in row.target and "newton" in REGISTRY:
+        parts.append(f"newton ÷ ours {timed(partial(from_scratch, problem, 'newton')).seconds / seconds:.1f}")
+    return "   ".join([*parts, f"target {row.target}"])
+
+
+def linear_solve(scene: Scene) -> str:
+    """Solve M x = −q by pyamg's Ruge–Stüben hierarchy with CG (BiCGStab where M is not symmetric) to 1e-8."""
+    import pyamg
+    import scipy.sparse as sp
+
+    problem = scene.problem
+    residuals: list[float] = []
+    hierarchy = pyamg.ruge_stuben_solver(sp.csr_matrix(problem.csr), max_coarse=50)
+    accelerator = "cg" if scene.is_symmetric else "bicgstab"
+    hierarchy.solve(-problem.q, tol=TOLERANCE, accel=accelerator, maxiter=200, residuals=residuals)
+    return f"pyamg {accelerator}, {len(residuals) - 1} iterations"
+
+
+def true_error(problem: LCP, z: FloatVector) -> float:
+    """Return ‖z − z*‖∞/‖z*‖∞ with z* from direct active-set steps that begin at z; NaN where they do not settle."""
+    from scipy.sparse.linalg import splu
+
+    M, lower, upper, known, exact = problem.csr, problem.lower, problem.upper, None, z
+    for _ in range(ACTIVE_SET_STEPS):
+        step = exact - problem.slack(exact) / problem.diagonal
+        sides = (step >= upper).astype(np.int8) - (step <= lower).astype(np.int8)
+        if known is not None and np.array_equal(sides, known):
+            return float(np.abs(z - exact).max() / np.abs(exact).max())
+        known = sides
+        exact = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
+        free = np.flatnonzero(sides == 0)
+        factor = splu(M[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A")
+        exact[free] = factor.solve(-problem.slack(exact)[free])
+    return float("nan")
+
+
+def growth(sizes: tuple[int, ...]) -> Iterator[str]:
+    """Yield the time on the sphere and the bumps for meshes each twice as fine."""
+    for name in ("obstacle_2d", "obstacle_bumps"):
+        seconds = []
+        cycles = []
+        for size in sizes:
+            problem = build(name, size=size).problem
+            runs = [timed(partial(from_scratch, problem)) for _ in range(2)]
+            seconds.append(min(one.seconds for one in runs))
+            cycles.append(runs[0].answer.iterations)
+        factors = ", ".join(f"{b / a:.2f}" for a, b in pairwise(seconds))
+        shown = ", ".join(f"{value:.3f}" for value in seconds)
+        yield f"growth {name:<15} sizes {sizes}: {shown} s, cycles {cycles}   per 4 n: {factors}   target ≤ 4.6"
+
+
+def american_put(size: int, steps: int) -> str:
+    """Return what a march costs with a prepared problem and warm starts; corrections are V-cycles on the finest."""
+    scene = build("american_put_march", size=size, steps=steps)
+    assert scene.advance is not None
+
+    def march() -> tuple[int, int]:
+        assert scene.advance is not None
+        problem = prepare(LCP(scene.problem.csr, scene.problem.q, lower=scene.problem.lower))
+        z, cycles, solved = np.array(problem.lower), 0, 0
+        for _ in range(steps):
+            result = solve(problem, "multigrid", z0=z, tolerance=TOLERANCE)
+            z, cycles, solved = result.z, cycles + result.iterations - 1, solved + result.is_solved
+            problem = problem.with_q(scene.advance(z))
+        return cycles, solved
+
+    one = timed(march)
+    cycles, solved = one.answer
+    return (
+        f"American put, n = {size}, {solved} of {steps} steps SOLVED by multigrid: {one.seconds:.2f} s, "
+        f"{cycles / steps:.2f} corrections a step   target ≤ 10 s, ≤ 4"
+    )
+
+
+def sweeping(n: int) -> Iterator[str]:
+    """Yield what auto and multigrid need where sweeps alone are good enough."""
+    for text, target in ((f"random_h_plus:n={n}", "≤ 60 work"), (f"paper_example_1:n={n},delta=4", "")):
+        problem = parse(text).problem
+        for algorithm in ("auto", "multigrid"):
+            one = timed(partial(from_scratch, problem, algorithm))
+            result: Result = one.answer
+            yield (
+                f"{text:<32} {result.algorithm}: {result.status.name} {result.iterations} iterations, "
+                f"work {result.work:.0f}, {one.seconds:.3f} s   {'target ' + target if target else ''}"
+            ).rstrip()
+
+
+def others(scene: Scene, limit: float) -> Iterator[str]:
+    """Yield what plain sweeps and convex solvers need for the obstacle problem, each within `limit` seconds."""
+    problem = scene.problem
+    calls: dict[str, Callable[[], str]] = {
+        name: partial(_status, problem, name, limit) for name in ("multigrid", "psor", "npgs")
+    }
+    calls["OSQP"] = partial(_osqp, problem, limit)
+    calls["PIQP"] = partial(_piqp, problem)
+    for name, call in calls.items():
+        try:
+            one = timed(call)
+        except ImportError:
+            yield f"sphere n = {problem.n}: {name} is not installed"
+            continue
+        yield f"sphere n = {problem.n}: {name:<10} {one.seconds:8.3f} s   {one.answer}"
+
+
+def _status(problem: LCP, name: str, limit: float) -> str:
+    result = from_scratch(problem, name, max_seconds=limit)
+    return f"{result.status.name}, {result.iterations} iterations, residual {result.residual:.1e}"
+
+
+def _judged(problem: LCP, status: object, x: Any) -> str:
+    from ...certificates.residuals import Certificate
+
+    z = np.clip(np.asarray(x, dtype=np.float64), problem.lower, problem.upper)
+    return f"{status}, relative residual {Certificate.of(problem, z).relative_residual:.1e}"
+
+
+def _osqp(problem: LCP, limit: float) -> str:
+    import scipy.sparse as sp
+
+    osqp = import_module("osqp")
+    solver = osqp.OSQP()
+    solver.setup(
+        sp.csc_matrix(sp.triu(problem.csr)), problem.q.copy(), sp.csc_matrix(sp.eye(problem.n)),
+        problem.lower.copy(), problem.upper.copy(), verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=1_000_000,
+        time_limit=limit,
+    )
+    answer = solver.solve(raise_error=False)
+    return _judged(problem, answer.info.status, answer.x)
+
+
+def _piqp(problem: LCP) -> str:
+    import scipy.sparse as sp
+
+    piqp = import_module("piqp")
+    solver = piqp.SparseSolver()
+    solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
+    solver.setup(
+        sp.csc_matrix(problem.csr), problem.q.copy(), x_l=problem.lower.copy(), x_u=problem.upper.copy()
+    )
+    status = solver.solve()
+    return _judged(problem, str(status).rpartition(".")[2], solver.result.x)

@@ -1,0 +1,130 @@
+"""Membranes of uneven stuff over the unit square: coefficient jumps, a fibre direction, a drift."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...problem import LCP, FloatVector
+from .parameters import Count, NonNegative, Positive, Seed, at_least
+from .registry import scene_builder
+from .scene import Scene
+from .stencil import Field, nodes, stencil_matrix
+
+BLOCKS = 10
+PULL = 10.0
+
+
+@scene_builder
+def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(1)] = 1e6, seed: Seed = 0) -> Scene:
+    """Membrane above the ground whose stiffness jumps at random between 10 × 10 blocks.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    contrast
+        The logarithm of the stiffness is uniform over a range of this ratio.
+    seed
+        Of the generator that draws the blocks.
+
+    Notes
+    -----
+    −∇·(k ∇u) ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy. k is constant on each cell of
+    the mesh; an edge takes the mean of the two cells it separates. Rows are scaled by h². The error of z can be much
+    larger than its residual: about contrast times.
+    """
+    stiffness = 10.0 ** (np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast))
+    block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
+    cells = stiffness[np.ix_(block, block)]
+    across = (cells[:, :-1] + cells[:, 1:]) / 2.0  # edges along the first axis, shape (size + 1, size)
+    along = (cells[:-1, :] + cells[1:, :]) / 2.0
+    below, above = [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
+    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=True)
+
+
+@scene_builder
+def rotated_anisotropy(*, size: Count = 100, ratio: Positive = 1e-4, degrees: float = 30.0) -> Scene:
+    """Membrane above the ground, stiff along fibres that cross the grid at an angle; M has positive couplings.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    ratio
+        Stiffness across the fibres, divided by that along them.
+    degrees
+        Angle between the fibres and the first axis.
+
+    Notes
+    -----
+    −∇·(K ∇u) ≥ f as in `coefficient_jumps`, K with the eigenvalues 1 and `ratio`, by bilinear finite elements: a
+    nine-point stencil, symmetric and positive definite, but no M-matrix.
+    """
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
+    mixed = (1.0 - ratio) * cosine * sine
+    mass, slope, stiffness = _line(4.0, 1.0, 1.0, size) / 6.0, _line(0.0, -0.5, 0.5, size), _line(2.0, -1.0, -1.0, size)
+    M = sp.csr_array(
+        first * sp.kron(stiffness, mass) + second * sp.kron(mass, stiffness) - 2.0 * mixed * sp.kron(slope, slope)
+    )
+    M.sum_duplicates()
+    M.eliminate_zeros()
+    return _pulled_membrane(_narrow(M), size, is_symmetric=True, is_h_plus=size == 1)
+
+
+@scene_builder
+def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wind_angle: float = 0.6) -> Scene:
+    """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width h = 1/(size + 1).
+    diffusion
+        ε ≥ 0; below h the wind dominates.
+    wind_angle
+        Between the wind, which has length 1, and the first axis, radian.
+
+    Notes
+    -----
+    −ε Δu + b·∇u ≥ f as in `coefficient_jumps`, first-order upwind. Rows are scaled by h²/max(ε, h).
+    """
+    h = 1.0 / (size + 1)
+    scale = 1.0 / max(diffusion, h)
+    wind = (h * math.cos(wind_angle), h * math.sin(wind_angle))
+    below = [-scale * (diffusion + max(b, 0.0)) for b in wind]
+    above = [-scale * (diffusion + max(-b, 0.0)) for b in wind]
+    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
+
+
+def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plus: bool, scale: float = 1.0) -> Scene:
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
+    return Scene(
+        problem=LCP(M, q),
+        is_symmetric=is_symmetric,
+        is_h_plus=is_h_plus,
+        grid=(size, size),
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+    )
+
+
+def _line(centre: float, below: float, above: float, size: int) -> sp.csr_array:
+    return sp.csr_array(
+        sp.diags_array([below, centre, above], offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
+    )
+
+
+def _narrow(M: sp.csr_array) -> sp.csr_array:
+    if M.nnz >= 2**31:
+        return M
+    return sp.csr_array((M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape)

@@ -1,0 +1,78 @@
+"""Krylov steps on the free rows, preconditioned by one V-cycle each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..problem import FloatVector
+from . import sweeps
+from .truncation import Truncation
+
+
+class KrylovCorrection:
+    """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
+
+    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept.
+
+    Parameters
+    ----------
+    truncation : Truncation
+        Seen from its finest grid; its free rows are F.
+    residual : ndarray, shape (n,)
+        −w on the free rows, 0 elsewhere; overwritten by what is left of it.
+    is_symmetric : bool
+    """
+
+    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
+        self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
+        self.unit = power_of_two(residual)  # squares of very large or small numbers leave the range of a double
+        self.residual /= self.unit
+        self._sum = np.zeros_like(residual)
+        self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+
+    def applied_to(self, origin: FloatVector) -> FloatVector:
+        """Return origin + c."""
+        return origin + self.unit * self._sum
+
+    def largest(self) -> float:
+        """Return the largest scaled residual that is left."""
+        scaled = self.residual * self.truncation.grids[0].inverse
+        return self.unit * float(max(scaled.max(initial=0.0), -scaled.min(initial=0.0)))
+
+    @np.errstate(all="ignore")
+    def step(self) -> bool:
+        """Take one step; return False where the matrix allows none."""
+        top = self.truncation.grids[0]
+        matrix = top.grid.matrix
+        np.copyto(top.b, self.residual)
+        self.truncation.correct(0)
+        p = top.x.copy()
+        product = np.empty_like(p)
+        sweeps.free_product(*matrix.arrays, top.is_free, p, product)
+        self.truncation.work += matrix.data.size
+        for old_p, old_product, old_scale in self.directions:
+            share = float(self._against(old_p, old_product) @ product) / old_scale
+            p -= share * old_p
+            product -= share * old_product
+        against = self._against(p, product)
+        scale = float(against @ product)
+        length = float(against @ self.residual) / scale if scale > 0.0 else np.nan
+        if not np.isfinite(length):
+            return False
+        self._sum += length * p
+        self.residual -= length * product
+        if self.is_symmetric:
+            self.directions.clear()
+        self.directions.append((p, product, scale))
+        return True
+
+    def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
+        return p if self.is_symmetric else product
+
+
+def power_of_two(vector: FloatVector) -> float:
+    """Return the power of two just above the largest entry in absolute value; 1 where that is 0 or not finite."""
+    largest = float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))

@@ -1,0 +1,111 @@
+"""A hierarchy with some unknowns of its finest grid fixed, and the V-cycle on what is free; one object a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import galerkin, sweeps
+from .levels import Grid, Hierarchy
+
+COARSEST_SWEEPS = 10
+
+
+class TruncatedGrid:
+    """The values of one grid while some unknowns are fixed, and its vectors."""
+
+    def __init__(self, grid: Grid, *, is_finest: bool) -> None:
+        self.grid = grid
+        n = grid.n
+        self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
+        self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
+        self.values.flags.writeable = False
+        self.inverse = grid.inverse.copy()
+        self.is_free = np.ones(n, np.bool_)
+        self.free_changed = np.zeros(n, np.bool_)
+        self.row_changed = np.zeros(n, np.bool_)
+        self.touched = np.zeros(n, np.bool_)
+        self.is_whole = True  # nothing was ever fixed here, or it was released again
+        self.x, self.b, self.residual = np.zeros(n), np.zeros(n), np.zeros(n)
+
+    def release(self) -> float:
+        """Make all unknowns free; return the matrix entries touched."""
+        if self.is_whole:
+            return 0.0
+        self.is_whole = True
+        self.is_free[:] = True
+        self.inverse[:] = self.grid.inverse
+        if self.new_values is not None:
+            self.new_values[:] = self.grid.matrix.data
+        self.free_changed[:] = False
+        self.row_changed[:] = False
+        return float(self.values.size)
+
+
+class Truncation:
+    """A hierarchy seen from one of its grids, with the unknowns of that grid that are fixed taken out of all."""
+
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
+        self.top = 0
+        self.work = 0.0
+
+    def take_work(self) -> float:
+        """Return the matrix entries touched since the last call."""
+        work, self.work = self.work, 0.0
+        return work
+
+    def start_at(self, top: int) -> None:
+        """Look from the grid `top`: its unknowns and all below are free again."""
+        self.top = top
+        for level in self.grids[top:]:
+            self.work += level.release()
+
+    def update(self) -> None:
+        """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
+        top = self.grids[self.top]
+        top.is_whole = False
+        np.multiply(top.grid.inverse, top.is_free, out=top.inverse)
+        top.row_changed[:] = False
+        for level, below in zip(self.grids[self.top :], self.grids[self.top + 1 :], strict=False):
+            matrix, transfer = level.grid.matrix, level.grid.transfer
+            assert transfer is not None
+            galerkin.mark_rows(matrix.indptr, matrix.indices, level.free_changed, level.row_changed, level.touched)
+            products, changed = galerkin.update_product(
+                matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
+                *transfer.prolongation.arrays, *transfer.restriction.arrays,
+                below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
+                below.inverse, below.is_free, below.free_changed, below.row_changed,
+            )
+            below.is_whole = False
+            self.work += matrix.indices.size + transfer.restriction.indices.size + products
+            if changed == 0:
+                break
+
+    def correct(self, k: int) -> None:
+        """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
+        level = self.grids[k]
+        grid = level.grid
+        indptr, indices, _ = grid.matrix.arrays
+        sweeps.first_sweep(indptr, grid.split, indices, level.values, level.inverse, level.b, level.x)
+        self.work += 0.5 * indices.size
+        if grid.transfer is None:
+            self._solve_coarsest(level)
+            return
+        sweeps.residual_after_first_sweep(
+            indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual
+        )
+        below = self.grids[k + 1]
+        sweeps.restrict(*grid.transfer.restriction.arrays, level.residual, below.b)
+        self.correct(k + 1)
+        sweeps.add_prolonged(*grid.transfer.prolongation.arrays, below.x, level.inverse, level.x)
+        sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)
+        self.work += 1.5 * indices.size + 2.0 * grid.transfer.prolongation.data.size
+
+    def _solve_coarsest(self, level: TruncatedGrid) -> None:
+        indptr, indices, _ = level.grid.matrix.arrays
+        rest = indptr, indices, level.values, level.inverse, level.b, level.x
+        sweeps.backward_sweep(*rest)
+        for _ in range(COARSEST_SWEEPS):
+            sweeps.forward_sweep(*rest)
+            sweeps.backward_sweep(*rest)
+        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * indices.size

@@ -1,0 +1,289 @@
+"""The hierarchy: its operators, its truncation, its V-cycle; references are scipy's sparse products."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin.evidence import gallery
+from lcp_plugin.hierarchy import galerkin, levels, sweeps
+from lcp_plugin.hierarchy.levels import Hierarchy, Operator, build_hierarchy
+from lcp_plugin.hierarchy.truncation import Truncation
+
+SCENES = [
+    "obstacle_2d:size=20", "obstacle_3d:size=8", "coefficient_jumps:size=21", "convection_diffusion:size=20",
+    "rotated_anisotropy:size=20", "journal_bearing:size=20,eccentricity=0.95", "american_put:size=300",
+    "optimal_stopping:size=17,swirl=-7",
+]
+
+
+def as_scipy(operator: Operator, columns: int) -> sp.csr_array:
+    return sp.csr_array((operator.data, operator.indices, operator.indptr), shape=(operator.indptr.size - 1, columns))
+
+
+def random_matrix(seed: int, n: int, density: float) -> sp.csr_array:
+    """A canonical matrix with a full, positive diagonal and entries of both signs."""
+    generator = np.random.default_rng(seed)
+    entries = generator.normal(size=(n, n)) * (generator.random((n, n)) < density)
+    np.fill_diagonal(entries, generator.uniform(0.5, 2.0, n))
+    return sp.csr_array(entries)
+
+
+@pytest.fixture(params=SCENES)
+def hierarchy(request: pytest.FixtureRequest) -> Hierarchy:
+    return build_hierarchy(gallery.parse(request.param).problem.csr, coarsest=3)
+
+
+# --- Operators ----------------------------------------------------------------------------------------------
+
+
+def test_interpolation_is_nonnegative_and_injects(hierarchy: Hierarchy) -> None:
+    """No weight is negative, and a coarse unknown takes the value of itself."""
+    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
+        P = as_scipy(grid.transfer.prolongation, coarser.n)
+        assert P.data.min() > 0.0
+        assert np.array_equal(P[np.flatnonzero(grid.transfer.is_coarse)].toarray(), np.eye(coarser.n))
+        assert (as_scipy(grid.transfer.restriction, grid.n) != P.T).nnz == 0
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=20", "coefficient_jumps:size=21", "rotated_anisotropy:size=12"])
+def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
+    """A row of M that sums to zero and interpolates at all has weights that sum to one, on every grid."""
+    M = gallery.parse(text).problem.csr
+    found = 0
+    for grid in build_hierarchy(M, coarsest=3).grids[:-1]:
+        matrix = as_scipy(grid.matrix, grid.n)
+        sums, scale = matrix.sum(axis=1), abs(matrix).sum(axis=1)
+        weights = np.add.reduceat(grid.transfer.prolongation.data, grid.transfer.prolongation.indptr[:-1])
+        is_empty = np.diff(grid.transfer.prolongation.indptr) == 0
+        balanced = (np.abs(sums) <= 1e-12 * scale) & ~is_empty
+        found += np.count_nonzero(balanced)
+        np.testing.assert_allclose(weights[balanced], 1.0, rtol=0, atol=1e-10)
+    assert found > 50
+
+
+def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
+    """Every coarse matrix is PᵀMP by scipy, with sorted rows, every diagonal entry stored, and read-only."""
+    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
+        P, fine = as_scipy(grid.transfer.prolongation, coarser.n), as_scipy(grid.matrix, grid.n)
+        coarse = as_scipy(coarser.matrix, coarser.n)
+        expected = P.T @ fine @ P
+        assert abs(coarse - expected).max() <= 1e-13 * abs(expected).max()
+        assert coarse.has_canonical_format
+        assert np.array_equal(coarser.matrix.indices[coarser.split], np.arange(coarser.n))
+        assert not any(array.flags.writeable for array in coarser.matrix.arrays)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(2, 40), st.floats(0.02, 1.0))
+def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: float) -> None:
+    """RMP and Pᵀ agree with scipy for matrices of any density, whether or not the first room suffices."""
+    M = random_matrix(seed, n, density)
+    generator = np.random.default_rng(seed + 1)
+    columns = int(generator.integers(1, n + 1))
+    P = sp.csr_array(generator.random((n, columns)) * (generator.random((n, columns)) < density))
+    arrays, p = (M.indptr, M.indices, M.data), (P.indptr, P.indices, P.data)
+    r = galerkin.transposed(columns, *p)
+    assert (as_scipy(Operator(*r), n) != P.T).nnz == 0
+    c = galerkin.galerkin_product(arrays, p, r)
+    expected = (P.T @ M @ P).toarray()
+    np.testing.assert_allclose(as_scipy(Operator(*c), columns).toarray(), expected, rtol=0, atol=1e-12 * (1 + n))
+    assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ ((M != 0) @ (P != 0).sum(1))
+
+
+def test_a_product_that_outgrows_its_room() -> None:
+    """A coarse matrix with many more entries than the fine one is complete."""
+    n = 400
+    M = sp.csr_array(sp.eye_array(n, format="csr"))
+    P = sp.csr_array(np.random.default_rng(0).random((n, 200)))
+    p = P.indptr, P.indices, P.data
+    c = galerkin.galerkin_product((M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p))
+    np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.05, 1.0), st.sampled_from(["as is", "mirrored", "bent"]))
+def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str) -> None:
+    """`is_symmetric` says what the dense matrix says, for any pattern."""
+    dense = random_matrix(seed, n, density).toarray()
+    if kind != "as is":
+        dense = dense + dense.T
+    if kind == "bent":
+        dense[0, -1] *= 1.0 + 1e-6
+    M = sp.csr_array(dense)
+    assert galerkin.is_symmetric(M.indptr, M.indices, M.data, 1e-12) == np.array_equal(dense, dense.T)
+
+
+def test_wide_indices_give_the_same_hierarchy() -> None:
+    """64-bit indices lead to the same grids, bit for bit."""
+    M = gallery.build("coefficient_jumps", size=30).problem.csr
+    wide = sp.csr_array(M)
+    wide.indices, wide.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    narrow_grids, wide_grids = build_hierarchy(M).grids, build_hierarchy(wide).grids
+    assert len(narrow_grids) == len(wide_grids) > 2
+    for one, other in zip(narrow_grids, wide_grids, strict=True):
+        assert other.matrix.indices.dtype == np.int64
+        assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
+def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where coarser matrices could have more entries than 32 bits count, all grids have 64-bit indices."""
+    M = gallery.build("obstacle_2d", size=20).problem.csr
+    usual = build_hierarchy(M)
+    monkeypatch.setattr(levels, "LARGEST_NARROW", 100)
+    for one, other in zip(usual.grids, build_hierarchy(M).grids, strict=True):
+        assert (one.matrix.indices.dtype, other.matrix.indices.dtype) == (np.int32, np.int64)
+        assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
+# --- When to stop -------------------------------------------------------------------------------------------
+
+
+def test_positive_couplings_raise_the_strength() -> None:
+    """A rotated anisotropy counts only couplings above half the largest; the rule is the documented one."""
+    M = gallery.build("rotated_anisotropy", size=30).problem.csr
+    chosen, stronger, usual = build_hierarchy(M), build_hierarchy(M, strength=0.5), build_hierarchy(M, strength=0.25)
+    sizes = [[grid.n for grid in h.grids] for h in (chosen, stronger, usual)]
+    assert sizes[0] == sizes[1] != sizes[2]
+
+
+@pytest.mark.parametrize("entries", [4, 7, 20])
+def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
+    """A random sparse matrix gets no coarser grids, for no more than 40 passes over it."""
+    n = 20_000
+    generator = np.random.default_rng(entries)
+    B = sp.csr_array(
+        (generator.random(n * entries), (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries))),
+        shape=(n, n),
+    )
+    M = sp.csr_array(sp.diags_array(B.sum(axis=1) + 1e-3) - B)
+    M.sum_duplicates()
+    hierarchy = build_hierarchy(M)
+    assert not hierarchy.is_helpful
+    assert len(hierarchy.grids) == 1
+    assert hierarchy.work <= 40 * M.nnz
+
+
+@pytest.mark.parametrize("density", [0.02, 0.3, 1.0])
+def test_a_dense_matrix_costs_little(density: float) -> None:
+    """A hierarchy of a small matrix with many entries a row costs no more than 40 passes over it either."""
+    M = random_matrix(1, 600, density)
+    assert build_hierarchy(M).work <= 40 * M.nnz
+
+
+def test_nothing_coupled_needs_no_coarser_grid() -> None:
+    """A diagonal matrix, and one with positive couplings only, is its own coarsest grid."""
+    for M in (sp.eye_array(100, format="csr"), sp.csr_array(np.eye(100) + 0.001)):
+        hierarchy = build_hierarchy(sp.csr_array(M))
+        assert len(hierarchy.grids) == 1
+        assert hierarchy.is_helpful
+
+
+def test_extreme_entries_do_not_break_the_set_up() -> None:
+    """Entries near the ends of the floating-point range give finite weights and inverses, or none."""
+    M = gallery.build("obstacle_2d", size=12).problem.csr
+    for scale in (1e-305, 1e-290, 1e300):
+        for grid in build_hierarchy(sp.csr_array(M * scale), coarsest=5).grids:
+            assert np.isfinite(grid.inverse).all()
+            assert grid.transfer is None or np.isfinite(grid.transfer.prolongation.data).all()
+
+
+# --- Truncation ---------------------------------------------------------------------------------------------
+
+
+def from_scratch(hierarchy: Hierarchy, is_free: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (matrix, free) of every coarser grid by products of whole truncated matrices."""
+    found = []
+    matrix, free = as_scipy(hierarchy.grids[0].matrix, is_free.size).toarray(), is_free
+    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
+        P = as_scipy(grid.transfer.prolongation, coarser.n).toarray() * free[:, None]
+        matrix = P.T @ matrix @ P
+        free = matrix.diagonal() > 0.0
+        found.append((matrix, free))
+    return found
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_an_update_equals_a_computation_from_scratch(text: str) -> None:
+    """After any sequence of free sets, every coarse matrix is the product with the truncated interpolation."""
+    hierarchy = build_hierarchy(gallery.parse(text).problem.csr, coarsest=3)
+    generator = np.random.default_rng(0)
+    truncation = Truncation(hierarchy)
+    top = truncation.grids[0]
+    for share in (0.5, 0.02, 0.02, 0.0, 0.9, 0.3):
+        flips = generator.random(top.is_free.size) < share
+        top.free_changed[:] = flips
+        top.is_free ^= flips
+        truncation.update()
+        for level, (matrix, free) in zip(truncation.grids[1:], from_scratch(hierarchy, top.is_free), strict=True):
+            np.testing.assert_allclose(
+                as_scipy(Operator(level.grid.matrix.indptr, level.grid.matrix.indices, level.values), free.size)
+                .toarray(), matrix, rtol=0, atol=1e-12 * max(abs(level.grid.matrix.data).max(), 1.0),
+            )
+            assert np.array_equal(level.is_free, free)
+            assert np.array_equal(level.inverse > 0.0, free)
+
+
+def test_an_update_without_a_change_touches_little() -> None:
+    """Where nothing changed, an update reads the finest grid once and computes nothing."""
+    hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=40).problem.csr)
+    truncation = Truncation(hierarchy)
+    truncation.update()
+    grid = hierarchy.grids[0]
+    assert truncation.take_work() == grid.matrix.data.size + grid.transfer.restriction.data.size
+
+
+def test_release_undoes_truncation() -> None:
+    """A truncation that starts afresh has the hierarchy's own values again."""
+    hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr, coarsest=3)
+    truncation = Truncation(hierarchy)
+    truncation.grids[0].is_free[::3] = False
+    truncation.grids[0].free_changed[::3] = True
+    truncation.update()
+    truncation.start_at(0)
+    for level in truncation.grids:
+        assert level.is_free.all()
+        assert np.array_equal(level.values, level.grid.matrix.data)
+        assert np.array_equal(level.inverse, level.grid.inverse)
+
+
+SYMMETRIC = [text for text in SCENES if not text.startswith(("convection", "american", "optimal"))]
+
+
+@pytest.mark.parametrize("text", SYMMETRIC)
+def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None:
+    """The V-cycle on the free set F is a symmetric map, leaves the rest at 0, and lowers ½ xᵀMx − bᵀx."""
+    M = gallery.parse(text).problem.csr
+    truncation = Truncation(build_hierarchy(M, coarsest=3))
+    generator = np.random.default_rng(3)
+    top = truncation.grids[0]
+    top.is_free[:] = generator.random(top.is_free.size) < 0.8
+    top.free_changed[:] = ~top.is_free
+    truncation.update()
+    right, answers = generator.normal(size=(2, top.is_free.size)) * top.is_free, []
+    for b in right:
+        top.b[:] = b
+        truncation.correct(0)
+        x = top.x.copy()
+        assert not x[~top.is_free].any()
+        assert 0.5 * x @ (M @ x) - b @ x < 0.0
+        answers.append(x)
+    assert right[0] @ answers[1] == pytest.approx(right[1] @ answers[0], rel=1e-9)
+
+
+def test_sweeps_agree_with_triangular_solves() -> None:
+    """The first forward sweep is a solve with the lower triangle; what it leaves is −U x."""
+    M = gallery.build("convection_diffusion", size=15).problem.csr
+    grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
+    b = np.random.default_rng(0).normal(size=M.shape[0])
+    x, residual = np.empty_like(b), np.empty_like(b)
+    sweeps.first_sweep(M.indptr, grid.split, M.indices, M.data, grid.inverse, b, x)
+    sweeps.residual_after_first_sweep(M.indptr, grid.split, M.indices, M.data, grid.inverse, x, residual)
+    dense = M.toarray()
+    np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
+    np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
+    sweeps.backward_sweep(M.indptr, M.indices, M.data, grid.inverse, b, x)
+    np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)

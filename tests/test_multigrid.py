@@ -1,0 +1,340 @@
+"""Projected multigrid and batches: answers against direct active sets and planted ones, honesty, limits."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Result, Status, UnknownAlgorithm, UnsuitableMatrix, solve
+from lcp_plugin.algorithms.multigrid import SMOOTHERS, Multigrid
+from lcp_plugin.algorithms.multigrid_run import hierarchy_of
+from lcp_plugin.batch import prepare, solve_many
+from lcp_plugin.evidence import gallery
+
+SCENES = [
+    "obstacle_2d:size=60",
+    "obstacle_3d:size=14",
+    "obstacle_bumps:size=60",
+    "coefficient_jumps:size=59,contrast=1e2",
+    "coefficient_jumps:size=59,contrast=1e6",
+    "coefficient_jumps:size=59,contrast=1e10",
+    "convection_diffusion:size=60,diffusion=1",
+    "convection_diffusion:size=60,diffusion=1e-3",
+    "convection_diffusion:size=60,diffusion=1e-5",
+    "rotated_anisotropy:size=60",
+    "journal_bearing:size=60,eccentricity=0.99",
+    "optimal_stopping:size=50,swirl=-7",
+    "paper_example_1:n=3600,delta=0",
+]
+
+
+def active_set(problem: LCP, z: np.ndarray) -> np.ndarray:
+    """Return the answer by primal-dual active-set steps from z, each one sparse direct solve."""
+    M, lower, upper, known = problem.csr, problem.lower, problem.upper, None
+    for _ in range(100):
+        step = z - problem.slack(z) / problem.diagonal
+        sides = (step >= upper).astype(int) - (step <= lower)
+        if known is not None and np.array_equal(sides, known):
+            return z
+        known = sides
+        z = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
+        free = np.flatnonzero(sides == 0)
+        z[free] = spsolve(M[free][:, free].tocsc(), -problem.slack(z)[free])
+    raise AssertionError("the reference did not settle")
+
+
+def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
+    expected = active_set(problem, result.z.copy())
+    assert np.abs(result.z - expected).max() <= relative * np.abs(expected).max()
+
+
+# --- Answers ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
+    """At the default tolerance z is within 1e-6 of the direct answer, in at most 40 iterations."""
+    problem = gallery.parse(text).problem
+    result = solve(problem, "multigrid", max_iterations=40)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS[1:])
+@pytest.mark.parametrize("text", [SCENES[0], SCENES[4], SCENES[7], SCENES[9]])
+def test_every_smoother_arrives(smoother: str, text: str) -> None:
+    """Any projected sweep can be the smoother."""
+    problem = gallery.parse(text).problem
+    relaxation = 1.7 if smoother.startswith("np") else 1.2
+    result = solve(problem, "multigrid", smoother=smoother, relaxation=relaxation, max_iterations=60)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+def planted(seed: int) -> tuple[LCP, np.ndarray]:
+    """Return a small H₊ or SPD problem with bounds of every kind, and its answer."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(1, 41))
+    B = generator.normal(size=(n, n)) * (generator.random((n, n)) < generator.uniform(0.05, 1.0))
+    if seed % 2:
+        M = B @ B.T + np.diag(generator.uniform(0.1, 1.0, n))
+    else:
+        M = B if seed % 4 else -np.abs(B)
+        np.fill_diagonal(M, 0.0)
+        np.fill_diagonal(M, np.abs(M).sum(axis=1) * generator.uniform(1.01, 2.0) + 0.1)
+        M *= 10.0 ** generator.uniform(-3.0, 3.0, n)[:, None]
+    z, w = generator.normal(size=n), np.zeros(n)
+    lower, upper = z - generator.uniform(0.1, 2.0, n), z + generator.uniform(0.1, 2.0, n)
+    kind = generator.integers(0, 6, n)
+    lower[kind == 0], w[kind == 0] = z[kind == 0], M.diagonal()[kind == 0] * generator.uniform(0, 2, n)[kind == 0]
+    upper[kind == 1], w[kind == 1] = z[kind == 1], -M.diagonal()[kind == 1] * generator.uniform(0, 2, n)[kind == 1]
+    lower[kind == 2] = upper[kind == 2] = z[kind == 2]
+    lower[kind == 3], upper[kind >= 3] = -np.inf, np.inf
+    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
+    """200 small H₊ and SPD problems with boxes, free and fixed rows agree with their planted answers."""
+    for seed in range(20 * block, 20 * block + 20):
+        problem, z = planted(seed)
+        result = solve(problem, "multigrid", coarsest=2, tolerance=1e-11, max_iterations=5000)
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.status, result.residual)
+        condition = np.linalg.cond(problem.csr.toarray() / problem.diagonal[:, None])
+        assert np.abs(result.z - z).max() <= 1e-8 * condition, seed
+
+
+@pytest.mark.parametrize(
+    ("problem", "z"),
+    [
+        (LCP([[2.0]], [-4.0]), [2.0]),
+        (LCP([[2.0]], [4.0]), [0.0]),
+        (LCP(np.eye(3), [-1.0, 0.0, 1.0]), [1.0, 0.0, 0.0]),
+        (LCP(np.eye(200) * 3.0, np.full(200, -6.0)), [2.0] * 200),
+        (LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), [2.5, 0.0]),
+        (LCP(np.eye(2), [5.0, -5.0], lower=-1.0, upper=1.0), [-1.0, 1.0]),
+        (LCP(np.eye(2), [5.0, -5.0], lower=-np.inf), [-5.0, 5.0]),
+        (LCP(np.zeros((0, 0)), np.zeros(0)), []),
+    ],
+    ids=["positive", "zero", "diagonal", "many", "pair", "box", "free", "empty"],
+)
+def test_problems_without_coarser_grids(problem: LCP, z: list[float]) -> None:
+    """One unknown, a diagonal, boxes and equations need no hierarchy."""
+    result = solve(problem, "multigrid")
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, z, atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [1e-280, 1e-30, 1e30, 1e280])
+def test_the_unit_of_m_and_q_does_not_matter(scale: float) -> None:
+    """Entries far from 1 in size do not overflow and do not change the answer."""
+    problem = gallery.build("obstacle_2d", size=30).problem
+    scaled = LCP(problem.csr * scale, problem.q * scale, lower=problem.lower)
+    answers = [solve(case, "multigrid") for case in (problem, scaled)]
+    assert answers[1].status is Status.SOLVED
+    np.testing.assert_allclose(answers[1].z, answers[0].z, rtol=1e-6)
+
+
+def test_wide_indices() -> None:
+    """A matrix with 64-bit indices gives the same answer."""
+    problem = gallery.build("obstacle_2d", size=25).problem
+    M = problem.csr.copy()
+    wide = LCP(M, problem.q, lower=problem.lower)
+    wide._csr = sp.csr_array(M)
+    wide._csr.indices, wide._csr.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    for array in (wide._csr.indices, wide._csr.indptr, wide._csr.data):
+        array.flags.writeable = False
+    z = [solve(case, "multigrid").z for case in (problem, wide)]
+    assert np.array_equal(*z)
+
+
+# --- Cycles, work, starts -----------------------------------------------------------------------------------
+
+
+def test_cycles_hardly_grow_with_the_grid() -> None:
+    """16 times the unknowns cost at most 6 more cycles, for each of four families."""
+    for name, facts in [
+        ("obstacle_2d", {}), ("coefficient_jumps", {"contrast": 100.0}), ("convection_diffusion", {}),
+        ("obstacle_bumps", {}),
+    ]:
+        cycles = [solve(gallery.build(name, size=size, **facts).problem, "multigrid").iterations for size in (45, 180)]
+        assert cycles[1] <= cycles[0] + 6, (name, cycles)
+
+
+def test_work_is_the_same_every_time_and_includes_the_set_up() -> None:
+    """Two runs count and compute the same, bit for bit; a prepared problem is spared the set-up's work."""
+    def fresh() -> LCP:
+        return gallery.build("coefficient_jumps", size=60).problem
+
+    one, other = solve(fresh(), "multigrid"), solve(fresh(), "multigrid")
+    assert (one.work, one.iterations) == (other.work, other.iterations)
+    assert np.array_equal(one.z, other.z)
+    problem = prepare(fresh())
+    hierarchy, built_now = hierarchy_of(problem, Multigrid.coarsest)
+    assert built_now == 0.0
+    prepared = solve(problem, "multigrid")
+    assert np.array_equal(prepared.z, one.z)
+    assert one.work - prepared.work >= hierarchy.work / problem.nonzeros > 10.0
+
+
+def test_a_warm_start_pays() -> None:
+    """From its own answer a run ends at once, from a near one it needs less than from nothing."""
+    problem = prepare(gallery.build("obstacle_2d", size=80).problem)
+    cold = solve(problem, "multigrid", tolerance=1e-10)
+    again = solve(problem, "multigrid", z0=cold.z)
+    assert again.iterations == 0
+    near = problem.with_q(problem.q + 1e-7)
+    warm, anew = solve(near, "multigrid", z0=cold.z), solve(near, "multigrid")
+    assert warm.is_solved
+    assert warm.iterations < anew.iterations
+    assert np.abs(warm.z - anew.z).max() <= 1e-6
+
+
+def test_a_march_in_time_needs_few_corrections() -> None:
+    """Where the free boundary moves by many rows a step, a warm start still ends within 6 corrections on average."""
+    scene = gallery.build("american_put_march", size=20_001, steps=20)
+    problem, z, corrections = prepare(scene.problem), np.array(scene.problem.lower), 0
+    for step in range(20):
+        before = np.count_nonzero(z > problem.lower)
+        result = solve(problem, "multigrid", z0=z, max_iterations=12)
+        assert result.is_solved
+        moved = np.count_nonzero(result.z > problem.lower) - before
+        assert step > 3 or moved > 20
+        z, corrections = result.z, corrections + result.iterations - 1
+        problem = problem.with_q(scene.advance(z))
+    assert corrections <= 6 * 20
+
+
+def test_runs_in_threads_share_the_hierarchy_and_nothing_else() -> None:
+    """Eight runs at once on one prepared matrix give what they give one after the other."""
+    problem = prepare(gallery.build("coefficient_jumps", size=70).problem)
+    problems = [problem.with_q(problem.q * (1.0 + 0.1 * k)) for k in range(8)]
+    alone = [solve(case, "multigrid").z for case in problems]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda case: solve(case, "multigrid").z, problems))
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_a_run_leaves_the_data_alone() -> None:
+    """Neither the matrix of the problem nor the caller's start is written to."""
+    problem = gallery.build("obstacle_2d", size=20).problem
+    data, start = problem.csr.data.copy(), np.full(problem.n, 3.0)
+    solve(problem, "multigrid", z0=start)
+    assert np.array_equal(problem.csr.data, data)
+    assert np.array_equal(start, np.full(problem.n, 3.0))
+
+
+# --- Where it is no help ------------------------------------------------------------------------------------
+
+
+def random_sparse(margin: float, *, n: int = 5000, positive: bool = False) -> LCP:
+    generator = np.random.default_rng(5)
+    B = sp.csr_array(
+        (generator.random(n * 7), (np.repeat(np.arange(n), 7), generator.integers(0, n, n * 7))), shape=(n, n)
+    )
+    M = sp.csr_array(sp.diags_array(B.sum(axis=1) * margin) + (B if positive else -B))
+    M.sum_duplicates()
+    return LCP(M, generator.normal(size=n))
+
+
+def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
+    """Where no coarser grid pays, sweeps go on as long as they contract, and the run ends where they do not."""
+    assert solve(random_sparse(1.4), "multigrid").status is Status.SOLVED
+    slow = solve(random_sparse(1.0001), "multigrid")
+    assert slow.status is Status.STALLED
+    assert slow.work <= 150
+
+
+def test_an_indefinite_matrix_ends_the_run() -> None:
+    """On a matrix that is neither definite nor H₊ the run ends by itself, with the best iterate it had."""
+    M = random_sparse(0.3, n=800, positive=True).csr
+    shifted = LCP(sp.csr_array(M - 0.9 * M.T + sp.eye_array(800)), np.random.default_rng(0).normal(size=800))
+    result = solve(shifted, "multigrid", max_iterations=2000)
+    assert result.iterations < 1000
+    assert np.isfinite(result.residual)
+
+
+@pytest.mark.parametrize("entry", [0.0, -1.0])
+def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
+    """The row is named, before the first step."""
+    with pytest.raises(UnsuitableMatrix, match=r"multigrid needs a positive diagonal, but M\[1, 1\]"):
+        solve(LCP([[2.0, -1.0], [-1.0, entry]], [-1.0, 1.0]), "multigrid")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"smoother": "psr"}, "smoother='psr' is not offered; did you mean 'psor'"),
+        ({"relaxation": 0.0}, "relaxation must be a positive finite number, got 0.0"),
+        ({"nested": 1}, "nested must be True or False, got 1"),
+        ({"coarsest": 0}, "coarsest must be a whole number ≥ 1, got 0"),
+        ({"coarsest": 2.5}, "coarsest must be a whole number ≥ 1, got 2.5"),
+        ({"coarsest": True}, "coarsest must be a whole number ≥ 1, got True"),
+    ],
+)
+def test_bad_options_are_refused(options: dict, message: str) -> None:
+    """A wrong option is an InvalidOption that says what is right."""
+    with pytest.raises(InvalidOption, match=message):
+        Multigrid(**options)
+
+
+# --- Batches ------------------------------------------------------------------------------------------------
+
+
+def test_prepare_fills_the_cache_that_with_q_shares() -> None:
+    """The prepared problem is the same object, and a problem with another q finds its hierarchy there."""
+    problem = gallery.build("obstacle_2d", size=30).problem
+    assert prepare(problem) is problem
+    shared = hierarchy_of(problem, Multigrid.coarsest)[0]
+    assert hierarchy_of(problem.with_q(problem.q + 1.0), Multigrid.coarsest) == (shared, 0.0)
+    assert prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2  # no positive diagonal: no hierarchy, no error
+    with pytest.raises(InvalidOption, match="prepare needs an LCP, got list"):
+        prepare([1.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "multigrid", "npsor"])
+def test_solve_many_answers_every_column(algorithm: str) -> None:
+    """Each column gets what a solve of its own gets; NaN and a wrong length stay in their places."""
+    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [0.0, 0.0])
+    columns = [[-3.0, 5.0], [np.nan, 0.0], [1.0, 2.0, 3.0], [-1.0, -1.0], "no vector"]
+    answers = solve_many(problem, columns, algorithm)
+    assert [isinstance(answer, Result) for answer in answers] == [True, False, False, True, False]
+    assert all(isinstance(answers[k], InvalidProblem) for k in (1, 2, 4))
+    assert "length 2" in str(answers[2])
+    for k in (0, 3):
+        assert np.array_equal(answers[k].z, solve(problem.with_q(columns[k]), algorithm).z)
+
+
+def test_solve_many_takes_an_array_by_columns() -> None:
+    """Column k of an (n, k) array is the k-th q; options reach every solve; a callback can end the batch."""
+    problem = LCP(np.diag([1.0, 2.0, 4.0]), np.zeros(3))
+    Q = -np.arange(12.0).reshape(3, 4)
+    answers = solve_many(problem, Q, "multigrid", tolerance=1e-12)
+    for k, answer in enumerate(answers):
+        np.testing.assert_allclose(answer.z, -Q[:, k] / problem.diagonal, rtol=1e-12)
+    stopped = solve_many(problem, Q[:, 1:], "npsor", callback=lambda sample, z: True)
+    assert [answer.status for answer in stopped] == [Status.INTERRUPTED]
+    assert solve_many(problem, np.zeros((3, 0))) == []
+
+
+@pytest.mark.parametrize("Q", [np.zeros(3), np.zeros((3, 2, 1)), 7.0, "text", {1: 2}])
+def test_solve_many_refuses_what_is_no_collection(Q: object) -> None:
+    """One vector, a number or a text is refused as a whole."""
+    with pytest.raises(InvalidProblem, match=r"Q must be an array of shape \(n, k\) or a list of vectors, got"):
+        solve_many(LCP(np.eye(3), np.zeros(3)), Q)  # type: ignore[arg-type]
+
+
+def test_solve_many_raises_what_concerns_all_columns() -> None:
+    """A wrong algorithm or option is raised, not repeated in every place."""
+    problem = LCP(np.eye(2), np.zeros(2))
+    with pytest.raises(UnknownAlgorithm):
+        solve_many(problem, np.ones((2, 2)), "multigird")
+    with pytest.raises(InvalidOption):
+        solve_many(problem, np.ones((2, 2)), "multigrid", smother="pgs")
+    answers = solve_many(LCP([[0.0, 1.0], [1.0, 0.0]], [0.0, 0.0]), np.ones((2, 2)), "psor")
+    assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)

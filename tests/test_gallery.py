@@ -72,7 +72,7 @@ SMALL = [
     "rigid_stack:blocks=4,points=2",
     "rigid_stack:blocks=2,points=3,mass_ratio=100,push=3",
     "rotated_anisotropy:size=11",
-    "rotated_anisotropy:size=6,ratio=1",
+    "rotated_anisotropy:size=6,ratio=0.01",
     "scaling_trap",
 ]
 

@@ -240,8 +240,12 @@ def bench(
 )
 @_speaks_plainly
 def report(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")] = Path("report"),
+    scenes: Annotated[
+        list[str] | None, typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
+    ] = Path("report"),
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> None:
     """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""

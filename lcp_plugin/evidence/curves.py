@@ -152,7 +152,8 @@ class Report:
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
-        content: dict[str, Any] = finite_content(asdict(self) | {"curves": [_curve_content(curve) for curve in self.curves]})
+        curves = [_curve_content(curve) for curve in self.curves]
+        content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
         return content
 
     @classmethod

@@ -62,8 +62,8 @@ def error_against_time(
     Returns
     -------
     Report
-        The error is the true one where the scene knows z*, else a rigorous bound where M is an H₊-matrix, else the
-        relative residual; ``error_kind`` and the axis say which.
+        The error is the true one where the scene knows z*, else a rigorous bound where the scene declares M to be an
+        H₊-matrix (of a plain problem: where M allows one), else the relative residual; ``error_kind`` says which.
 
     Raises
     ------

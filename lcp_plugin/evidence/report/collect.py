@@ -9,6 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from types import FrameType
@@ -23,7 +24,7 @@ Progress = Callable[[int, int, str], object]
 
 @dataclass
 class Collected:
-    """What is there: contents by (kind, name) in the order of the plan, how many were found on disk, what is missing."""
+    """Contents by (kind, name) in the order of the plan, how many of them were found on disk, and what is missing."""
 
     contents: Contents = field(default_factory=dict)
     found: int = 0
@@ -61,20 +62,24 @@ def collect(parts: Sequence[Part], folder: Path, progress: Progress | None = Non
     with _Interruption() as interruption:
         for done, part in enumerate(parts):
             label = f"{part.kind} {part.name}"
-            say(done, len(parts), label)
+            if not interruption.is_wanted:
+                say(done, len(parts), label)
             content = _read(files_of[part])
             if content is not None:
                 collected.found += 1
             elif not interruption.is_wanted:
-                content = _computed(part, interruption, lambda text: say(done, len(parts), f"{label}: {text}"))  # noqa: B023
+                content = _computed(part, interruption, partial(_detail, say, done, len(parts), label))
                 if content is not None:
                     write_text(files_of[part], json.dumps(content, ensure_ascii=False, allow_nan=False))
             if content is None:
                 collected.missing.append(label)
             else:
                 collected.contents[part.kind, part.name] = content
-    say(len(parts), len(parts), "done")
     return collected
+
+
+def _detail(say: Progress, done: int, total: int, label: str, text: str) -> None:
+    say(done, total, f"{label}: {text}")
 
 
 def _computed(part: Part, interruption: _Interruption, say: Callable[[str], object]) -> dict[str, Any] | None:

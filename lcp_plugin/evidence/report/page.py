@@ -67,7 +67,9 @@ def require_jinja() -> Any:
 def _template() -> Any:
     jinja2 = require_jinja()
     text = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     return environment.from_string(text)
 
 
@@ -107,7 +109,9 @@ def _scene(content: dict[str, Any]) -> dict[str, Any]:
         "sketch": None if sketch is None else figure_svg(
             draw_sketch(sketch), f"{name}-sketch", f"{sketch['unknown']} of {content['text']}"
         ),
-        "seconds": figure_svg(report.plot(), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"),
+        "seconds": figure_svg(
+            report.plot(), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
+        ),
         "work": figure_svg(
             report.plot(against="work"), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
         ),
@@ -154,7 +158,8 @@ def _comparison(reports: Sequence[Report]) -> list[dict[str, Any]]:
     """Return the tables of the promise: passes of each splitting method on the scenes with active constraints."""
     chosen = [report for report in with_active(reports) if any(curve.family in SPLITTING for curve in report.curves)]
     families = {curve.label: curve.family for report in chosen for curve in report.curves if curve.family in SPLITTING}
-    parts = [chosen[first : first + WIDEST] for first in range(0, len(chosen), WIDEST)]
+    width = -(-len(chosen) // max(1, -(-len(chosen) // WIDEST)))
+    parts = [chosen[first : first + width] for first in range(0, len(chosen), max(width, 1))]
     return [
         {
             "heads": [(report.title.partition(":")[0], _short(report.title), _percent(report)) for report in part],

@@ -44,6 +44,7 @@ CHECKED = (
 )
 TOO_LONG_FOR_QUICK = ("sizes",)  # families of the stability atlas
 REFERENCES = ("osqp", "clarabel")
+TRIAL = 0.25  # of the work a run may do: the limit of one trial of the tuning
 SAY = Callable[[str], object]
 
 
@@ -58,7 +59,7 @@ class Effort:
     is_quick: bool
 
 
-FULL = Effort(repeats=5, entries=1e9, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
+FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
 QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
 
 
@@ -99,7 +100,9 @@ def plan(scenes: Sequence[str] = (), *, quick: bool = False) -> list[Part]:
         parse(text)
     parts = [Part("scene", text, partial(_scene, text, effort), effort) for text in chosen]
     if not scenes:
-        parts += [Part("check", text, partial(_check, text, effort), effort) for text in CHECKED[: 5 if quick else None]]
+        parts += [
+            Part("check", text, partial(_check, text, effort), effort) for text in CHECKED[: 5 if quick else None]
+        ]
         parts.append(Part("tables", "paper", _tables, effort))
         parts += [Part("atlas", family, partial(_atlas, family, effort), effort) for family in _families(effort)]
     return parts
@@ -119,7 +122,7 @@ def _scene(text: str, effort: Effort, say: SAY) -> dict[str, Any]:
     scene = parse(text)
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
     say("tuning Ω and relaxations")
-    entrants = comparison(scene.problem, start=scene.start, tolerance=1e-8, max_work=max_work)
+    entrants = comparison(scene.problem, start=scene.start, tolerance=1e-8, max_work=TRIAL * max_work)
     report = error_against_time(
         scene, entrants, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
         progress=say,

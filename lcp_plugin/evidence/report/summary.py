@@ -14,7 +14,8 @@ from ..performance_profile import performance_profile
 from .collect import Collected
 
 SPLITTING = {
-    "projected-type (NP)": "NP", "projected relaxation (P)": "P", "modulus (M)": "M", "general fixed point (GFP)": "GFP",
+    "projected-type (NP)": "NP", "projected relaxation (P)": "P", "modulus (M)": "M",
+    "general fixed point (GFP)": "GFP",
 }
 WORTH_A_WORD = 1.1
 NO_ROOM = 1e-3  # of the diagonal: below, M has no zeroth-order term worth the name
@@ -40,6 +41,14 @@ def claims(collected: Collected) -> list[Claim]:
     return [claim for some in found for claim in some]
 
 
+def _many(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
 def _work(report: Report, *labels: str) -> list[float]:
     """Return the passes of those of the labels that were solved."""
     curves = (report.curve(label) for label in labels)
@@ -56,9 +65,9 @@ def _promised(reports: Sequence[Report]) -> Iterator[Claim]:
     if not chosen:
         return
     wins = Counter(SPLITTING[min(_splittings(report), key=lambda one: one.work).family] for report in chosen)
-    said = ", ".join(f"{family} {wins[family]}" for family in SPLITTING.values())
-    text = (f"On {len(chosen)} scenes with 10 to 90 % of the constraints active, the splitting method with the fewest "
-            f"passes over M is of the family: {said}.")
+    said = ", ".join(f"{family} on {wins[short]}" for family, short in SPLITTING.items())
+    text = (f"On {_many(len(chosen), 'scene')} with 10 to 90 % of the constraints active, the family with "
+            f"the fewest passes over M is {said}.")
     factors = [_behind(report, "projected-type (NP)") for report in chosen]
     finite = [factor for factor in factors if math.isfinite(factor)]
     if finite:
@@ -105,11 +114,9 @@ def _slow_on_active(reports: Sequence[Report]) -> Iterator[Claim]:
             if (sentence := _ratio(label, _work(other, label), _work(report, label)))
         ]
         if sentences:
-            yield Claim(
-                f"Active constraints, δ = {_delta(report):g}",
-                f"From no constraint active to {report.active_share:.0%} of them, with the same matrix (n = {report.n}): "
-                + "; ".join(sentences) + ".",
-            )
+            text = f"From no constraint active to {_percent(report.active_share)} of them, with the same matrix"
+            text = f"{text} (n = {report.n}): {'; '.join(sentences)}."
+            yield Claim(f"Active constraints, δ = {_delta(report):g}", text)
 
 
 def _ratio(label: str, free: list[float], active: list[float]) -> str:
@@ -149,22 +156,22 @@ def _tuning(reports: Sequence[Report]) -> Iterator[Claim]:
 
 def _no_room(scenes: Sequence[tuple[dict[str, Any], Report]]) -> Iterator[Claim]:
     chosen = [
-        report for content, report in scenes if -NO_ROOM <= content["dominance"] <= NO_ROOM and _work(report, "multigrid")
+        report for content, report in scenes
+        if -NO_ROOM <= content["dominance"] <= NO_ROOM and _work(report, "multigrid")
     ]
     if not chosen:
         return
 
     def wins(cost: Callable[[Curve], float]) -> int:
-        return sum(
-            min((curve for curve in report.curves if curve.is_solved), key=cost).label == "multigrid" for report in chosen
-        )
+        best = (min((curve for curve in report.curves if curve.is_solved), key=cost) for report in chosen)
+        return sum(curve.label == "multigrid" for curve in best)
 
     factors = [
         min(curve.work for curve in found) / _work(report, "multigrid")[0]
         for report in chosen if (found := _splittings(report))
     ]
-    text = (f"On {len(chosen)} scenes whose matrix has no diagonal to spare (no zeroth-order term, δ = 0) multigrid needs "
-            f"the fewest passes on {wins(lambda curve: curve.work)} and the least time on "
+    text = (f"On {_many(len(chosen), 'scene')} whose matrix has no diagonal to spare (no zeroth-order term, δ = 0) "
+            f"multigrid needs the fewest passes on {wins(lambda curve: curve.work)} and the least time on "
             f"{wins(lambda curve: curve.seconds)}.")
     if factors:
         text += f" The best splitting needs {min(factors):.1f} to {max(factors):.1f} times its passes."
@@ -185,8 +192,9 @@ def _profile(reports: Sequence[Report]) -> Iterator[Claim]:
     every = [label for label in work.labels if work.share(label, math.inf) == 1.0]
     yield Claim(
         "Over all scenes",
-        f"Of {len(work.problems)} scenes {by_work} has the fewest passes on {work.share(by_work):.0%}, {by_time} the least "
-        f"time on {seconds.share(by_time):.0%}. Solved every one: {', '.join(every) or 'nobody'}.",
+        f"Of {len(work.problems)} scenes {by_work} has the fewest passes on {_percent(work.share(by_work))}, "
+        f"{by_time} the least time on {_percent(seconds.share(by_time))}. "
+        f"Solved every one: {', '.join(every) or 'nobody'}.",
     )
 
 
@@ -201,7 +209,7 @@ def _checks(collected: Collected) -> Iterator[Claim]:
     verdicts = Counter(content["verdict"] for content in collected.of("check"))
     if verdicts:
         said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
-        yield Claim("Against convex solvers", f"Cross-validation of {verdicts.total()} scenes: {said}.")
+        yield Claim("Against convex solvers", f"Cross-validation of {_many(verdicts.total(), 'scene')}: {said}.")
 
 
 def _atlas(collected: Collected) -> Iterator[Claim]:
@@ -210,7 +218,7 @@ def _atlas(collected: Collected) -> Iterator[Claim]:
         yield Claim(
             "Stability",
             f"{len(atlas.cells)} runs on stiff, extreme and degenerate problems: {len(atlas.lies)} lies; of the "
-            f"{len(atlas.well_posed)} well-posed ones {atlas.solved_share:.0%} are SOLVED.",
+            f"{len(atlas.well_posed)} well-posed ones {_percent(atlas.solved_share)} are SOLVED.",
         )
 
 

@@ -294,7 +294,6 @@ def test_tuning_finds_the_best_of_its_list() -> None:
     for label, (name, settings) in TUNING.items():
         best = min(solve(problem, name, **options).work for options in settings)  # type: ignore[arg-type]
         one = tuned(problem, label, start=None, tolerance=1e-8, max_work=1e5)
-        assert one is not None
         assert solve(problem, one.algorithm).work == best
 
 
@@ -304,8 +303,9 @@ def test_comparison_holds_the_promise() -> None:
     labels = {one.label for one in comparison(problem, start=None, tolerance=1e-8, max_work=1e4)}
     assert labels >= {"NPGS", "NPSOR", "NPAOR", "NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper", "MGS tuned",
                       "MSOR tuned", "GFP", "PGS", "PSOR"}
-    box = gallery.build("relay_control", n=4).problem
-    assert "MSOR tuned" not in {one.label for one in comparison(box, start=None, tolerance=1e-8, max_work=50)}
+    box = gallery.build("relay_control", n=4)
+    report = error_against_time(box, comparison(box.problem, start=None, tolerance=1e-8, max_work=50), max_work=50)
+    assert {"MGS paper", "MGS tuned", "MSOR paper", "MSOR tuned"} <= {what for what, _ in report.left_out}
 
 
 def test_labels_show_options_that_differ() -> None:

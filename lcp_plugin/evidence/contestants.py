@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -143,11 +143,11 @@ TUNING: dict[str, tuple[str, tuple[dict[str, float | str], ...]]] = {
 
 def tuned(
     problem: LCP, label: str, *, start: FloatVector | None, tolerance: float, max_work: float
-) -> Contestant | None:
+) -> Contestant:
     """Return the algorithm with those options of its list that reach the tolerance with the least work.
 
-    Where none does within `max_work` passes, the one with the smallest residual counts; None where the algorithm
-    cannot run on the problem. A trial ends where it has done as much work as the best one so far.
+    Where none does within `max_work` passes, the one with the smallest residual counts. A trial ends where it has done
+    as much work as the best one so far. An algorithm that cannot run on the problem keeps its defaults.
     """
     name, settings = TUNING[label]
     best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it arrives, else (1, residual): the smaller the better
@@ -156,7 +156,7 @@ def tuned(
         try:
             result = measured_run(problem, create(name, dict(options)), limit, z0=start, tolerance=tolerance)
         except LCPError:
-            return None
+            return Contestant(label, create(name, {}), family_of(name))
         score = (0.0, result.work) if result.is_solved else (1.0, result.residual)
         if score < best:
             best, chosen = score, options
@@ -188,10 +188,10 @@ def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **s
 
 
 def comparison(
-    problem: LCP, *, start: FloatVector | None, tolerance: float, max_work: float, labels: Sequence[str] | None = None
+    problem: LCP, *, start: FloatVector | None, tolerance: float, max_work: float
 ) -> list[Contestant]:
     """Return the comparison of the report: the paper's settings, ours, and those tuned on this problem."""
-    found = (
-        tuned(problem, label, start=start, tolerance=tolerance, max_work=max_work) for label in labels or TUNING
-    )
-    return [*paper_settings(), *(one for one in found if one is not None), *own_settings()]
+    found = [
+        tuned(problem, label, start=start, tolerance=tolerance, max_work=max_work) for label in TUNING
+    ]
+    return [*paper_settings(), *found, *own_settings()]

@@ -155,6 +155,7 @@ class _Separate:
     lower: FloatVector
     upper: FloatVector
 
+    @np.errstate(all="ignore")
     def put_back(self, z: Any) -> None:
         rest = _like(self.offset, z).copy()
         np.add.at(rest, self.row, _like(self.entry, z) * z[self.column])
@@ -163,9 +164,8 @@ class _Separate:
                 z[i] = _one_unknown(Fraction(self.diagonal[k]), rest[k], self.lower[k], self.upper[k])
             return
         steep = self.diagonal > 0.0
-        with np.errstate(all="ignore"):
-            inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
-            at_lower = self.diagonal * self.lower + rest >= 0.0
+        inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
+        at_lower = self.diagonal * self.lower + rest >= 0.0
         flat = np.where(at_lower, self.lower, self.upper)
         idle = np.clip(0.0, self.lower, self.upper)  # an empty row with q = 0 takes any z
         is_idle = (self.diagonal == 0.0) & (rest == 0.0)

@@ -187,7 +187,7 @@ def _rounded(value: Fraction) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(math.inf, value)
+        return math.inf if value > 0 else -math.inf  # copysign would make it a float first
 
 
 def _require_small(problem: LCP) -> None:

@@ -22,7 +22,7 @@ SCENES = (
     "journal_bearing:size=100",
     "elastic_plastic_torsion",
     "american_put:size=2001",
-    "random_h_plus:n=5000",
+    "random_h_plus:n=2000",
     "convection_diffusion:size=100",
     "rotated_anisotropy:size=60",
     "market_equilibrium",

@@ -17,8 +17,8 @@ LARGEST_EXPONENT = 1000
 def monotone_rows(M: Any) -> FloatVector | None:
     """Return r, powers of two, shape (n,), such that diag(r) M may be monotone although M is not; else None.
 
-    M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and here where it is so clearly. Tried are the factors that make M symmetric, if there are
-    any, and those that make its diagonal 1.
+    M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and only what is so clearly is changed. Tried are the
+    factors that make M symmetric, if there are any, and those that make its diagonal 1.
 
     Examples
     --------

@@ -11,7 +11,6 @@ from ..problem import LCP, FloatVector
 from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
 from .base import Step
 
-
 WORTH_PROJECTING = 2.0  # times the best residual within the bounds
 
 

@@ -22,8 +22,8 @@ def monotone_rows(M: Any) -> FloatVector | None:
 
     Examples
     --------
-    >>> monotone_rows(np.array([[2.0, -1.0], [-16.0, 32.0]]))
-    array([1.    , 0.0625])
+    >>> monotone_rows(np.array([[2.0, -1.0], [-64.0, 128.0]]))
+    array([1.      , 0.015625])
     >>> monotone_rows(np.array([[2.0, -1.0], [-1.0, 2.0]])) is None
     True
     """

@@ -116,7 +116,8 @@ def draw_curves(report: Report, against: str = "seconds") -> Any:
         names = []
         for curve, line in zip(report.curves, lines, strict=True):
             x, y = _draw_curve(axes, curve, line, against, (lowest, highest))
-            names.append((x, y, curve.label, line["color"], "o" if curve.is_solved else "x"))
+            label, marker = (curve.label, "o") if curve.is_solved else (f"{curve.label} ✕", "x")
+            names.append((x, y, label, line["color"], marker))
         if against == "seconds":
             names += [
                 (one.seconds, max(one.error, lowest), one.label, COLOURS["reference"], "D")

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from .driver import solve as solve
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
+    from .evidence.error_against_time import error_against_time as error_against_time
+    from .evidence.stability import stability_atlas as stability_atlas
     from .guarantees import Guarantee as Guarantee
     from .guarantees import convergence_guarantee as convergence_guarantee
     from .matrix_classes import MatrixReport as MatrixReport
@@ -61,6 +63,8 @@ _HOME = {
     "complements": "modeling.constraint",
     "is_complementarity_problem": "modeling.registration",
     "register": "modeling.registration",
+    "error_against_time": "evidence.error_against_time",
+    "stability_atlas": "evidence.stability",
     "gallery": "evidence.gallery",
     "all_solutions": "search",
     "strategies": "strategies",

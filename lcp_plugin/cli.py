@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json as json_module
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -16,13 +15,12 @@ import typer
 from . import __version__
 from .errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
 from .problem import LCP, FloatVector
-from .result import Result, Sample
+from .result import Result
+from .terminal import RunLine
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
-QUIET_SECONDS = 1.0
-REFRESH_SECONDS = 0.2
 
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
@@ -110,7 +108,7 @@ def solve(
         tolerance_on=tolerance_on, error_bound=error_bound, measure=measure, max_iterations=max_iterations,
         max_seconds=max_seconds, record=plot is not None,
     )
-    with _Progress() as progress:
+    with RunLine() as progress:
         results = _solve_all(problem, scene, settings, progress)
     result = results[-1]
     typer.echo(_json(results) if json else _story(results, scene))
@@ -119,7 +117,7 @@ def solve(
     if plot is not None:
         from .evidence.pictures import draw
 
-        draw(result, plot, scene)
+        draw(result, plot, scene, results)
     for path in filter(None, (plot, out)):
         typer.echo(f"saved {path}", err=json)
     if not result.is_solved:
@@ -237,10 +235,32 @@ def bench(
         typer.echo(line)
 
 
+@app.command(
+    epilog="Examples:  lcp-plugin report --out report --quick   ·   lcp-plugin report half_active:n=2500 --out mine"
+)
+@_speaks_plainly
+def report(
+    scenes: Annotated[
+        list[str] | None, typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
+    ] = Path("report"),
+    quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
+) -> None:
+    """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
+    from .report_command import make
+
+    is_complete, story = make(scenes or [], out, quick=quick)
+    typer.echo(story)
+    if not is_complete:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
 def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
     """Refuse before the run what could not be written after it."""
     if plot is not None:
-        from .evidence.pictures import check_format, require_matplotlib
+        from .evidence.drawing import check_format, require_matplotlib
 
         check_format(plot)
         require_matplotlib()
@@ -300,7 +320,7 @@ def _chosen(algorithm: str, options: dict[str, Any]) -> Any:
     return create(algorithm, options)
 
 
-def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: _Progress) -> list[Result]:
+def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunLine) -> list[Result]:
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
     from .driver import solve as solve_problem
 
@@ -356,41 +376,6 @@ def _story(results: list[Result], scene: Any) -> str:
 
 def _distance(z: FloatVector, reference: FloatVector) -> float:
     return float(np.max(np.abs(z - reference)))
-
-
-class _Progress:
-    """A line on the terminal for runs longer than a second; silence otherwise."""
-
-    def __init__(self) -> None:
-        self._began = self._shown = time.perf_counter()
-        self._status: Any = None
-        self._residual = float("nan")
-        self._wanted = sys.stderr.isatty()
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-
-    def __call__(self, sample: Sample, z: FloatVector) -> bool:
-        if sample.residual is not None:
-            self._residual = sample.residual
-        now = time.perf_counter()
-        if self._wanted and now - self._began > QUIET_SECONDS and now - self._shown > REFRESH_SECONDS:
-            self._shown = now
-            count = f"{sample.label}: iteration {sample.iteration}"
-            self._show(f"{count}, residual {self._residual:.2e}, {sample.seconds:.1f} s")
-        return False
-
-    def _show(self, text: str) -> None:
-        if self._status is None:
-            from rich.console import Console
-
-            self._status = Console(stderr=True).status(text)
-            self._status.start()
-        self._status.update(text + "  (Ctrl-C stops and keeps the best)")
 
 
 if __name__ == "__main__":

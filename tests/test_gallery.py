@@ -39,6 +39,10 @@ SMALL = [
     "diode_bridge",
     "diode_bridge:current=-2",
     "diode_bridge:current=0",
+    "elastic_plastic_torsion:size=11",
+    "elastic_plastic_torsion:size=10,section=disc,plastic_share=0.75",
+    "elastic_plastic_torsion:size=11,plastic_share=0,mixed=true",
+    "elastic_plastic_torsion:size=1,section=disc",
     "half_active:n=100",
     "half_active:n=81,delta=0,block=2,degenerate=false",
     "market_equilibrium:goods=6,activities=9",
@@ -639,3 +643,50 @@ def test_relays_saturate_slide_and_switch() -> None:
     M = scene.problem.csr.toarray()
     assert np.linalg.eigvalsh(M + M.T).min() > 0.0
     assert np.any(np.abs(M).sum(axis=1) > 2.0 * M.diagonal())
+
+
+def plastic(scene: gallery.Scene, z: np.ndarray) -> np.ndarray:
+    """Return which of the nodes that can move are at a bound."""
+    lower, upper = scene.problem.lower, scene.problem.upper
+    return ((z <= lower) | (z >= upper))[lower < upper]
+
+
+def twisted(text: str) -> tuple[gallery.Scene, np.ndarray]:
+    """Return a scene of torsion in one direction and its answer: −u is a membrane above −dist."""
+    scene = gallery.parse(f"elastic_plastic_torsion:{text}")
+    return scene, -active_set(LCP(scene.problem.csr, -scene.problem.q, lower=scene.problem.lower))
+
+
+def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
+    """On the disc refinement shrinks the error, and the declared share of it yields."""
+    errors = []
+    for size in (15, 30, 60):
+        scene, z = twisted(f"size={size},section=disc,plastic_share=0.75")
+        errors.append(np.abs(z - scene.continuum).max())
+    assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
+    assert errors[-1] < 1e-3
+    assert np.mean(plastic(scene, z)) == pytest.approx(0.75, abs=0.02)
+
+
+def test_torsion_is_nowhere_steeper_than_the_yield_stress() -> None:
+    """|u| ≤ dist, neighbours differ by a mesh width at most, more twist yields more, and corners stay elastic."""
+    shares = []
+    for share in (0.0, 0.5, 0.9):
+        scene, z = twisted(f"size=30,plastic_share={share}")
+        u = np.pad(scene.picture(z), 1)
+        assert max(np.abs(np.diff(u, axis=axis)).max() for axis in (0, 1)) <= 2.0 / 31.0 * (1.0 + 1e-12)
+        shares.append(np.mean(plastic(scene, z)))
+        assert scene.picture(z)[0, 0] < scene.picture(scene.problem.upper)[0, 0]
+    assert 0.1 < shares[0] < shares[1] < shares[2] < 0.8
+
+
+@pytest.mark.parametrize("size", [30, 31])
+def test_mixed_torsion_touches_both_bounds(size: int) -> None:
+    """With the halves twisted in opposite directions u is odd and rests on −dist as often as on dist."""
+    from lcp_plugin import solve
+
+    scene = gallery.build("elastic_plastic_torsion", size=size, plastic_share=0.9, mixed=True)
+    z = solve(scene.problem, "psor", tolerance=1e-12).require_solved().z
+    assert np.allclose(scene.picture(z), -scene.picture(z)[::-1], rtol=0.0, atol=1e-9)
+    at_lower, at_upper = np.mean(z <= scene.problem.lower), np.mean(z >= scene.problem.upper)
+    assert at_lower == at_upper > 0.1

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
 from ..problem import LCP, FloatVector
+from .base import has_positive_diagonal
 
 LARGEST = 2.0
 COUPLED = 0.9  # g θ ℓ stays this far below 1
@@ -64,6 +65,12 @@ def balanced_factors(
 
 
 def scaled_rows(problem: LCP, factors: FloatVector | float) -> FloatVector:
-    """Return the diagonal of S, shape (n,): θ_i/d_i with d the scale of the residual, kept finite."""
-    with np.errstate(over="ignore"):
-        return np.minimum(factors * inverse_residual_scale(problem), np.finfo(np.float64).max)
+    """Return the diagonal of S, shape (n,): θ_i/m_ii, or θ_i over the scale of the residual if m_ii is no use; finite.
+
+    A diagonal that is small beside its row is of use: so it is in an H₊-matrix whose columns differ in unit.
+    """
+    inverse = inverse_residual_scale(problem)
+    with np.errstate(over="ignore", divide="ignore"):
+        if problem.residual_scale is not problem.diagonal:
+            inverse = np.where(has_positive_diagonal(problem), 1.0 / problem.diagonal, inverse)
+        return np.minimum(factors * inverse, np.finfo(np.float64).max)

@@ -55,10 +55,10 @@ def fischer_burmeister(problem: LCP, z: FloatVector, w: FloatVector) -> Linearis
         value = np.where(has_lower, value, p)
         by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
         by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
-    is_fixed = problem.lower == problem.upper
-    return Linearised(
-        np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
-    )
+        is_fixed = problem.lower == problem.upper
+        return Linearised(
+            np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
+        )
 
 
 def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:

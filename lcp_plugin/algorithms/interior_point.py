@@ -20,6 +20,7 @@ from .interior_linear_algebra import (
     newton_matrix,
     scaled_by,
 )
+from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
 
@@ -41,6 +42,7 @@ DENSE_UP_TO = 1000  # rows of a sparse symmetric M that is treated as a dense on
 SPARSE_BELOW = 0.01
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
+SAFE_TO_MULTIPLY = 400  # bits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +51,12 @@ class InteriorPoint(Algorithm):
 
     Notes
     -----
-    For monotone M, symmetric or not; rows bounded on one side, on both, on none, or fixed. Singular blocks are
-    regularised and refined. As soon as the active set looks settled its linear system is solved, so that the
-    residual of the answer is at rounding level and not only the gap. On dense symmetric M a few projected
-    Gauss–Seidel sweeps guess the active set beforehand, and a primal active set method corrects the guess with one
-    Cholesky factor; only where that takes long do interior steps follow, three as a rule, before it tries again.
+    For monotone M, symmetric or not, also where its rows are in other units; rows bounded on one side, on both, on
+    none, or fixed. Singular blocks are regularised and refined. As soon as the active set looks settled its linear
+    system is solved, so that the residual of the answer is at rounding level and not only the gap. On dense symmetric M
+    a few projected Gauss–Seidel sweeps guess the active set beforehand, and a primal active set method corrects the
+    guess with one Cholesky factor; only where that takes long do interior steps follow, three as a rule, before it
+    tries again.
 
     References
     ----------
@@ -87,7 +90,7 @@ class InteriorPoint(Algorithm):
 
 
 class _Search:
-    """The run on the rows that are not fixed, in equilibrated unknowns z = c y."""
+    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y."""
 
     def __init__(self, problem: LCP) -> None:
         self.problem = problem
@@ -101,14 +104,21 @@ class _Search:
             M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
             lower, upper = lower[kept], upper[kept]
         self.is_symmetric = not sp.issparse(M) and self._is_symmetric(M)
+        r = None if self.is_symmetric else monotone_rows(M)
+        if r is not None:
+            M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
+            q = r * q
         if sp.issparse(M) and q.size <= DENSE_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
             dense = M.toarray()
-            self.is_symmetric = self._is_symmetric(dense)
+            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric(dense)
             M = dense if self.is_symmetric else M
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
-        self.c = np.ones(q.size) if c is None else c
-        self.q, self.lower, self.upper = q * self.c, lower / self.c, upper / self.c
+        c = np.ones(q.size) if c is None else c
+        q = q * c
+        size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
+        self.unit = c * size
+        self.q, self.lower, self.upper = q / size, lower / c / size, upper / c / size
         self.entries = max(float(problem.M.nnz if sp.issparse(problem.M) else problem.M.size), 1.0)
         self.counted = 0.0  # of the primal active set's work
         self.best, self.best_z = np.inf, np.array(problem.nearest_to_zero)
@@ -119,7 +129,7 @@ class _Search:
         """Return the best z so far, with y, projected, taken into account; `work` is what y took."""
         problem = self.problem
         z = problem.lower.copy()
-        inside = self.c * y
+        inside = self.unit * y
         if self.kept is None:
             z = inside
         else:
@@ -134,7 +144,7 @@ class _Search:
     # --- the stages -------------------------------------------------------------------------------------
 
     def steps(self, z0: FloatVector) -> Iterator[Step]:
-        y = (z0 if self.kept is None else z0[self.kept]) / self.c
+        y = (z0 if self.kept is None else z0[self.kept]) / self.unit
         if not y.size:
             yield self.step(y, 0.0)
             return
@@ -250,6 +260,17 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
+
+
+def _unit_of(q: FloatVector, entries: FloatVector) -> float:
+    """Return a power of two to measure y and w in: 1, or what makes y w about 1 where it would leave the range.
+
+    With M and q of sizes m and s, y is about s/m and w about s.
+    """
+    of_q, of_M = (np.frexp(np.abs(values).max(initial=0.0)) for values in (q, entries))
+    exponent = int(of_q[1]) - 1 - int(of_M[1]) // 2
+    is_known = 0.0 < of_q[0] < np.inf and 0.0 < of_M[0] < np.inf
+    return float(np.ldexp(1.0, exponent)) if is_known and SAFE_TO_MULTIPLY < abs(exponent) < 1000 else 1.0
 
 
 def _active(point: PredictorCorrector, threshold: float) -> tuple[BoolVector, FloatVector]:

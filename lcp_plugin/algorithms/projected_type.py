@@ -39,7 +39,7 @@ REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and l
 
 
 def row_scaling(problem: LCP, scaling: str | None, factor: float, coupling: float, sweep: str) -> FloatVector:
-    """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; d is the scale of the residual."""
+    """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; see `scaled_rows` for d."""
     if scaling is None:
         return np.ones(problem.n)
     return scaled_rows(problem, automatic_factors(problem, coupling, sweep) if scaling == "auto" else factor)

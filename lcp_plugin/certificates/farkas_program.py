@@ -22,6 +22,7 @@ LARGEST_DENOMINATORS = (1, 100, 100_000)
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
+LARGEST_EXPONENT = 1023  # of a power of two that is a double
 
 
 @dataclass(frozen=True)
@@ -105,10 +106,14 @@ class FarkasProgram:
         """Return the largest size, in the scale of the program, of a row that z leaves violated; None if none is."""
         problem = self.problem
         slack_lower, slack_upper = slack_bounds(problem)
-        w = problem.slack(z)
-        size = abs(problem.csr) @ np.abs(z) + np.abs(problem.q)
-        violated = np.maximum(slack_lower - w, w - slack_upper) > VIOLATED * size
-        return float((self.rows * size)[violated].max()) if violated.any() else None
+        with np.errstate(all="ignore"):
+            w = problem.slack(z)
+            size = abs(problem.csr) @ np.abs(z) + np.abs(problem.q)
+            violated = np.maximum(slack_lower - w, w - slack_upper) > VIOLATED * size
+            size *= self.rows
+        if not np.isfinite(size).all():  # a sum that overflows has no sign: nothing can be called feasible
+            return float(np.finfo(np.float64).max)
+        return float(size[violated].max()) if violated.any() else None
 
     def nearest(self, y: FloatVector) -> FloatVector:
         """Return y in the scale of the problem, its signs and negligible entries put right; the largest entry is 1."""
@@ -210,7 +215,7 @@ def _cut_off(values: FloatVector, unit: float) -> FloatVector:
 
 
 def _power_of_two_near(value: float) -> float:
-    return float(np.ldexp(1.0, min(int(np.frexp(value)[1]), 1023)))
+    return float(np.ldexp(1.0, min(int(np.frexp(value)[1]), LARGEST_EXPONENT)))
 
 
 def _linear_program(cost: FloatVector, equations: Any, bounds: Any, pivots: int, row: Any = None) -> Any:

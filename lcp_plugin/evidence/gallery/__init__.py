@@ -18,6 +18,7 @@ from .paper import half_active, paper_example_1, paper_example_2
 from .registry import Description, build, describe, names, parse, scene_builder
 from .scene import Scene
 from .stopping import optimal_stopping
+from .torsion import elastic_plastic_torsion
 
 __all__ = [
     "Description",
@@ -31,6 +32,7 @@ __all__ = [
     "convection_diffusion",
     "describe",
     "diode_bridge",
+    "elastic_plastic_torsion",
     "half_active",
     "journal_bearing",
     "market_equilibrium",

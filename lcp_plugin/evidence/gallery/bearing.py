@@ -60,4 +60,6 @@ def journal_bearing(*, size: Count = 100, eccentricity: Eccentricity = 0.8, half
         grid=(size, size),
         coordinates=(angle[1:-1], width[1:-1]),
         axis_labels=("angle", "width"),
+        unknown="pressure",
+        active_means="torn film, no pressure",
     )

@@ -115,6 +115,8 @@ def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plu
         grid=(size, size),
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the ground",
     )
 
 

@@ -104,6 +104,8 @@ def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
         grid=shape,
         coordinates=(axis[1:-1],) * dimension,
         axis_labels=("x", "y", "z")[:dimension],
+        unknown="height",
+        active_means="on the obstacle",
     )
 
 
@@ -147,4 +149,6 @@ def obstacle_bumps(*, size: Count = 100, bumps: Count = 8, load: float = -5.0, s
         grid=(size, size),
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the obstacle",
     )

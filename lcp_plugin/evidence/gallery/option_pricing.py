@@ -122,6 +122,8 @@ def _put_scene(
         grid=(size,),
         coordinates=(strike * np.exp(log_price[1:-1]),),
         axis_labels=("spot price",),
+        unknown="option price",
+        active_means="exercise at once",
         steps=steps,
         advance=advance if steps > 1 else None,
     )

@@ -43,6 +43,8 @@ class Scene:
         One array of node positions per axis of `grid`, shapes (grid[0],), (grid[1],), ….
     axis_labels
         One label per axis of `grid`.
+    unknown, active_means
+        What z is, and what it means that a component rests on a bound; for pictures.
     steps : int, at least 1
         Length of the march in time; 1 for a single problem.
     advance : callable, optional
@@ -77,6 +79,8 @@ class Scene:
     grid: tuple[int, ...] | None = None
     coordinates: tuple[FloatVector, ...] | None = None
     axis_labels: tuple[str, ...] = ()
+    unknown: str = "z"
+    active_means: str = "at a bound"
     steps: int = 1
     advance: Callable[[FloatVector], FloatVector] | None = None
 

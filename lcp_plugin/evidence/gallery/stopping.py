@@ -68,6 +68,8 @@ def optimal_stopping(
         grid=shape,
         coordinates=(axis[1:-1], axis[1:-1]),
         axis_labels=("x", "y"),
+        unknown="value",
+        active_means="stop at once",
     )
 
 

@@ -1,0 +1,197 @@
+"""Who takes part in a race: algorithms with a label and a family, the paper's settings, and tuned ones."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from ..algorithms import REGISTRY, Algorithm, create
+from ..driver import solve
+from ..errors import ConvergenceWarning, LCPError
+from ..problem import LCP, FloatVector
+from ..result import Result, Sample, Status
+
+FAMILIES = {
+    "projected_type": "projected-type (NP)",
+    "projected_splitting": "projected-type (NP)",
+    "projected_relaxation": "projected relaxation (P)",
+    "modulus": "modulus (M)",
+    "multigrid": "multigrid",
+    "auto": "auto",
+}
+OTHER = "factorising and pivoting"
+PAPER_RELAXATION, PAPER_MSOR = 1.7, 0.85
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A label, the algorithm behind it ("auto" or an object), its family, and how its options came about."""
+
+    label: str
+    algorithm: str | Algorithm
+    family: str
+    note: str = ""
+
+
+def family_of(algorithm: str | Algorithm) -> str:
+    """Return the family that colours a curve.
+
+    Examples
+    --------
+    >>> family_of("npsor"), family_of("psor"), family_of("newton")
+    ('projected-type (NP)', 'projected relaxation (P)', 'factorising and pivoting')
+    """
+    name = algorithm if isinstance(algorithm, str) else algorithm.name
+    if name == "gfp":
+        return "general fixed point (GFP)"
+    if name not in REGISTRY and name != "auto":
+        return "other"
+    return FAMILIES.get(REGISTRY.get(name, name).partition(":")[0], OTHER)
+
+
+def contestants(algorithms: Any) -> list[Contestant]:
+    """Return who takes part.
+
+    Parameters
+    ----------
+    algorithms : None, a sequence of names and Algorithm objects, or a mapping of labels to them
+        None: the comparison that the paper promises, without tuned options.
+
+    Raises
+    ------
+    UnknownAlgorithm
+        With the closest name.
+    """
+    if algorithms is None:
+        return [*paper_settings(), *own_settings()]
+    if isinstance(algorithms, str | Algorithm):
+        algorithms = [algorithms]
+    named = algorithms.items() if isinstance(algorithms, Mapping) else ((None, one) for one in algorithms)
+    found: dict[str, Contestant] = {}
+    for label, one in named:
+        if isinstance(one, Contestant):
+            found[one.label] = one
+            continue
+        made = one if isinstance(one, Algorithm) or one == "auto" else create(one, {})
+        name = label or _label(made)
+        found[name] = Contestant(name, made, family_of(made))
+    return list(found.values())
+
+
+def _label(algorithm: str | Algorithm) -> str:
+    """Return the name with the options that differ from the defaults."""
+    if isinstance(algorithm, str):
+        return algorithm
+    changed = [
+        f"{field.name}={getattr(algorithm, field.name)}"
+        for field in fields(algorithm)
+        if repr(getattr(algorithm, field.name)) != repr(field.default)
+    ]
+    return " ".join([algorithm.name, *changed])
+
+
+def paper_settings() -> Iterable[Contestant]:
+    """Yield the paper's methods with its own settings: no row scaling, the Ω behind its tables."""
+    note = "as in the paper: no row scaling"
+    yield _made("NPGS paper", "npgs", note, scaling=None)
+    yield _made("NPSOR paper", "npsor", note, scaling=None, relaxation=PAPER_RELAXATION)
+    yield _made("MGS paper", "mgs", "Ω = D/2, as behind the paper's tables", omega=0.5)
+    yield _made("MSOR paper", "msor", "Ω = D/(2α²), α = 0.85, as behind the paper's tables", relaxation=PAPER_MSOR,
+                omega=0.5 / PAPER_MSOR**2)
+
+
+def own_settings() -> Iterable[Contestant]:
+    """Yield the methods with the package's defaults."""
+    scaled = "row scaling found automatically"
+    yield _made("NPGS", "npgs", scaled)
+    yield _made("NPSOR", "npsor", f"{scaled}, α = 1.7")
+    yield _made("NPAOR", "npaor", f"{scaled}, α = 1.7, β = 1")
+    yield _made("GFP", "gfp", "Ω = D⁻¹")
+    yield _made("PGS", "pgs", "")
+    yield _made("PSOR", "psor", "relaxation found during the run")
+    yield _made("multigrid", "multigrid", "")
+    yield Contestant("auto", "auto", family_of("auto"), "the default of solve")
+
+
+def _made(label: str, name: str, note: str, **options: Any) -> Contestant:
+    return Contestant(label, create(name, options), family_of(name), note)
+
+
+TUNING: dict[str, tuple[str, tuple[dict[str, float | str], ...]]] = {
+    "NPSOR tuned": (
+        "npsor",
+        tuple(
+            {"scaling": "diagonal", "scaling_factor": factor, "relaxation": relaxation}
+            for factor in (2.0, 1.0, 4.0, 8.0)
+            for relaxation in (3.0, 1.7, 10.0, 30.0)
+        ),
+    ),
+    "MGS tuned": ("mgs", tuple({"omega": omega} for omega in (0.5, 1.0, 0.6, 0.8, 1.4))),
+    "MSOR tuned": (
+        "msor",
+        tuple(
+            {"omega": omega, "relaxation": relaxation}
+            for omega in (0.5, 1.0, 0.6, 0.8, 1.4)
+            for relaxation in (1.2, 1.0, 1.4, 1.6, 1.8)
+        ),
+    ),
+}
+"""By label: the algorithm, and the options that are tried, the most promising first."""
+
+
+def tuned(
+    problem: LCP, label: str, *, start: FloatVector | None, tolerance: float, max_work: float
+) -> Contestant:
+    """Return the algorithm with those options of its list that reach the tolerance with the least work.
+
+    Where none does within `max_work` passes, the one with the smallest residual counts. A trial ends where it has done
+    as much work as the best one so far. An algorithm that cannot run on the problem keeps its defaults.
+    """
+    name, settings = TUNING[label]
+    best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it arrives, else (1, residual): the smaller the better
+    for options in settings:
+        limit = WorkLimit(best[1] if best[0] == 0.0 else max_work)
+        try:
+            result = measured_run(problem, create(name, dict(options)), limit, z0=start, tolerance=tolerance)
+        except LCPError:
+            return Contestant(label, create(name, {}), family_of(name))
+        score = (0.0, result.work) if result.is_solved else (1.0, result.residual)
+        if score < best:
+            best, chosen = score, options
+    shown = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in chosen.items())
+    return _made(label, name, f"{shown}: the best of {len(settings)} settings tried on this very problem", **chosen)
+
+
+class WorkLimit:
+    """A callback that ends a run after so many passes over M: the same end on every machine."""
+
+    def __init__(self, max_work: float) -> None:
+        self.max_work = max_work
+        self.is_over = False
+
+    def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether the limit is reached."""
+        self.is_over = sample.work >= self.max_work
+        return self.is_over
+
+
+def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **settings: Any) -> Result:
+    """Return what `solve` returns; Ctrl-C, after which `solve` keeps the best iterate, ends a measurement."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # whether it converges is what is measured
+        result = solve(problem, algorithm, callback=limit, **settings)
+    if result.status is Status.INTERRUPTED and not limit.is_over:
+        raise KeyboardInterrupt
+    return result
+
+
+def comparison(
+    problem: LCP, *, start: FloatVector | None, tolerance: float, max_work: float
+) -> list[Contestant]:
+    """Return the comparison of the report: the paper's settings, ours, and those tuned on this problem."""
+    found = [
+        tuned(problem, label, start=start, tolerance=tolerance, max_work=max_work) for label in TUNING
+    ]
+    return [*paper_settings(), *found, *own_settings()]

@@ -1,0 +1,268 @@
+"""What a race between algorithms leaves behind: curves of error, work and time, as CSV, JSON and pictures."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..problem_files import write_whole
+
+TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
+AXIS_LABELS = {
+    TRUE_ERROR: "true error ‖z − z*‖∞",
+    BOUND: "proved bound of the error ‖z − z*‖∞",
+    RESIDUAL: "relative residual",
+}
+COLUMNS = (
+    "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
+    "error_kind", "error", "residual",
+)
+
+
+class Point(NamedTuple):
+    """One point of a curve.
+
+    Attributes
+    ----------
+    iteration : int
+        0 is the projected start, after the set-up; the last point of a curve is the answer.
+    work : float
+        Passes over M so far.
+    seconds, seconds_low, seconds_high : float
+        Median and quartiles over the repeats, set-up included, measurements excluded.
+    error : float
+        In the kind that the report names.
+    residual : float
+        Relative residual.
+    """
+
+    iteration: int
+    work: float
+    seconds: float
+    seconds_low: float
+    seconds_high: float
+    error: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One algorithm's way to its answer.
+
+    Attributes
+    ----------
+    label, family : str
+        What it is called here, and the family of algorithms it belongs to.
+    status : str
+        Name of a :class:`lcp_plugin.Status`, or "MAX_WORK" where the limit of work ended the run.
+    points : tuple of Point
+        The first is the set-up.
+    note : str
+        How its options were chosen, or what else one ought to know.
+    """
+
+    label: str
+    family: str
+    status: str
+    points: tuple[Point, ...]
+    note: str = ""
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the tolerance was reached."""
+        return self.status == "SOLVED"
+
+    @property
+    def setup_seconds(self) -> float:
+        """Seconds until the first iterate, median."""
+        return self.points[0].seconds
+
+    @property
+    def seconds(self) -> float:
+        """Seconds until the answer, median."""
+        return self.points[-1].seconds
+
+    @property
+    def work(self) -> float:
+        """Passes over M until the answer."""
+        return self.points[-1].work
+
+    @property
+    def iterations(self) -> int:
+        """Iterations until the answer."""
+        return self.points[-1].iteration
+
+
+@dataclass(frozen=True)
+class ReferencePoint:
+    """What a convex solver reached through cvxpy: seconds with cvxpy's own part, error and residual of its answer."""
+
+    label: str
+    seconds: float
+    error: float
+    residual: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Error against time and work of several algorithms on one problem.
+
+    Attributes
+    ----------
+    title, description : str
+        The scene as it is written on a command line, and what it is.
+    n, nonzeros : int
+        Size of the problem.
+    error_kind : {"true error", "rigorous bound", "residual"}
+        What the error axis shows; the first two in the unit of z.
+    tolerance : float
+        Relative residual that the runs were asked for.
+    repeats : int
+        Runs behind each median of seconds.
+    active_share : float
+        Share of components at a bound, of the answer with the smallest residual; NaN where there is none.
+    curves, references
+        One per algorithm, one per reference that gave an answer.
+    left_out : tuple of (what, reason)
+        What this problem does not need or cannot have.
+    """
+
+    title: str
+    description: str
+    n: int
+    nonzeros: int
+    error_kind: str
+    tolerance: float
+    repeats: int
+    active_share: float
+    curves: tuple[Curve, ...]
+    references: tuple[ReferencePoint, ...] = ()
+    left_out: tuple[tuple[str, str], ...] = ()
+
+    def curve(self, label: str) -> Curve | None:
+        """Return the curve of that label, or None."""
+        return next((curve for curve in self.curves if curve.label == label), None)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
+        curves = [_curve_content(curve) for curve in self.curves]
+        content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
+        return content
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> Report:
+        """Return the report that :meth:`to_content` described."""
+        given = {field.name: content[field.name] for field in fields(cls)}
+        given["active_share"] = number(given["active_share"])
+        given["curves"] = tuple(_curve(entry) for entry in given["curves"])
+        given["references"] = tuple(
+            ReferencePoint(**entry | {name: number(entry[name]) for name in ("seconds", "error", "residual")})
+            for entry in given["references"]
+        )
+        given["left_out"] = tuple((what, reason) for what, reason in given["left_out"])
+        return cls(**given)
+
+    def to_json(self, path: str | PathLike[str] | None = None) -> str:
+        """Return everything as JSON text, and write it to `path` where one is given."""
+        text = json.dumps(self.to_content(), indent=1, ensure_ascii=False)
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def to_csv(self, path: str | PathLike[str] | None = None) -> str:
+        """Return one line a point as CSV text, and write it to `path` where one is given."""
+        text = csv_text(COLUMNS, self.rows())
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row a point, in the columns of the CSV; a reference has neither iteration nor work."""
+        rows: list[tuple[Any, ...]] = [
+            (self.title, curve.label, curve.family, curve.status, *point[:5], self.error_kind, *point[5:])
+            for curve in self.curves
+            for point in curve.points
+        ]
+        for reference in self.references:
+            seconds = (reference.seconds,) * 3
+            rows.append((self.title, reference.label, "reference", "", "", "", *seconds, self.error_kind,
+                         reference.error, reference.residual))
+        return rows
+
+    def plot(self, path: str | PathLike[str] | None = None, *, against: str = "seconds") -> Any:
+        """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
+
+        Parameters
+        ----------
+        path : path, optional
+        against : {"seconds", "work"}
+            Seconds with their spread and the references, or passes over M, the same on every machine.
+
+        Raises
+        ------
+        LCPError
+            Where matplotlib is not installed.
+        """
+        from .drawing import draw_curves, save
+
+        figure = draw_curves(self, against)
+        if path is not None:
+            save(figure, Path(path))
+        return figure
+
+    def __str__(self) -> str:
+        lines = [f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"]
+        for curve in self.curves:
+            last = curve.points[-1]
+            lines.append(
+                f"{curve.label:<18} {curve.status:<15} {last.iteration:>7} iterations {last.work:>9.1f} passes "
+                f"{last.seconds:>9.3g} s, set-up {curve.setup_seconds:.2g} s, {self.error_kind} {last.error:.1e}"
+            )
+        lines += [f"{one.label:<18} {one.seconds:.3g} s, {one.error:.1e}" for one in self.references]
+        return "\n".join([*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)])
+
+
+def _curve_content(curve: Curve) -> dict[str, Any]:
+    return asdict(curve) | {"points": [list(point) for point in curve.points]}
+
+
+def _curve(content: Mapping[str, Any]) -> Curve:
+    points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
+    return Curve(content["label"], content["family"], content["status"], points, content["note"])
+
+
+def finite_content(value: Any) -> Any:
+    """Return the value with every number that JSON does not know replaced by None, tuples as lists."""
+    if isinstance(value, Mapping):
+        return {key: finite_content(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_content(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def number(value: float | None) -> float:
+    """Return the value, NaN for None."""
+    return math.nan if value is None else float(value)
+
+
+def csv_text(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+    """Return a table as CSV text; floats keep all their digits."""
+    import io
+
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def write_text(path: str | PathLike[str], text: str) -> None:
+    """Write the whole file or nothing."""
+    write_whole({Path(path): lambda file: file.write(text.encode("utf-8"))})

@@ -1,0 +1,327 @@
+"""error_against_time(): how the error falls with time and work, algorithm by algorithm, on one problem.
+
+The runs are those of `solve`, with its clock: it stands still while an error is measured, and kernels are compiled
+off it. Every run gets a problem of its own on the same arrays, so that nothing a former run computed about M makes a
+set-up look cheaper than it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..certificates.residuals import Certificate
+from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..problem import LCP, FloatVector
+from ..result import Result, Sample
+from .contestants import Contestant, WorkLimit, contestants, measured_run
+from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
+from .gallery.scene import Scene
+
+SAMPLE_GROWTH = 1.08
+WARM_UP_ITERATIONS = 3
+Measure = Callable[[FloatVector], float]
+Progress = Callable[[str], object]
+
+
+def error_against_time(
+    target: Scene | LCP,
+    algorithms: Any = None,
+    references: Sequence[str] = (),
+    *,
+    repeats: int = 3,
+    tolerance: float = 1e-8,
+    max_seconds: float = 20.0,
+    max_work: float = math.inf,
+    progress: Progress | None = None,
+) -> Report:
+    """Return how the error falls with seconds and with passes over M, for each algorithm on one problem.
+
+    Parameters
+    ----------
+    target : Scene or LCP
+        A scene of the gallery says what is known about it; of a plain problem H₊ is examined here.
+    algorithms : names, Algorithm objects, or a mapping of labels to them; optional
+        By default the projected-type methods (ours and with the paper's settings), their relatives and ``"auto"``.
+    references : sequence of str
+        Convex solvers to ask through cvxpy, of "daqp", "osqp", "scs", "piqp", "clarabel", "highs"; each becomes one
+        point. Left out, with the reason, where M is not symmetric.
+    repeats : int
+        Runs behind each median, ≥ 1; the algorithms take turns.
+    tolerance : float
+        Relative residual at which a run ends.
+    max_seconds, max_work : float
+        Limits of each run: seconds of the clock, and passes over M (reproducible).
+    progress : callable, optional
+        Called with the label of each run before it starts.
+
+    Returns
+    -------
+    Report
+        The error is the true one where the scene knows z*, else a rigorous bound where the scene declares M to be an
+        H₊-matrix (of a plain problem: where M allows one), else the relative residual; ``error_kind`` says which.
+
+    Raises
+    ------
+    InvalidOption, UnknownAlgorithm
+        Where an argument cannot be used.
+
+    Notes
+    -----
+    Points lie at geometric intervals of the iterations. The first is the set-up, the last the answer with its final
+    check. Iterations, work, errors and residuals are the same in every run of the same call; seconds are not.
+
+    Examples
+    --------
+    >>> from lcp_plugin.evidence import gallery
+    >>> report = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
+    >>> report.error_kind, [curve.status for curve in report.curves]
+    ('true error', ['SOLVED', 'SOLVED'])
+    """
+    scene = _as_scene(target)
+    _check(repeats, references)
+    say = progress or (lambda _: None)
+    yardstick = Yardstick.of(scene, is_declared=isinstance(target, Scene))
+    left_out = [*yardstick.left_out, *_march(scene)]
+    limits = {"tolerance": tolerance, "max_seconds": max_seconds}
+    runs: dict[str, _Runs] = {}
+    for one in contestants(algorithms):
+        say(f"{one.label}, warm-up")
+        reason = _refusal(scene, one)
+        if reason:
+            left_out.append((one.label, reason))
+        else:
+            runs[one.label] = _Runs(one)
+    for turn in range(repeats):
+        for label, kept in runs.items():
+            say(f"{label}, run {turn + 1} of {repeats}")
+            recorder = _Recorder(yardstick.measure if turn == 0 else None, max_work)
+            problem = fresh(scene.problem)
+            result = measured_run(problem, kept.contestant.algorithm, recorder, z0=scene.start, **limits)
+            kept.add(recorder, result, yardstick)
+    points, more = _references(scene, references, max_seconds, yardstick, say, is_declared=isinstance(target, Scene))
+    answers = [kept.certificate for kept in runs.values() if kept.certificate is not None]
+    return Report(
+        title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
+        error_kind=yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
+        curves=tuple(kept.curve() for kept in runs.values()), references=points, left_out=(*left_out, *more),
+    )
+
+
+def best_answer(scene: Scene, algorithms: Sequence[str] = ("multigrid", "auto")) -> Certificate | None:
+    """Return the most accurate answer of these algorithms, or None; for a sketch of what the scene is about."""
+    found = []
+    for name in algorithms:
+        try:
+            run = measured_run(fresh(scene.problem), name, WorkLimit(math.inf), z0=scene.start, max_seconds=10.0)
+            found.append(run.certificate)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
+    return min(found, key=lambda certificate: certificate.relative_residual, default=None)
+
+
+def _as_scene(target: Any) -> Scene:
+    if isinstance(target, Scene):
+        return target
+    if isinstance(target, LCP):
+        return Scene(problem=target, name="problem")
+    raise InvalidOption(
+        f"error_against_time needs a Scene or an LCP, got {type(target).__name__}; "
+        'write error_against_time(gallery.build("half_active"))'
+    )
+
+
+def _check(repeats: Any, references: Sequence[str]) -> None:
+    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
+        raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
+    if isinstance(references, str):
+        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("{references}",)')
+    if references:
+        from .qp_reference import check_reference
+
+        for name in references:
+            check_reference(name)
+
+
+def _title(scene: Scene) -> str:
+    values = ",".join(f"{name}={value}" for name, value in scene.parameters.items())
+    return f"{scene.name}:{values}" if values else scene.name
+
+
+def _march(scene: Scene) -> list[tuple[str, str]]:
+    return [("later steps", f"only the first of {scene.steps} steps is measured")] if scene.steps > 1 else []
+
+
+# --- What the error is ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """The kind of error that this scene allows, how it is measured, and why not a better one."""
+
+    kind: str
+    measure: Callable[[FloatVector], tuple[float, float]]
+    left_out: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, scene: Scene, *, is_declared: bool) -> Yardstick:
+        """Return the best yardstick; it measures on a problem of its own and leaves the runs' problems alone."""
+        problem = fresh(scene.problem)
+        if scene.exact is not None:
+            exact = scene.exact
+            return cls(TRUE_ERROR, _with_residual(problem, lambda z: distance(z, exact)), ())
+        unknown = (TRUE_ERROR, "the exact answer is not known")
+        if is_declared and not scene.is_h_plus:
+            reason = "M is not declared to be an H₊-matrix"
+        else:
+            bound, reason = _bound(problem)
+            if bound is not None:
+                return cls(BOUND, _with_residual(problem, bound), (unknown,))
+        own = lambda z: Certificate.of(problem, z).relative_residual  # noqa: E731
+        return cls(RESIDUAL, _with_residual(problem, own), (unknown, (BOUND, reason)))
+
+
+def distance(z: FloatVector, exact: FloatVector) -> float:
+    """Return ‖z − exact‖∞."""
+    return float(np.max(np.abs(z - exact), initial=0.0))
+
+
+def _with_residual(problem: LCP, error: Measure) -> Callable[[FloatVector], tuple[float, float]]:
+    return lambda z: (error(z), Certificate.of(problem, z).relative_residual)
+
+
+def _bound(problem: LCP) -> tuple[Measure | None, str]:
+    """Return the rigorous bound of ‖z − z*‖∞, or None and the reason."""
+    from ..certificates.error_bounds import error_bound
+
+    try:
+        first = error_bound(problem, problem.nearest_to_zero, sharp=False)
+    except UnsuitableMatrix as error:
+        return None, str(error)
+    if first.kind != "rigorous":
+        return None, "only an estimate is to be had for this matrix"
+    return (lambda z: error_bound(problem, z, sharp=False).infinity), ""
+
+
+# --- Running --------------------------------------------------------------------------------------------------
+
+
+class _Taken(NamedTuple):
+    """What one run showed at one iteration."""
+
+    iteration: int
+    work: float
+    seconds: float
+    error: float = math.nan
+    residual: float = math.nan
+
+
+class _Recorder(WorkLimit):
+    """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
+
+    def __init__(self, measure: Callable[[FloatVector], tuple[float, float]] | None, max_work: float) -> None:
+        super().__init__(max_work)
+        self.measure = measure
+        self.taken: list[_Taken] = []
+        self._next = 0
+
+    def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        if sample.iteration >= self._next:
+            self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
+            measured = self.measure(z) if self.measure is not None else ()
+            self.taken.append(_Taken(sample.iteration, sample.work, sample.seconds, *measured))
+        return super().__call__(sample, z)
+
+
+class _Runs:
+    """The runs of one contestant: the first with its errors, every one with its seconds."""
+
+    def __init__(self, contestant: Contestant) -> None:
+        self.contestant = contestant
+        self.first: list[_Taken] = []
+        self.seconds: list[dict[tuple[int, bool], float]] = []
+        self.certificate: Certificate | None = None
+        self.status = ""
+
+    def add(self, recorder: _Recorder, result: Result, yardstick: Yardstick) -> None:
+        """Take in one run; its answer is the last point."""
+        last = _Taken(result.iterations, result.work, result.seconds)
+        if not self.seconds:
+            self.certificate = result.certificate
+            self.status = "MAX_WORK" if recorder.is_over and not result.is_solved else result.status.name
+            self.first = [one for one in recorder.taken if one.iteration < result.iterations or one.iteration == 0]
+            self.first.append(_Taken(*last[:3], *yardstick.measure(result.z)))
+        times = {(one.iteration, False): one.seconds for one in recorder.taken}
+        self.seconds.append(times | {(last.iteration, True): last.seconds})
+
+    def curve(self) -> Curve:
+        """Return the curve of those iterations that every run reached."""
+        points = []
+        for k, one in enumerate(self.first):
+            place = (one.iteration, k == len(self.first) - 1)
+            seconds = [run[place] for run in self.seconds if place in run]
+            if len(seconds) == len(self.seconds):
+                low, middle, high = map(float, np.percentile(seconds, (25.0, 50.0, 75.0)))
+                points.append(Point(one.iteration, one.work, middle, low, high, one.error, one.residual))
+        note = "; ".join(filter(None, (self.contestant.note, _CLOCKED if self.status == "MAX_SECONDS" else "")))
+        return Curve(self.contestant.label, self.contestant.family, self.status, tuple(points), note)
+
+
+_CLOCKED = "ended by the clock, so that the last point depends on the machine"
+
+
+def fresh(problem: LCP) -> LCP:
+    """Return the same problem with nothing computed about it yet; the arrays are shared."""
+    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
+
+
+def _refusal(scene: Scene, one: Contestant) -> str:
+    """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
+    try:
+        measured_run(fresh(scene.problem), one.algorithm, WorkLimit(math.inf), z0=scene.start,
+                     max_iterations=WARM_UP_ITERATIONS)
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return str(error)
+    return ""
+
+
+def _active_share(answers: list[Certificate]) -> float:
+    """Return the share of components at a bound of the most accurate answer."""
+    best = min(answers, key=lambda one: one.relative_residual, default=None)
+    if best is None or best.problem.n == 0:
+        return math.nan
+    return float(np.mean((best.z <= best.problem.lower) | (best.z >= best.problem.upper)))
+
+
+# --- References -----------------------------------------------------------------------------------------------
+
+
+def _references(
+    scene: Scene, names: Sequence[str], max_seconds: float, yardstick: Yardstick, say: Progress, *, is_declared: bool
+) -> tuple[tuple[ReferencePoint, ...], list[tuple[str, str]]]:
+    """Return a point for each reference that gave an answer, and why the others did not."""
+    if not names:
+        return (), []
+    if is_declared and not scene.is_symmetric:
+        return (), [("quadratic programs", "M is not symmetric, so that no quadratic program has these conditions")]
+    from .qp_reference import PLAIN, SOLVERS, Formulation, attempt
+
+    formulation = Formulation.of(scene.problem)
+    if formulation.kind != PLAIN:
+        return (), [("quadratic programs", formulation.evidence)]
+    points, left_out = [], []
+    for name in names:
+        if scene.n > SOLVERS[name].largest:
+            left_out.append((name, f"asked up to n = {SOLVERS[name].largest:g} only: it has no limit of its own"))
+            continue
+        say(f"reference {name}")
+        one = attempt(formulation, name, max_seconds)
+        if one.certificate is None:
+            left_out.append((name, f"no answer within {one.seconds:.2g} s: {one.note or 'it gave none'}"))
+        else:
+            points.append(ReferencePoint(name, one.seconds, *yardstick.measure(one.certificate.z), one.note))
+    return tuple(points), left_out

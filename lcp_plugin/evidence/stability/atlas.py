@@ -1,0 +1,324 @@
+"""stability_atlas(): each algorithm × each stress, judged in rational arithmetic."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...algorithms import REGISTRY
+from ...driver import solve
+from ...errors import (
+    ConvergenceWarning,
+    InvalidOption,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    did_you_mean,
+)
+from ...problem_files import write_whole
+from ...result import Result
+from .case import Case
+from .exact_answers import relative_error
+from .honesty import lie_in
+from .stresses import FAMILIES
+
+Progress = Callable[[int, int, str], Any]
+
+EPSILON = 2.0**-52
+WELL_POSED = 1e-9  # condition × machine epsilon below this: double precision holds nine digits of the answer
+MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
+LARGEST_BOUNDED = 2500
+MISLEADING = 1e-3
+REFUSED, ERROR = "REFUSED", "ERROR"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One algorithm under one stress.
+
+    Attributes
+    ----------
+    algorithm : str
+    stress, family : str
+        What is extreme, with its number; the kind of stress that it belongs to.
+    condition : float
+        Of the answer, see `exact_answers.condition_of_answer`; ∞ where the answer is not unique or does not exist.
+    status : str
+        A status of `solve`; REFUSED where the algorithm says before the first step that it cannot run on this matrix;
+        ERROR where the run raised anything else, a warning of overflow included.
+    true_error : float
+        ‖z − z*‖∞ / ‖z*‖∞ in the units of the case, z* exact; NaN where there is no z*, or no z.
+    residual : float
+        The relative residual of z.
+    certified : bool or None
+        Whether a rigorous, finite bound of the error came with the answer; None where nothing about M allows one.
+    digits_lost : float
+        log₁₀ of true_error over condition · max(residual, 2⁻⁵²), at least 0: what the residual hid. NaN where one of
+        them is missing.
+    told_the_truth : bool
+        No lie, see `honesty.lie_in`.
+    note : str
+        What the lie is, or why the run was refused, or how far 1 ulp moves the answer.
+    """
+
+    algorithm: str
+    stress: str
+    family: str
+    condition: float
+    status: str
+    true_error: float
+    residual: float
+    certified: bool | None
+    digits_lost: float
+    told_the_truth: bool
+    note: str = ""
+
+    @property
+    def is_well_posed(self) -> bool:
+        """True where condition × machine epsilon < 1e-9."""
+        return self.condition * EPSILON < WELL_POSED
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """All cells, and what was left out with its reason; see `Cell`."""
+
+    cells: tuple[Cell, ...]
+    skipped: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def lies(self) -> tuple[Cell, ...]:
+        """The cells that did not tell the truth."""
+        return tuple(cell for cell in self.cells if not cell.told_the_truth)
+
+    @property
+    def unsolved(self) -> tuple[Cell, ...]:
+        """The cells with any status but SOLVED."""
+        return tuple(cell for cell in self.cells if cell.status != "SOLVED")
+
+    @property
+    def well_posed(self) -> tuple[Cell, ...]:
+        """The cells whose condition × machine epsilon is < 1e-9."""
+        return tuple(cell for cell in self.cells if cell.is_well_posed)
+
+    @property
+    def misleading(self) -> tuple[Cell, ...]:
+        """The cells that are SOLVED, as the residual has it, with an error of more than a thousandth."""
+        return tuple(cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > MISLEADING)
+
+    @property
+    def solved_share(self) -> float:
+        """Share of SOLVED among the well-posed cells, refusals and errors included; 1 where there are none."""
+        well_posed = self.well_posed
+        return sum(cell.status == "SOLVED" for cell in well_posed) / len(well_posed) if well_posed else 1.0
+
+    def summary(self) -> str:
+        """Return the counts, then in plain lines every lie, every other cell that is not SOLVED, every hidden error."""
+        counts = Counter(cell.status for cell in self.cells)
+        lines = [
+            f"{len(self.cells)} cells: " + ", ".join(f"{count} {status}" for status, count in counts.most_common()),
+            f"{len(self.lies)} lies",
+            f"{self.solved_share:.1%} of the {len(self.well_posed)} cells with condition × 2^-52 < 1e-9 are SOLVED",
+        ]
+        lines += [f"LIE {_line(cell)}" for cell in self.lies]
+        lines += [_line(cell) for cell in self.unsolved if cell.told_the_truth]
+        lines += [f"a small residual hides the error: {_line(cell)}" for cell in self.misleading]
+        lines += [f"left out: {what}: {reason}" for what, reason in self.skipped]
+        return "\n".join(lines)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""
+        cells = [{key: _plain(value) for key, value in asdict(cell).items()} for cell in self.cells]
+        return {"cells": cells, "skipped": [list(entry) for entry in self.skipped]}
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> Atlas:
+        """Return the atlas that `to_content` wrote.
+
+        Examples
+        --------
+        >>> Atlas.from_content(Atlas((), (("lemke", "no time"),)).to_content())
+        Atlas(cells=(), skipped=(('lemke', 'no time'),))
+        """
+        cells = tuple(_cell_of(cell) for cell in content["cells"])
+        return cls(cells, tuple((what, reason) for what, reason in content["skipped"]))
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write one row a cell; the file appears whole or not at all (UnreadableFile where it cannot)."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, [field.name for field in fields(Cell)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(cell) for cell in self.cells)
+        write_whole({Path(path): lambda file: file.write(text.getvalue().encode())})
+
+    def __add__(self, other: Atlas) -> Atlas:
+        return Atlas(self.cells + other.cells, self.skipped + other.skipped)
+
+
+def stability_atlas(
+    algorithms: Iterable[str] | None = None,
+    stresses: Iterable[str] | None = None,
+    *,
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> Atlas:
+    """Return how each algorithm fares under each stress, judged against exact answers.
+
+    Parameters
+    ----------
+    algorithms : iterable of str, optional
+        Registered names and "auto"; all of them by default.
+    stresses : iterable of str, optional
+        Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
+        "cancellation", "one ulp". All by default.
+    quick : bool
+        Fewer iterations, and a smaller large problem.
+    progress : callable, optional
+        Called as ``progress(done, total, label)`` after every cell.
+
+    Returns
+    -------
+    Atlas
+        The same call gives the same atlas: no clock is asked.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where a name does not exist.
+
+    Notes
+    -----
+    Within a run every warning of NumPy is an error, so that no overflow is silent.
+
+    Examples
+    --------
+    >>> atlas = stability_atlas(["psor"], ["far starts"])
+    >>> [cell.status for cell in atlas.cells], atlas.lies
+    (['SOLVED', 'SOLVED', 'SOLVED'], ())
+    """
+    names, families = _checked_algorithms(algorithms), _checked_families(stresses)
+    cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
+    cells: list[Cell] = []
+    skipped: list[tuple[str, str]] = []
+    total = len(cases) * len(names)
+    for done, (family, case, name) in enumerate(_runs(cases, names), start=1):
+        found = _cell(family, case, name, quick)
+        if isinstance(found, Cell):
+            cells.append(found)
+        else:
+            skipped.append(found)
+        if progress is not None:
+            progress(done, total, f"{case.stress}: {name}")
+    return Atlas(tuple(cells), tuple(skipped))
+
+
+def _runs(cases: list[tuple[str, Case]], names: list[str]) -> Iterator[tuple[str, Case, str]]:
+    return ((family, case, name) for family, case in cases for name in names)
+
+
+def _checked_algorithms(algorithms: Iterable[str] | None) -> list[str]:
+    known = ["auto", *REGISTRY]
+    names = known if algorithms is None else _words(algorithms, "algorithms")
+    for name in names:
+        if name not in known:
+            raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, known)}")
+    return names
+
+
+def _checked_families(stresses: Iterable[str] | None) -> list[str]:
+    names = list(FAMILIES) if stresses is None else _words(stresses, "stresses")
+    for name in names:
+        if name not in FAMILIES:
+            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
+    return names
+
+
+def _words(names: Iterable[str], option: str) -> list[str]:
+    if isinstance(names, str):
+        raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
+    return list(names)
+
+
+def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:
+    """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
+    limit = MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS
+    try:
+        result = _strictly_solved(case, name, limit)
+    except UnsuitableProblem as error:
+        return f"{name} on {case.stress}", str(error)
+    except UnsuitableMatrix as error:
+        return _without_answer(family, case, name, REFUSED, str(error))
+    except Exception as error:  # whatever a run raises belongs into the atlas
+        return _without_answer(family, case, name, ERROR, f"{type(error).__name__}: {error}")
+    return _judged(family, case, name, result)
+
+
+def _strictly_solved(case: Case, name: str, limit: int) -> Result:
+    with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
+        is_bounded = case.problem.n <= LARGEST_BOUNDED
+        return solve(case.problem, name, z0=case.start, max_iterations=limit, error_bound=is_bounded)
+
+
+def _without_answer(family: str, case: Case, name: str, status: str, note: str) -> Cell:
+    nan = math.nan
+    return Cell(name, case.stress, family, case.condition, status, nan, nan, None, nan, status == REFUSED, note)
+
+
+def _judged(family: str, case: Case, name: str, result: Result) -> Cell:
+    exact = case.exact
+    lie = lie_in(result, None if case.has_line else exact)
+    error = math.nan
+    if exact is not None and np.isfinite(result.z).all():
+        error = relative_error(result.z, exact, case.units, has_line=case.has_line)
+    residual = result.certificate.relative_residual
+    bound = result.error_bound
+    certified = None if bound is None else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
+    return Cell(
+        name, case.stress, family, case.condition, result.status.name, error, residual, certified,
+        _digits_lost(error, case.condition, residual), not lie, lie or _movement(case),
+    )  # fmt: skip
+
+
+def _digits_lost(error: float, condition: float, residual: float) -> float:
+    expected = condition * max(residual, EPSILON)
+    if not (math.isfinite(error) and math.isfinite(expected)):
+        return math.nan
+    return max(0.0, math.log10(error / expected)) if error > 0.0 else 0.0
+
+
+def _movement(case: Case) -> str:
+    """Return how far one unit in the last place of the data moves the answer."""
+    if case.reference is None or case.exact is None:
+        return ""
+    pairs = zip(case.exact, case.reference, strict=True)
+    moved = max(abs(new - old) for new, old in pairs) / max(abs(value) for value in case.reference)
+    return f"1 ulp of the data moved the answer by {float(moved):.1e}"
+
+
+def _line(cell: Cell) -> str:
+    note = f"; {cell.note}" if cell.note else ""
+    return (
+        f"{cell.status:<16} {cell.algorithm:<15} {cell.stress:<38} condition {cell.condition:.0e}, "
+        f"residual {cell.residual:.0e}, error {cell.true_error:.0e}{note}"
+    )
+
+
+def _cell_of(content: Mapping[str, Any]) -> Cell:
+    numbers = {key: float(content[key]) for key in ("condition", "true_error", "residual", "digits_lost")}
+    return Cell(**{**content, **numbers})
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,259 @@
+"""The exact answer of a problem whose active set is known or nearly known, and how sensitive that answer is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...certificates.exact import exact_slack, is_exact_solution, power_of_two
+from ...certificates.exact_linear import solve_exactly
+from ...errors import UnsuitableProblem
+from ...problem import LCP, FloatVector
+
+Answer = tuple[Fraction, ...]
+States = list[int]
+
+AT_LOWER, FREE, AT_UPPER = -1, 0, 1
+LARGEST_DENSE = 400  # up to here a condition number comes from a dense inverse
+MOST_EXCHANGES = 100
+SMALLEST_NORMAL = 2.0**-1022
+
+
+def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
+    """Return z* in fractions, verified without rounding, starting from the active set of a guess.
+
+    Parameters
+    ----------
+    problem : LCP
+        With a P-matrix, or another for which exchanges from this guess lead to a solution.
+    guess : sequence of float, shape (n,)
+        A point on the right bounds; what lies strictly between its bounds is taken for free.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where a free block is singular, or 100 exchanges of all rows with a wrong sign do not settle.
+
+    Examples
+    --------
+    >>> exact_answer(LCP([[3, 0], [0, 1]], [-1, 1]), [0.33, 0])
+    (Fraction(1, 3), Fraction(0, 1))
+    """
+    exact_guess = tuple(Fraction(value) for value in guess)
+    if is_exact_solution(problem, exact_guess):
+        return exact_guess
+    states = _states(problem, guess)
+    for _ in range(MOST_EXCHANGES):
+        z = _solved(problem, states)
+        if z is None:
+            break
+        if is_exact_solution(problem, z):
+            return tuple(z)
+        states = _exchanged(problem, states, z)
+    raise UnsuitableProblem(f"no exact answer of {problem!r} found near the guess; give one on the right bounds")
+
+
+def _states(problem: LCP, guess: Sequence[float]) -> States:
+    rows = zip(guess, problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    return [AT_LOWER if z <= low else AT_UPPER if z >= high else FREE for z, low, high in rows]
+
+
+def _solved(problem: LCP, states: States) -> list[Fraction] | None:
+    """Return z with its rows at their bounds and w = 0 on the free ones; None where their block is singular."""
+    ends = {AT_LOWER: problem.lower, FREE: np.zeros(problem.n), AT_UPPER: problem.upper}
+    z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
+    free = [i for i, state in enumerate(states) if state == FREE]
+    right = exact_slack(problem, z)
+    _, column = _equilibration(problem)
+    whole, integers = [], []
+    for i in free:
+        row = _row(problem, i)
+        scaled = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
+        # Of powers of two, the largest denominator is a multiple of all others.
+        denominator = max([value.denominator for value in scaled] + [right[i].denominator])
+        whole.append([int(value * denominator) for value in scaled])
+        integers.append(int(-right[i] * denominator))
+    inner = solve_exactly(whole, integers)
+    if inner is None:
+        return None
+    for j, value in zip(free, inner, strict=True):
+        z[j] = value * power_of_two(int(column[j]))
+    return z
+
+
+def _row(problem: LCP, i: int) -> dict[int, Fraction]:
+    M = problem.csr
+    entries = range(M.indptr[i], M.indptr[i + 1])
+    return {int(M.indices[k]): Fraction(float(M.data[k])) for k in entries}
+
+
+def _exchanged(problem: LCP, states: States, z: list[Fraction]) -> States:
+    """Return the states with every row of a wrong sign in its other state."""
+    w = exact_slack(problem, z)
+    changed = list(states)
+    for i, state in enumerate(states):
+        low, high = float(problem.lower[i]), float(problem.upper[i])
+        if state == FREE:
+            changed[i] = AT_LOWER if z[i] < low else AT_UPPER if z[i] > high else FREE
+        elif low < high and (w[i] < 0 if state == AT_LOWER else w[i] > 0):
+            changed[i] = FREE
+    return changed
+
+
+# --- how sensitive the answer is ------------------------------------------------------------------------------------
+
+
+def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float:
+    """Return how much larger than the relative change of the entries of M and q that of z* can be, to first order.
+
+    Parameters
+    ----------
+    problem : LCP
+    exact : sequence of Fraction, shape (n,)
+        z*.
+    unit : ndarray, shape (n,)
+        In which each component of z is measured.
+
+    Returns
+    -------
+    float
+        max_i (|M_FF⁻¹| (|M||z*| + |q|)_F)_i/unit_i over ‖z*/unit‖∞, at least 1; F are the rows with w* = 0, all of
+        them or only those strictly between their bounds, whichever gives more. ∞ where M_FF is singular in double
+        precision, NaN where n is too large to say.
+
+    Notes
+    -----
+    Invariant under row scaling, and under column scaling where `unit` goes with it.
+
+    References
+    ----------
+    R. D. Skeel, *Scaling for numerical stability in Gaussian elimination*, J. ACM 26 (1979),
+    doi:10.1145/322139.322148.
+
+    Examples
+    --------
+    >>> problem = LCP([[1, -0.875], [-0.875, 1]], [0, -0.234375])
+    >>> round(condition_of_answer(problem, (Fraction(7, 8), Fraction(1)), np.ones(2)), 2)
+    15.07
+    """
+    w = exact_slack(problem, exact)
+    is_zero = np.array([value == 0 for value in w], dtype=bool)
+    bounds = zip(exact, problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    is_between = np.array([low < value < high for value, low, high in bounds], dtype=bool)
+    is_movable = is_zero & (problem.lower < problem.upper)
+    sets = [is_movable] if np.array_equal(is_movable, is_between) else [is_movable, is_between]
+    return float(np.max([1.0, *(_condition(problem, exact, unit, free) for free in sets)]))  # NaN wins
+
+
+def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
+    rows = np.flatnonzero(free)
+    row, column = _equilibration(problem)
+    M = _ldexp_matrix(problem, row, column)
+    z = np.array([abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)])
+    size = _ldexp_matrix(problem, row, column, _ulps(problem.csr.data)) @ z + np.ldexp(_ulps(problem.q), row)
+    block = M[rows][:, rows]
+    inverse_times_size = _absolute_inverse_product(block, size[rows])
+    with np.errstate(all="ignore"):
+        per_unit = np.ldexp(unit, -column)
+        largest = float(np.max(z / per_unit, initial=0.0))
+        change = float(np.max(inverse_times_size / per_unit[rows], initial=0.0))
+        finest = float(np.max(SMALLEST_NORMAL / unit))  # subnormal answers have fewer digits themselves
+        return max(change, finest) / largest if largest > 0.0 else 1.0
+
+
+def _ulps(values: FloatVector) -> FloatVector:
+    """Return the size of each number in the sense that its last digit is 2⁻⁵² of it: subnormals are coarser."""
+    sizes: FloatVector = np.where(values == 0.0, 0.0, np.maximum(np.abs(values), SMALLEST_NORMAL))
+    return sizes
+
+
+def _absolute_inverse_product(block: Any, size: FloatVector) -> FloatVector:
+    """Return |block⁻¹| size; ∞ where it is singular, NaN where it is large and no M-matrix."""
+    n = block.shape[0]
+    if n <= LARGEST_DENSE:
+        try:
+            product: FloatVector = np.abs(np.linalg.inv(block.toarray())) @ size
+        except np.linalg.LinAlgError:
+            return np.full(n, np.inf)
+        return product
+    from scipy.sparse.linalg import splu
+
+    off_diagonal = block - sp.diags_array(block.diagonal())
+    if off_diagonal.nnz and off_diagonal.data.max() > 0.0:
+        return np.full(n, np.nan)
+    # The inverse of an M-matrix has no negative entry, so that one solve with it is one with its absolute value.
+    solution: FloatVector = splu(block.tocsc()).solve(size)
+    return solution
+
+
+def _equilibration(problem: LCP) -> tuple[Any, Any]:
+    """Return exponents r, c such that 2^(r_i + c_j) m_ij has its largest entries near 1; then z_j = 2^c_j ẑ_j."""
+    M = problem.csr
+    exponent = np.frexp(M.data)[1].astype(np.int64)
+    of_row = _row_indices(problem)
+    row, column = np.zeros(problem.n, np.int64), np.zeros(problem.n, np.int64)
+    for _ in range(3):
+        row = -_largest_by(of_row, exponent + column[M.indices], problem.n)
+        column = -_largest_by(M.indices, exponent + row[of_row], problem.n)
+    return row, column
+
+
+def _row_indices(problem: LCP) -> Any:
+    return np.repeat(np.arange(problem.n), np.diff(problem.csr.indptr))
+
+
+def _largest_by(index: Any, values: Any, n: int) -> Any:
+    lowest = np.iinfo(np.int64).min
+    largest = np.full(n, lowest, np.int64)
+    np.maximum.at(largest, index, values)
+    return np.where(largest == lowest, 0, largest)
+
+
+def _ldexp_matrix(problem: LCP, row: Any, column: Any, entries: FloatVector | None = None) -> Any:
+    M = problem.csr
+    data = np.ldexp(M.data if entries is None else entries, row[_row_indices(problem)] + column[M.indices])
+    return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+
+
+# --- how far z is from it -------------------------------------------------------------------------------------------
+
+
+def relative_error(z: FloatVector, exact: Answer, unit: FloatVector, *, has_line: bool = False) -> float:
+    """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        Finite.
+    exact : sequence of Fraction, shape (n,)
+    unit : ndarray, shape (n,)
+    has_line : bool
+        All z* + t with t ≥ 0 solve the problem as well; the distance is that from the nearest.
+
+    Examples
+    --------
+    >>> relative_error(np.array([1.0, 0.5]), (Fraction(1), Fraction(0)), np.ones(2))
+    0.5
+    """
+    difference = [Fraction(value) - answer for value, answer in zip(z.tolist(), exact, strict=True)]
+    if has_line and difference:
+        along = max((max(difference) + min(difference)) / 2, Fraction(0))
+        difference = [value - along for value in difference]
+    units = [Fraction(value) for value in unit.tolist()]
+    error = max((abs(value) / u for value, u in zip(difference, units, strict=True)), default=Fraction(0))
+    largest = max((abs(value) / u for value, u in zip(exact, units, strict=True)), default=Fraction(0))
+    if error == 0:
+        return 0.0
+    return nearest_double(error / largest) if largest else np.inf
+
+
+def nearest_double(value: Fraction) -> float:
+    """Return the double nearest to a fraction, ±∞ where it is beyond the range."""
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf

@@ -1,0 +1,121 @@
+"""Whether a result tells the truth, judged in rational arithmetic."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from ...certificates.exact import exact_slack
+from ...certificates.residuals import scaled_residual
+from ...problem import LCP, FloatVector
+from ...result import Result, Status
+from ...rounding import compensated_product
+from .exact_answers import Answer
+
+EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
+ROUNDINGS = 2.0**-48  # relative, of some operations more than a residual takes after its slack
+LARGEST_EXACT = 2000  # rows up to which all is done in fractions at once
+FLOORS = 4
+FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
+
+
+class Row(NamedTuple):
+    """|r_i| and what rounding explains of it, k_i ε (|M||z| + |q|)_i/d_i and underflow."""
+
+    residual: Fraction
+    floor: Fraction
+
+
+def exact_residuals(problem: LCP, z: FloatVector) -> list[Row]:
+    """Return every row's scaled residual and its rounding floor without any rounding, for a finite z."""
+    M = problem.csr
+    exact = [Fraction(value) for value in z.tolist()]
+    entries, columns, starts = M.data.tolist(), M.indices.tolist(), M.indptr.tolist()
+    w = exact_slack(problem, exact)
+    scale, lower, upper = problem.residual_scale.tolist(), problem.lower.tolist(), problem.upper.tolist()
+    rows = []
+    for i, q in enumerate(problem.q.tolist()):
+        d, begin, end = Fraction(scale[i]), starts[i], starts[i + 1]
+        # The comparison of a fraction with ±∞ is exact as well.
+        target = exact[i] - w[i] / d
+        if target < lower[i]:
+            target = Fraction(lower[i])
+        elif target > upper[i]:
+            target = Fraction(upper[i])
+        size = abs(Fraction(q)) + sum(abs(Fraction(entries[k]) * exact[columns[k]]) for k in range(begin, end))
+        terms = end - begin + 2
+        rows.append(Row(abs(exact[i] - target), terms * (EPSILON * size + SMALLEST) / d + SMALLEST))
+    return rows
+
+
+def lie_in(result: Result, exact: Answer | None) -> str:
+    """Return what is untrue in a result, or an empty text.
+
+    Parameters
+    ----------
+    result : Result
+        Of a run with the tolerance on the relative residual.
+    exact : sequence of Fraction, shape (n,), optional
+        The one solution, or None where it is not unique or does not exist.
+
+    Notes
+    -----
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ + 4 max floor, a PRECISION_LIMIT with a row that
+    rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is exceeded, and
+    a z that is not finite or not within its bounds.
+    """
+    problem, z = result.certificate.problem, result.z
+    if not np.isfinite(z).all():
+        return "z is not finite"
+    if not np.array_equal(np.clip(z, problem.lower, problem.upper), z):
+        return "z lies outside its bounds"
+    if exact is not None:
+        if result.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
+            return f"{result.status.name}, but there is a solution"
+        if not _bound_holds(result, exact):
+            return "|z − z*| exceeds its rigorous bound"
+    return _lie_about_residual(result)
+
+
+def _lie_about_residual(result: Result) -> str:
+    if result.status not in (Status.SOLVED, Status.PRECISION_LIMIT):
+        return ""
+    problem = result.certificate.problem
+    if result.status is Status.SOLVED and problem.n > LARGEST_EXACT and _is_surely_solved(result):
+        return ""
+    rows = exact_residuals(problem, result.z)
+    if result.status is Status.PRECISION_LIMIT:
+        explained = all(row.residual <= FLOORS_MEASURED * row.floor for row in rows)
+        return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
+    reference = max((row.residual for row in exact_residuals(problem, problem.nearest_to_zero)), default=Fraction(0))
+    largest = max((row.residual for row in rows), default=Fraction(0))
+    floor = max((row.floor for row in rows), default=Fraction(0))
+    is_true = largest <= Fraction(result.tolerance) * reference + FLOORS * floor
+    return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
+
+
+def _is_surely_solved(result: Result) -> bool:
+    """Return whether bounds of the exact residuals already prove the tolerance; False says nothing."""
+    problem = result.certificate.problem
+    _, above = _residual_bounds(problem, result.z)
+    below, _ = _residual_bounds(problem, problem.nearest_to_zero)
+    return bool(above.max() <= result.tolerance * below.max() * (1.0 - ROUNDINGS))
+
+
+def _residual_bounds(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of |r| from below and above: w with its proved radius, and a few roundings after it."""
+    with np.errstate(all="ignore"):
+        w, radius = compensated_product(problem.csr, z, problem.q)
+        residual = np.abs(scaled_residual(problem, z, w))
+        radius = radius / problem.residual_scale * (1.0 + ROUNDINGS) + ROUNDINGS * residual
+        return residual - radius, residual + radius
+
+
+def _bound_holds(result: Result, exact: Answer) -> bool:
+    bound = result.error_bound
+    if bound is None or bound.kind != "rigorous":
+        return True
+    rows = zip(result.z.tolist(), exact, bound.componentwise.tolist(), strict=True)
+    return all(abs(Fraction(z) - answer) <= limit for z, answer, limit in rows)

@@ -1,0 +1,197 @@
+"""The stresses: families of problems that are stiff, badly scaled, nearly singular or at the edge of the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...problem import LCP, FloatVector
+from .case import Case, grid, half_active, mostly_free, pattern, planted, rescaled
+
+SIDE = 10
+PERTURBED_BY = 2.0**-52
+
+
+def stiffness(quick: bool) -> Iterator[Case]:
+    """Yield δ → 0, anisotropy, contrast, Péclet number and time scales, each towards its extreme."""
+    for delta in (1e-4, 1e-12, 0.0):
+        yield mostly_free(f"delta={delta:g}", grid(SIDE, 4.0 + delta))
+    for ratio in (1e-3, 1e-6, 1e-12):
+        yield mostly_free(f"anisotropy={ratio:g}", grid(SIDE, 2.0 + 2.0 * ratio, (-1.0, -ratio), (-1.0, -ratio)))
+    for contrast in (1e4, 1e12):
+        yield mostly_free(f"contrast={contrast:g}", _island(contrast))
+        yield mostly_free(f"contrast={1 / contrast:g}", _island(1.0 / contrast))
+    for peclet in (1e2, 1e6, 1e12):
+        yield mostly_free(f"peclet={peclet:g}", _windy(peclet, 0.6))
+    yield mostly_free("peclet=1e+12, against the sweep", _windy(1e12, 0.6 + np.pi))
+    for span in (1e4, 1e8, 1e12):
+        yield mostly_free(f"time scales={span:g}", _time_scales(span))
+
+
+def _island(contrast: float) -> sp.csr_array:
+    """Return −∇·(k∇u) with k = contrast on a square in the middle and 1 around it."""
+    size = SIDE
+    cells = np.ones((size + 1, size + 1))
+    cells[3:-3, 3:-3] = contrast
+    across, along = (cells[:, :-1] + cells[:, 1:]) / 2.0, (cells[:-1, :] + cells[1:, :]) / 2.0
+    below, above = [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
+    return grid(size, -sum(below) - sum(above), below, above)
+
+
+def _windy(peclet: float, angle: float) -> sp.csr_array:
+    """Return upwind convection by a unit wind with diffusion 1/peclet a mesh width."""
+    wind = (np.cos(angle), np.sin(angle))
+    below = [-(1.0 / peclet + max(b, 0.0)) for b in wind]
+    above = [-(1.0 / peclet + max(-b, 0.0)) for b in wind]
+    return grid(SIDE, -sum(below) - sum(above), below, above)
+
+
+def _time_scales(span: float) -> sp.csr_array:
+    """Return an implicit Euler step of reactions with rates from 1 to `span` that feed one another in a chain."""
+    rates = np.geomspace(1.0, span, SIDE * SIDE)
+    return sp.csr_array(sp.diags_array([1.0 + rates, -rates[:-1]], offsets=[0, -1]))
+
+
+def scaling(quick: bool) -> Iterator[Case]:
+    """Yield M and q in units of 1e±150, and rows and columns from 1e±8 to 1e±100."""
+    base = half_active("", grid(4, 5.0))
+    for of_M in (1e-150, 1.0, 1e150):
+        for of_q in (1e-150, 1.0, 1e150):
+            if of_M != 1.0 or of_q != 1.0:
+                yield rescaled(f"M × {of_M:g}, q × {of_q:g}", base, of_q, of_M / of_q)
+    n = base.problem.n
+    for power in (8, 30, 100):
+        up_and_down = 10.0 ** np.resize([power, -power, 0, power / 2], n)
+        yield rescaled(f"rows × 1e±{power}", base, up_and_down, 1.0)
+        yield rescaled(f"columns × 1e±{power}", base, 1.0, np.roll(up_and_down, 1))
+        yield rescaled(f"rows and columns × 1e±{power}", base, up_and_down, np.roll(up_and_down, 1))
+    for k in (-900, -300, 300, 900):
+        yield rescaled(f"M, q × 2^{k}", base, np.ldexp(1.0, k), 1.0)
+
+
+def singularity(quick: bool) -> Iterator[Case]:
+    """Yield nearly singular and singular matrices, with one solution, with many, with none."""
+    for bits in (10, 20, 30, 40):
+        rho = 1.0 - 2.0**-bits
+        yield planted(f"H+ with 1 - rho = 2^-{bits}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())
+    for n in (3, 5, 8):
+        yield mostly_free(f"Hilbert matrix, n={n}", _hilbert(n))
+    ring = _ring(12)
+    yield mostly_free("singular M, one solution", ring)
+    z = pattern(12, active=0.0)[0]
+    yield planted("singular M, a line of solutions", ring, z - z.min(), np.zeros(12), has_line=True)
+    yield Case(stress="singular M, no solution", problem=LCP(ring, np.full(12, -1.0)))
+    for tiny in (1e-8, 1e-14):
+        yield mostly_free(f"singular M + {tiny:g}", sp.csr_array(ring + tiny * sp.eye_array(12)))
+
+
+def _two_free() -> tuple[FloatVector, FloatVector]:
+    return np.array([1.0, 2.0]), np.zeros(2)
+
+
+def _hilbert(n: int) -> Any:
+    i = np.arange(n)
+    return 1.0 / (i[:, None] + i + 1.0)
+
+
+def _ring(n: int) -> sp.csr_array:
+    """Return −u'' on a circle: singular, M 1 = 0."""
+    eye = np.eye(n)
+    return sp.csr_array(2.0 * eye - np.roll(eye, 1, axis=1) - np.roll(eye, -1, axis=1))
+
+
+def degeneracy(quick: bool) -> Iterator[Case]:
+    """Yield answers with z = w = 0 in some rows, in all active ones, in all."""
+    M = grid(SIDE)
+    yield half_active("half of the active rows degenerate", M, degenerate=0.5)
+    yield half_active("all active rows degenerate", M, degenerate=1.0)
+    z, w = pattern(M.shape[0])
+    yield planted("every row degenerate", M, np.zeros(z.size), np.zeros(z.size), start=np.arange(float(z.size)))
+    yield planted("nearly degenerate, w = 1e-14", M, z, 1e-14 * w)
+    yield planted("nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w)
+    square = LCP(M, half_active("", M, degenerate=1.0).problem.q, upper=z.max())
+    yield Case(stress="degenerate at both bounds of a box", problem=square, near=z)
+
+
+def far_starts(quick: bool) -> Iterator[Case]:
+    """Yield starts far beyond the answer."""
+    for power in (10, 100, 300):
+        M = grid(SIDE)
+        yield half_active(f"z0 = 1e{power}", M, start=np.full(SIDE * SIDE, 10.0**power))
+
+
+def sizes(quick: bool) -> Iterator[Case]:
+    """Yield n = 1 and 2, and a large n."""
+    yield planted("n = 1", np.array([[3.0]]), np.array([1.0]), np.zeros(1))
+    yield planted("n = 1, active", np.array([[3.0]]), np.zeros(1), np.ones(1))
+    yield planted("n = 2", np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([5.0, 0.0]), np.array([0.0, 3.0]))
+    side = 50 if quick else 200
+    yield half_active(f"n = {side * side}", grid(side, 8.0))
+
+
+def number_range(quick: bool) -> Iterator[Case]:
+    """Yield subnormal data, data next to the largest double, and answers beyond it."""
+    base = half_active("", grid(3, 5.0))
+    M, q, z = base.problem.csr, base.problem.q, np.asarray(base.near)
+    tiny, huge = 1e-310, 1e306
+    yield Case(stress="q and z subnormal, 1e-310", problem=LCP(M, q * tiny), near=z * tiny)
+    yield Case(stress="q a few times 5e-324", problem=LCP(M, q * 5e-324), near=np.ceil(z) * 5e-324)
+    yield Case(stress="M subnormal, 1e-310", problem=LCP(M * tiny, q * 1e-300), near=z * 1e10)
+    yield Case(stress="M and q subnormal, 1e-310", problem=LCP(M * tiny, q * tiny), near=z)
+    yield Case(stress="q and z huge, 1e306", problem=LCP(M, q * huge), near=z * huge)
+    yield Case(stress="M huge, 1e306", problem=LCP(M * huge, q), near=z / huge)
+    yield Case(stress="M and q huge, 1e306", problem=LCP(M * huge, q * huge), near=z)
+    yield Case(stress="the answer overflows", problem=LCP(M * 1e-200, q * 1e200))
+    start = np.full(M.shape[0], 1e200)
+    yield Case(stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start)
+
+
+def cancellation(quick: bool) -> Iterator[Case]:
+    """Yield a q that is what is left of much larger terms, and answers whose parts differ much in size."""
+    M = grid(SIDE)
+    z, w = pattern(SIDE * SIDE)
+    for power in (6, 12):
+        yield planted(f"z = 1e{power} + digits", M, z + 10.0**power, np.zeros(z.size))
+        mixed = np.where(np.arange(z.size) % 7 == 0, 10.0**power * z, z)
+        yield planted(f"some z 1e{power} times the others", M, mixed, w)
+        yield planted(f"some w 1e{power} times the others", M, z, np.where(np.arange(z.size) % 2, 10.0**power * w, w))
+    nearly_singular = sp.csr_array(_ring(12) + 2.0**-40 * sp.eye_array(12))
+    yield planted("q is 1e-12 of its terms", nearly_singular, 2.0**40 + pattern(12, active=0.0)[0], np.zeros(12))
+    for power in (4, 12):
+        large = 10.0**power
+        cyclic = np.array([[1.0, large, -large], [0.0, 1.0, large], [0.0, 0.0, 1.0]])
+        yield planted(f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3))
+
+
+def one_ulp(quick: bool) -> Iterator[Case]:
+    """Yield problems with every entry of M and q moved by one unit in the last place."""
+    bases = [half_active("grid", grid(4, 5.0)), mostly_free("grid, delta=0", grid(SIDE))]
+    bases += [mostly_free("Hilbert matrix, n=4", _hilbert(4))]
+    rho = 1.0 - 2.0**-20
+    bases += [planted("H+ with 1 - rho = 2^-20", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())]
+    for seed, base in enumerate(bases):
+        generator = np.random.default_rng(seed)
+        M, q = base.problem.csr, base.problem.q
+        moved = sp.csr_array((_moved(M.data, generator), M.indices, M.indptr), shape=M.shape)
+        yield Case(stress=f"1 ulp, {base.stress}", problem=LCP(moved, _moved(q, generator)), near=base.near,
+                   reference=base.exact)  # fmt: skip
+
+
+def _moved(values: FloatVector, generator: np.random.Generator) -> FloatVector:
+    return values * (1.0 + PERTURBED_BY * generator.choice([-1.0, 1.0], size=values.size))
+
+
+FAMILIES: dict[str, Callable[[bool], Iterator[Case]]] = {
+    "stiffness": stiffness,
+    "scaling": scaling,
+    "singularity": singularity,
+    "degeneracy": degeneracy,
+    "far starts": far_starts,
+    "sizes": sizes,
+    "number range": number_range,
+    "cancellation": cancellation,
+    "one ulp": one_ulp,
+}

@@ -58,7 +58,8 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     """
     names = sorted(known)
     close = difflib.get_close_matches(str(word).lower(), names, n=1)
-    if close and len(names) > LONG_LIST:
-        return f"; did you mean {close[0]!r}? ({len(names)} are known)"
+    if len(names) > LONG_LIST:
+        known = f"{len(names)} are known, lcp-plugin list shows them"
+        return f"; did you mean {close[0]!r}? ({known})" if close else f"; {known}"
     guess = f"; did you mean {close[0]!r}?" if close else ";"
     return f"{guess} (known: {', '.join(names)})" if close else f"{guess} known: {', '.join(names)}"

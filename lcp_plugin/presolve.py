@@ -156,7 +156,6 @@ class _Separate:
     lower: FloatVector
     upper: FloatVector
 
-    @np.errstate(all="ignore")
     def put_back(self, z: Any) -> None:
         rest = _like(self.offset, z).copy()
         np.add.at(rest, self.row, _like(self.entry, z) * z[self.column])

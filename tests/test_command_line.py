@@ -35,6 +35,7 @@ SMALL_SCENES = [
     "coefficient_jumps:size=6",
     "convection_diffusion:size=6",
     "diode_bridge",
+    "elastic_plastic_torsion:size=8",
     "half_active:n=25",
     "journal_bearing:size=6",
     "market_equilibrium:goods=4,activities=5",
@@ -310,7 +311,7 @@ SOLVE = "solve murty:n=4 "
 BAD_INPUT = [
     ("solve missing.npz", r"no such file: missing\.npz"),
     ("solve no/folder/p.npz", r"no such file: no/folder/p\.npz"),
-    ("solve missing", r"'missing' is neither a file nor a scene.*murty"),
+    ("solve missing", r"'missing' is neither a file nor a scene.*are known"),
     ("solve empty", r"no such file: empty/M\.mtx"),
     ("solve half", r"M\.mtx has no companion half/q\.mtx"),
     ("solve notes.txt", r"cannot read notes\.txt: expected a \.npz file, or M\.mtx"),

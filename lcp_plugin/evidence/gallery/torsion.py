@@ -70,6 +70,8 @@ def elastic_plastic_torsion(
         is_symmetric=True,
         is_h_plus=True,
         active_share=None if continuum is None else float(np.mean(np.abs(continuum) == bound)),
+        unknown="stress function",
+        active_means="plastic",
         grid=(size, size),
         coordinates=(axis, axis),
         axis_labels=("x", "y"),

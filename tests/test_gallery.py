@@ -240,7 +240,7 @@ def test_bad_parameters_are_refused_by_name_and_value(name: str, parameters: dic
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nothing_like_it:size=3", "unknown scene 'nothing_like_it'; \d+ are known"),
+        ("nothing_like_it:size=3", r"unknown scene 'nothing_like_it'; \d+ are known"),
         ("obstacle_2d:size", "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value"),
         ("obstacle_2d:size=3,size=4", "'size=4' in .* repeats a parameter"),
         ("obstacle_2d:size=3.5", "size must be an integer, ≥ 1, got '3.5'"),

@@ -292,7 +292,7 @@ class _Reduction:
     def _moved_into_q(self, indices: Indices, values: FloatVector) -> NDArray[np.bool_]:
         """Add the columns times the values to q; return which of them could be added without rounding."""
         block = sp.coo_array(self.given.shared("csc", lambda: sp.csc_array(self.given.csr))[:, indices])
-        row, which = block.coords
+        row, which = block.row, block.col
         with np.errstate(all="ignore"):
             products = block.data * values[which]
         acts = self.alive[row] & (products != 0.0) & (row != indices[which])

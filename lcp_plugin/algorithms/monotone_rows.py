@@ -48,7 +48,7 @@ def _may_be_monotone(M: sp.csr_array, exponents: FloatVector) -> bool:
         scaled.data = np.ldexp(M.data, np.repeat(exponents, np.diff(M.indptr)).astype(np.int64))
         root = np.sqrt(scaled.diagonal())
         both = sp.coo_array(scaled + scaled.T)
-        allowed = 2.0 * root[both.coords[0]] * root[both.coords[1]] * CLEARLY
+        allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
         return bool(np.all(np.abs(both.data) <= allowed))
 
 

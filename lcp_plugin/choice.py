@@ -16,10 +16,11 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
-A row that contradicts its bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to
-have nothing more to offer. `feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000
-(beyond, psor comes back at the end, until it stalls), `search` decides problems with at most 24 rows that leave a
-choice. No clock is asked: the same call gives the same answer bit for bit.
+Where a factor would fill in too much (n > 5000), newton and interior_point are left out. A row that contradicts its
+bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to have nothing more to offer.
+`feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at
+the end, until it stalls), `search` decides problems with at most 24 rows that leave a choice. No clock is asked: the
+same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
@@ -217,6 +218,7 @@ def _is_slow(problem: LCP, now: Stage, target: float) -> bool:
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the second table."""
+    from .matrix_classes.factorisation import factor_fits
     from .search.stages import ExhaustiveSearch, FeasibilityCheck, is_searchable
 
     reduced = presolve(problem)
@@ -225,15 +227,17 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
     is_monotone = _seems_monotone(left, problem.origin)
+    may_factorise = left.is_dense or left.n <= LARGEST_PROGRAM or factor_fits(left.csr)
     if contradictory_row(problem) is not None:
         yield Choice(FeasibilityCheck(), "one row contradicts its bounds by itself")
-    yield interior if is_monotone else newton
+    if may_factorise:
+        yield interior if is_monotone else newton
     if problem.n <= LARGEST_PROGRAM:
         yield Choice(FeasibilityCheck(), "is there a solution at all?")
-    if is_monotone:
+    if is_monotone and may_factorise:
         yield newton
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
-    if not is_monotone and left.n > SMALL:
+    if not is_monotone and left.n > SMALL and may_factorise:
         yield interior
     yield lemke
     if not is_monotone and left.n <= SMALL:

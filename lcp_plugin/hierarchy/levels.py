@@ -190,7 +190,10 @@ def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None
     prolongation = Operator(p_indptr, p_indices[:size], p_data[:size])  # memory behind `size` was never touched
     r_indptr, r_indices, r_data = galerkin.transposed(coarse_count, *prolongation.arrays)
     if scales_rows:
-        r_data *= grid.inverse[r_indices]
+        with np.errstate(over="ignore"):
+            r_data *= grid.inverse[r_indices]
+        if not np.isfinite(r_data).all():
+            return None
     return Transfer(prolongation, Operator(r_indptr, r_indices, r_data), is_coarse)
 
 

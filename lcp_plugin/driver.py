@@ -290,10 +290,6 @@ class _Run:
         certificate = Certificate.of(self.problem, self.best_z)
         return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
 
-    @property
-    def _can_clean_up(self) -> bool:
-        return type(self.stages[-1].algorithm).finish is not Algorithm.finish
-
     @cached_property
     def _unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
@@ -346,8 +342,9 @@ class _Run:
         if certificate is None or not np.array_equal(certificate.z, z):
             certificate = Certificate.of(problem, z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
-        if self.stages and self._can_clean_up and may_finish and np.isfinite(z).all():
-            cleaned = Certificate.of(problem, self.stages[-1].algorithm.finish(problem, z))
+        if self.stages and may_finish and np.isfinite(z).all():
+            finished = self.stages[-1].algorithm.finish(problem, z)
+            cleaned = certificate if finished is z else Certificate.of(problem, finished)
             if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
                 certificate = cleaned
         with _Paused(self):

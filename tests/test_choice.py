@@ -60,14 +60,20 @@ def test_the_projected_type_iteration_comes_first() -> None:
 
 @pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 2)])
 def test_a_slow_trial_ends_after_ten_sweeps_or_two(dense: bool, trial: int) -> None:
-    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, after 2 where M is dense."""
+    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, from 2 on where M is dense."""
     problem = chain(30, dense=dense)
     assert 2 <= solve(problem).stages[0].iterations <= trial
     for iterations in range(1, trial + 45):
         unsteady = after(create("npsor", {}), iterations, 0.99)
         unsteady.residuals = [(k, value * (1.0 + 0.3 * (k % 2))) for k, value in unsteady.residuals]
-        is_asked = iterations >= trial and (iterations - trial) % 20 == 0
+        is_asked = iterations >= trial and (dense or (iterations - trial) % 20 == 0)
         assert (following(problem, unsteady) is not None) == is_asked
+
+
+def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_five() -> None:
+    """On dense M npsor is asked at every sweep: at rate 0.1 six more would arrive, and then five."""
+    for iterations, goes_on in ((2, False), (4, True)):
+        assert (following(chain(30, dense=True), after(create("npsor", {}), iterations, 0.1)) is None) == goes_on
 
 
 def test_two_rates_that_agree_end_the_trial() -> None:

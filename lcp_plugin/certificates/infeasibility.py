@@ -25,6 +25,7 @@ LARGEST_EXACT = 500  # above, floating point with margins is tried first
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
 CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,21 +265,26 @@ def _slack_lists(problem: LCP) -> tuple[list[float], list[float]]:
 def contradictory_row(problem: LCP) -> Infeasibility | None:
     """Return the proof of a row that no z within the bounds can satisfy, or None where no single row is enough.
 
-    Cost: one look at each entry of M.
+    Cost: one look at each entry of the rows without a positive diagonal; in the others, their own unknown lets w grow.
 
     Examples
     --------
     >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     """
-    csr, rows = problem.csr, _rows_of(problem.csr)
+    needs_rise, needs_fall = problem.upper == np.inf, problem.lower == -np.inf
+    bound_rows = np.flatnonzero((needs_rise | needs_fall) & ~(problem.diagonal > 0.0))
+    if not bound_rows.size:
+        return None
+    csr, q = problem.csr[bound_rows], problem.q[bound_rows]
+    rows = _rows_of(csr)
     with np.errstate(all="ignore"):
         ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]
-        highest = np.bincount(rows, weights=np.maximum(*ends), minlength=problem.n) + problem.q
-        lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=problem.n) + problem.q
-    needs_rise, needs_fall = problem.upper == np.inf, problem.lower == -np.inf
-    for sign, suspects in ((1, needs_rise & (highest < 0.0)), (-1, needs_fall & (lowest > 0.0))):
-        for i in np.flatnonzero(suspects)[:8]:
+        highest = np.bincount(rows, weights=np.maximum(*ends), minlength=q.size) + q
+        lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=q.size) + q
+    rising, falling = needs_rise[bound_rows] & (highest < 0.0), needs_fall[bound_rows] & (lowest > 0.0)
+    for sign, suspects in ((1, rising), (-1, falling)):
+        for i in bound_rows[suspects][:MOST_SUSPECTS]:
             y = np.zeros(problem.n)
             y[i] = sign
             proof = _proof_near(problem, y)

@@ -42,11 +42,11 @@ def hierarchy(request: pytest.FixtureRequest) -> Hierarchy:
 
 def test_interpolation_is_nonnegative_and_injects(hierarchy: Hierarchy) -> None:
     """No weight is negative, and a coarse unknown takes the value of itself."""
-    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
-        P = as_scipy(grid.transfer.prolongation, coarser.n)
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        P = as_scipy(transfer.prolongation, coarser.n)
         assert P.data.min() > 0.0
-        assert np.array_equal(P[np.flatnonzero(grid.transfer.is_coarse)].toarray(), np.eye(coarser.n))
-        assert (as_scipy(grid.transfer.restriction, grid.n) != P.T).nnz == 0
+        assert np.array_equal(P[np.flatnonzero(transfer.is_coarse)].toarray(), np.eye(coarser.n))
+        assert (as_scipy(transfer.restriction, grid.n) != P.T).nnz == 0
 
 
 @pytest.mark.parametrize("text", ["obstacle_2d:size=20", "coefficient_jumps:size=21", "rotated_anisotropy:size=12"])
@@ -54,11 +54,12 @@ def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
     """A row of M that sums to zero and interpolates at all has weights that sum to one, on every grid."""
     M = gallery.parse(text).problem.csr
     found = 0
-    for grid in build_hierarchy(M, coarsest=3).grids[:-1]:
+    hierarchy = build_hierarchy(M, coarsest=3)
+    for grid, transfer in zip(hierarchy.grids, hierarchy.transfers, strict=False):
         matrix = as_scipy(grid.matrix, grid.n)
         sums, scale = matrix.sum(axis=1), abs(matrix).sum(axis=1)
-        weights = np.add.reduceat(grid.transfer.prolongation.data, grid.transfer.prolongation.indptr[:-1])
-        is_empty = np.diff(grid.transfer.prolongation.indptr) == 0
+        weights = np.add.reduceat(transfer.prolongation.data, transfer.prolongation.indptr[:-1])
+        is_empty = np.diff(transfer.prolongation.indptr) == 0
         balanced = (np.abs(sums) <= 1e-12 * scale) & ~is_empty
         found += np.count_nonzero(balanced)
         np.testing.assert_allclose(weights[balanced], 1.0, rtol=0, atol=1e-10)
@@ -67,8 +68,8 @@ def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
 
 def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
     """Every coarse matrix is PᵀMP by scipy, with sorted rows, every diagonal entry stored, and read-only."""
-    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
-        P, fine = as_scipy(grid.transfer.prolongation, coarser.n), as_scipy(grid.matrix, grid.n)
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        P, fine = as_scipy(transfer.prolongation, coarser.n), as_scipy(grid.matrix, grid.n)
         coarse = as_scipy(coarser.matrix, coarser.n)
         expected = P.T @ fine @ P
         assert abs(coarse - expected).max() <= 1e-13 * abs(expected).max()
@@ -186,9 +187,9 @@ def test_extreme_entries_do_not_break_the_set_up() -> None:
     """Entries near the ends of the floating-point range give finite weights and inverses, or none."""
     M = gallery.build("obstacle_2d", size=12).problem.csr
     for scale in (1e-305, 1e-290, 1e300):
-        for grid in build_hierarchy(sp.csr_array(M * scale), coarsest=5).grids:
-            assert np.isfinite(grid.inverse).all()
-            assert grid.transfer is None or np.isfinite(grid.transfer.prolongation.data).all()
+        hierarchy = build_hierarchy(sp.csr_array(M * scale), coarsest=5)
+        assert all(np.isfinite(grid.inverse).all() for grid in hierarchy.grids)
+        assert all(np.isfinite(transfer.prolongation.data).all() for transfer in hierarchy.transfers)
 
 
 # --- Truncation ---------------------------------------------------------------------------------------------
@@ -198,8 +199,8 @@ def from_scratch(hierarchy: Hierarchy, is_free: np.ndarray) -> list[tuple[np.nda
     """Return (matrix, free) of every coarser grid by products of whole truncated matrices."""
     found = []
     matrix, free = as_scipy(hierarchy.grids[0].matrix, is_free.size).toarray(), is_free
-    for grid, coarser in zip(hierarchy.grids, hierarchy.grids[1:], strict=False):
-        P = as_scipy(grid.transfer.prolongation, coarser.n).toarray() * free[:, None]
+    for coarser, transfer in zip(hierarchy.grids[1:], hierarchy.transfers, strict=True):
+        P = as_scipy(transfer.prolongation, coarser.n).toarray() * free[:, None]
         matrix = P.T @ matrix @ P
         free = matrix.diagonal() > 0.0
         found.append((matrix, free))
@@ -232,8 +233,8 @@ def test_an_update_without_a_change_touches_little() -> None:
     hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=40).problem.csr)
     truncation = Truncation(hierarchy)
     truncation.update()
-    grid = hierarchy.grids[0]
-    assert truncation.take_work() == grid.matrix.data.size + grid.transfer.restriction.data.size
+    grid, transfer = hierarchy.grids[0], hierarchy.transfers[0]
+    assert truncation.take_work() == grid.matrix.data.size + transfer.restriction.data.size
 
 
 def test_release_undoes_truncation() -> None:

@@ -148,9 +148,7 @@ class MultigridRun:
         del self.problems[1:]
 
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
-        for grid, coarser in zip(self.hierarchy.grids, self.hierarchy.grids[1:], strict=False):
-            transfer = grid.transfer
-            assert transfer is not None
+        for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
             fine_q, q = q, np.empty(coarser.n)
             sweeps.restrict(*transfer.restriction.arrays, fine_q, q)
             self.work += transfer.restriction.data.size
@@ -159,8 +157,7 @@ class MultigridRun:
 
     def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
         """Return z with P coarse added, within the bounds of grid k."""
-        fine, transfer = self.problems[k], self.hierarchy.grids[k].transfer
-        assert transfer is not None
+        fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
         sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
@@ -237,14 +234,13 @@ class MultigridRun:
 
     def _correct(self, k: int, z: FloatVector) -> None:
         """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
-        own, transfer = self.problems[k], self.hierarchy.grids[k].transfer
-        top = self.truncation.grids[k]
-        if transfer is None:
+        own, top = self.problems[k], self.truncation.grids[k]
+        if k == len(self.hierarchy.transfers):
             np.copyto(top.b, own.residual)
             self.truncation.correct(k)
             np.clip(z + top.x, own.lower, own.upper, out=z)
             return
-        below = self.truncation.grids[k + 1]
+        below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
         self.truncation.correct(k + 1)
         before = z.copy() if k == 0 and self.is_symmetric else None

@@ -59,12 +59,11 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One grid: its matrix with every diagonal entry stored, where those stand, their inverses, and the way down."""
+    """One grid: its matrix with every diagonal entry stored, where those stand, and their inverses."""
 
     matrix: Operator
     split: NDArray[Any]
     inverse: FloatVector
-    transfer: Transfer | None = None
 
     @property
     def n(self) -> int:
@@ -79,6 +78,8 @@ class Hierarchy:
     Attributes
     ----------
     grids : tuple of Grid
+    transfers : tuple of Transfer
+        One fewer: from each grid to the next.
     work : float
         Matrix entries touched to build them.
     is_helpful : bool
@@ -86,6 +87,7 @@ class Hierarchy:
     """
 
     grids: tuple[Grid, ...]
+    transfers: tuple[Transfer, ...]
     work: float
     is_helpful: bool
 
@@ -130,7 +132,7 @@ def build_hierarchy(
         share = coarsening.positive_share(*finest.matrix.arrays)
         strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
         work += entries
-    grids: list[Grid] = []
+    grids, transfers = [finest], list[Transfer]()
     grid = finest
     stored, products = 0.0, 0.0
     while grid.n > coarsest:
@@ -142,12 +144,13 @@ def build_hierarchy(
         products += galerkin.count_products(grid.matrix.indptr, grid.matrix.indices, transfer.prolongation.indptr)
         is_too_large = transfer.restriction.indptr.size - 1 > LARGEST_GRID_SHARE * grid.n
         if is_too_large or products > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
-            return Hierarchy((finest,), work, is_helpful=False)
-        grids.append(Grid(grid.matrix, grid.split, grid.inverse, transfer))
-        grid = _coarser(grids[-1], transfer)
-        if grid.matrix.data.size > LARGEST_GROWTH * grids[-1].matrix.data.size:
-            return Hierarchy((finest,), work + products, is_helpful=False)
-    return Hierarchy((*grids, grid), work + products, is_helpful=True)
+            return Hierarchy((finest,), (), work, is_helpful=False)
+        finer, grid = grid, _coarser(grid, transfer)
+        if grid.matrix.data.size > LARGEST_GROWTH * finer.matrix.data.size:
+            return Hierarchy((finest,), (), work + products, is_helpful=False)
+        grids.append(grid)
+        transfers.append(transfer)
+    return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 
 def _grid(matrix: Operator) -> Grid:

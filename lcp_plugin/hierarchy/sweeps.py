@@ -139,14 +139,11 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
 
 @compiled
 def free_product(indptr, indices, data, is_free, p, product):  # type: ignore[no-untyped-def]
-    """Product ← M p on the free rows, 0 elsewhere (p is 0 there too); return pᵀ M p."""
+    """Product ← M p on the free rows, 0 elsewhere."""
     one = uintp(1)
-    energy = 0.0
     for i in range(uintp(p.size)):
         total = 0.0
         if is_free[i]:
             for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 total += data[k] * p[uintp(indices[k])]
-            energy += total * p[i]
         product[i] = total
-    return energy

@@ -45,6 +45,7 @@ class Truncation:
     """A hierarchy seen from one of its grids, with the unknowns of that grid that are fixed taken out of all."""
 
     def __init__(self, hierarchy: Hierarchy) -> None:
+        self.transfers = hierarchy.transfers
         self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
         self.work = 0.0
@@ -66,9 +67,9 @@ class Truncation:
         top.is_whole = False
         np.multiply(top.grid.inverse, top.is_free, out=top.inverse)
         top.row_changed[:] = False
-        for level, below in zip(self.grids[self.top :], self.grids[self.top + 1 :], strict=False):
-            matrix, transfer = level.grid.matrix, level.grid.transfer
-            assert transfer is not None
+        for k in range(self.top, len(self.transfers)):
+            level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
+            matrix = level.grid.matrix
             galerkin.mark_rows(matrix.indptr, matrix.indices, level.free_changed, level.row_changed, level.touched)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
@@ -88,18 +89,18 @@ class Truncation:
         indptr, indices, _ = grid.matrix.arrays
         sweeps.first_sweep(indptr, grid.split, indices, level.values, level.inverse, level.b, level.x)
         self.work += 0.5 * indices.size
-        if grid.transfer is None:
+        if k == len(self.transfers):
             self._solve_coarsest(level)
             return
         sweeps.residual_after_first_sweep(
             indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual
         )
-        below = self.grids[k + 1]
-        sweeps.restrict(*grid.transfer.restriction.arrays, level.residual, below.b)
+        below, transfer = self.grids[k + 1], self.transfers[k]
+        sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
         self.correct(k + 1)
-        sweeps.add_prolonged(*grid.transfer.prolongation.arrays, below.x, level.inverse, level.x)
+        sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
         sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)
-        self.work += 1.5 * indices.size + 2.0 * grid.transfer.prolongation.data.size
+        self.work += 1.5 * indices.size + 2.0 * transfer.prolongation.data.size
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         indptr, indices, _ = level.grid.matrix.arrays

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections import Counter
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import find, given, settings
+from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, strategies
+from lcp_plugin import LCP, analyze, strategies
 from lcp_plugin.errors import InvalidOption, InvalidProblem
-from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+from lcp_plugin.strategies import (
+    assert_solves,
+    complementarity_models,
+    convex_qps,
+    h_plus_matrices,
+    indefinite_matrices,
+    infeasible_lcps,
+    lcps,
+    m_matrices,
+    not_h_matrices,
+    p_matrices,
+    positive_definite_matrices,
+    positive_semidefinite_matrices,
+    solved_lcps,
+    strictly_dominant_matrices,
+    z_matrices,
+)
 
 STABLE = settings(deadline=None, derandomize=True, max_examples=60, database=None)
+FIRST = settings(STABLE, max_examples=5, phases=[Phase.generate])
 SEARCH = settings(deadline=None, derandomize=True, max_examples=2000, database=None)
 
 H_PLUS = {
@@ -160,6 +179,300 @@ def test_exact_checks_can_fail() -> None:
     assert kinds(LCP([[1.0]], [-1.0], upper=0.5), (Fraction(1, 2),)) == ["upper, w < 0"]
 
 
+# --- The other classes, each with an oracle in fractions ----------------------------------------------------
+
+
+def determinant(rows: list[list[Fraction]]) -> Fraction:
+    """By Gaussian elimination with exchanges."""
+    rows, result = [row.copy() for row in rows], Fraction(1)
+    for k in range(len(rows)):
+        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
+        if pivot is None:
+            return Fraction(0)
+        if pivot != k:
+            rows[k], rows[pivot], result = rows[pivot], rows[k], -result
+        result *= rows[k][k]
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return result
+
+
+def principal_minors(rows: list[list[Fraction]]) -> list[Fraction]:
+    subsets = (s for k in range(1, len(rows) + 1) for s in combinations(range(len(rows)), k))
+    return [determinant([[rows[i][j] for j in s] for i in s]) for s in subsets]
+
+
+def doubled_symmetric_part(matrix: object) -> list[list[Fraction]]:
+    rows = exact_rows(matrix)
+    return [[rows[i][j] + rows[j][i] for j in range(len(rows))] for i in range(len(rows))]
+
+
+def rank(rows: list[list[Fraction]]) -> int:
+    rows, found = [row.copy() for row in rows], 0
+    for column in range(len(rows)):
+        pivot = next((i for i in range(found, len(rows)) if rows[i][column]), None)
+        if pivot is not None:
+            rows[found], rows[pivot] = rows[pivot], rows[found]
+            for i in range(found + 1, len(rows)):
+                factor = rows[i][column] / rows[found][column]
+                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[found], strict=True)]
+            found += 1
+    return found
+
+
+def is_z(matrix: object) -> bool:
+    return all(value <= 0 for i, row in enumerate(exact_rows(matrix)) for j, value in enumerate(row) if i != j)
+
+
+def is_dominant(matrix: object) -> bool:
+    return all(2 * abs(row[i]) > sum(map(abs, row)) for i, row in enumerate(exact_rows(matrix)))
+
+
+def is_h(matrix: np.ndarray) -> bool:
+    diagonal = matrix.diagonal()
+    return is_h_plus(matrix - np.diag(diagonal) + np.diag(abs(diagonal)))
+
+
+def is_definite(matrix: object) -> bool:
+    return all(pivot > 0 for pivot in pivots(doubled_symmetric_part(matrix)))
+
+
+def is_semidefinite(matrix: object) -> bool:
+    return all(minor >= 0 for minor in principal_minors(doubled_symmetric_part(matrix)))
+
+
+def is_p(matrix: object) -> bool:
+    return all(minor > 0 for minor in principal_minors(exact_rows(matrix)))
+
+
+def is_indefinite(matrix: object) -> bool:
+    """Neither it nor its negative is semidefinite."""
+    return not is_semidefinite(matrix) and not is_semidefinite(-np.asarray(matrix))
+
+
+FEW = st.integers(1, 5)
+SOME = st.integers(2, 5)
+# strategy, oracle, verdict of analyze and its value
+CLASSES = {
+    "z": (z_matrices(FEW, density=0.6), is_z, "is_z_matrix", True),
+    "z near m": (z_matrices(FEW, margin=2.0**-30, row_scale=40), is_z, "is_z_matrix", True),
+    "m": (m_matrices(FEW), lambda M: is_z(M) and is_h_plus(M), "is_m_matrix", True),
+    "m scaled": (m_matrices(FEW, row_scale=99, column_scale=99, margin=2.0**-20), is_h_plus, "is_m_matrix", True),
+    "dominant": (strictly_dominant_matrices(FEW, row_scale=99), is_dominant, "is_h_plus", True),
+    "dominant signed": (strictly_dominant_matrices(FEW, signed=True), is_dominant, "is_strictly_dominant", True),
+    "definite": (positive_definite_matrices(FEW, symmetric=False), is_definite, "is_positive_definite", True),
+    "semidefinite": (positive_semidefinite_matrices(FEW), is_semidefinite, "is_positive_semidefinite", True),
+    "semidefinite skew": (
+        positive_semidefinite_matrices(SOME, rank=2, symmetric=False, margin=2.0**-20), is_semidefinite,
+        "is_positive_semidefinite", True,
+    ),
+    "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
+    "p scaled": (p_matrices(FEW, row_scale=9, column_scale=9, margin=2.0**-9), is_p, "is_p_matrix", True),
+    "p, not h": (
+        not_h_matrices(SOME, p_matrix=True, row_scale=9), lambda M: is_p(M) and not is_h(M), "is_h_matrix", False
+    ),
+    "not h": (not_h_matrices(FEW), lambda M: not is_h(M), "is_h_matrix", False),
+    "narrowly not h": (
+        not_h_matrices(SOME, density=0.2, margin=2.0**-30, column_scale=40), lambda M: not is_h(M), "is_h_matrix", False
+    ),
+    "indefinite": (indefinite_matrices(SOME), is_indefinite, "is_positive_semidefinite", False),
+    "indefinite skew": (
+        indefinite_matrices(SOME, symmetric=False, scale=9, margin=2.0**-20), is_indefinite, "is_positive_semidefinite",
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_classes_hold_in_fractions(name: str) -> None:
+    """Every matrix drawn is of its class by minors, pivots and sums in fractions, and `analyze` does not disagree."""
+    strategy, oracle, verdict, value = CLASSES[name]
+
+    @settings(STABLE, max_examples=40)
+    @given(strategy)
+    def check(matrix: np.ndarray) -> None:
+        assert oracle(matrix)
+        assert getattr(analyze(matrix), verdict) is value
+
+    check()
+
+
+@pytest.mark.parametrize("wanted", [0, 1, 3])
+def test_ranks_are_exact(wanted: int) -> None:
+    """The rank asked for is the rank in fractions, with a skew part too."""
+
+    @settings(STABLE, max_examples=20)
+    @given(
+        positive_semidefinite_matrices(4, rank=wanted), positive_semidefinite_matrices(5, rank=wanted, symmetric=False)
+    )
+    def check(symmetric: np.ndarray, skew: np.ndarray) -> None:
+        assert rank(exact_rows(symmetric)) == rank(exact_rows(skew)) == wanted
+
+    check()
+
+
+INFEASIBLE = {
+    "default": infeasible_lcps(),
+    "bounds": infeasible_lcps(bounds=True, density=0.5),
+    "monotone": infeasible_lcps(SOME, monotone=True, bounds=0.5, dense=False),
+    "narrow": infeasible_lcps(margin=2.0**-20, bounds=0.3, row_scale=300, column_scale=300),
+}
+
+
+@pytest.mark.parametrize("name", INFEASIBLE)
+def test_infeasible_lcps_have_a_proof(name: str) -> None:
+    """The Farkas vector holds in fractions, for plain problems by its definition, and M is monotone where asked."""
+
+    @settings(STABLE, max_examples=40)
+    @given(INFEASIBLE[name])
+    def check(drawn: tuple[LCP, object]) -> None:
+        problem, proof = drawn
+        assert proof.verify()
+        assert max(map(abs, proof.exact_y)) == 1
+        assert name != "monotone" or is_semidefinite(problem.M)
+        if problem.is_plain:
+            rows = exact_rows(problem.M)
+            assert min(proof.exact_y) >= 0
+            products = [sum(y * row[j] for y, row in zip(proof.exact_y, rows, strict=True)) for j in range(problem.n)]
+            assert max(products) <= 0
+            assert sum(y * Fraction(q) for y, q in zip(proof.exact_y, problem.q.tolist(), strict=True)) < 0
+
+    check()
+
+
+def times(matrix: object, x: tuple[Fraction, ...]) -> list[Fraction]:
+    return [sum((a * b for a, b in zip(row, x, strict=True)), Fraction(0)) for row in exact_rows(matrix)]
+
+
+def test_convex_qps_are_solved() -> None:
+    """The answer is feasible, stationary and complementary in fractions, and the objective is its value."""
+
+    @STABLE
+    @given(convex_qps(bounds=0.7))
+    def check(drawn: tuple[object, object]) -> None:
+        program, answer = drawn
+        exact = [list(map(Fraction, values.tolist())) for values in (program.c, program.h, program.b)]
+        gradient, h, b = exact
+        bent = times(program.P, answer.x)
+        forces = [times(program.G.T, answer.inequality), times(program.A.T, answer.equality)]
+        columns = zip(bent, gradient, *forces, answer.lower, answer.upper, strict=True)
+        assert all(p + c + g + a - low + high == 0 for p, c, g, a, low, high in columns)
+        gaps = [right - left for left, right in zip(times(program.G, answer.x), h, strict=True)]
+        assert times(program.A, answer.x) == b
+        assert min(*gaps, *answer.inequality, *answer.lower, *answer.upper, 0, 0) >= 0
+        assert all(gap * multiplier == 0 for gap, multiplier in zip(gaps, answer.inequality, strict=True))
+        for x, low, high, at_low, at_high in zip(
+            answer.x, program.lower.tolist(), program.upper.tolist(), answer.lower, answer.upper, strict=True
+        ):
+            assert low <= x <= high
+            assert at_low == 0 or x == low
+            assert at_high == 0 or x == high
+        value = sum((x * (p / 2 + c) for x, p, c in zip(answer.x, bent, gradient, strict=True)), Fraction(0))
+        assert answer.objective == value
+
+    check()
+
+
+def test_complementarity_models_have_their_answers() -> None:
+    """A solve of the model in cvxpy finds the values that were planted."""
+
+    @settings(STABLE, max_examples=25)
+    @given(complementarity_models(p_matrices(st.integers(1, 4))))
+    def check(drawn: tuple[object, dict[str, np.ndarray]]) -> None:
+        model, answers = drawn
+        model.solve(method="LCP", tolerance=1e-12)
+        for name, value in answers.items():
+            np.testing.assert_allclose(model.var_dict[name].value, value, atol=1e-5)
+
+    check()
+
+
+def test_shares_are_obeyed() -> None:
+    """Shares of 0 and 1 are exact, others rough; without any, q is anything."""
+    assert set(counted(solved_lcps(active=1, degenerate=0))) == {"lower, w > 0"}
+    assert set(counted(solved_lcps(active=0, degenerate=1))) == {"lower"}
+    counts = counted(solved_lcps(active=0.1, degenerate=0.1))
+    assert counts["half bounded"] > 0.5 * counts.total()
+    seen = []
+
+    @STABLE
+    @given(lcps(h_plus_matrices(2), degenerate=1), lcps(h_plus_matrices(2), bounds=0.5))
+    def collect(degenerate: LCP, anything: LCP) -> None:
+        assert not degenerate.q.any()
+        seen.append(anything.is_plain)
+
+    collect()
+    assert 0 < sum(seen) < len(seen)
+
+
+# --- The judge ----------------------------------------------------------------------------------------------
+
+
+def verdict_on(solver: object, **options: object) -> str:
+    with pytest.raises(AssertionError) as found:
+        assert_solves(solver, max_examples=100, **options)
+    return str(found.value)
+
+
+def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.clip(-q / M.diagonal(), lower, upper)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda z: z * np.nan, "z is not finite"),
+        (lambda z: np.append(z, 0.0), "real numbers in an array of shape"),
+        (lambda z: z - 2.0, r"z is outside its bounds: z\[0\] = -1, but lower\[0\] = 0"),
+        (lambda z: z * 0.0, r"w has the wrong sign: w\[0\] = -1, but z\[0\] = 0 is at its lower bound 0"),
+        (lambda z: z + 0.5, r"z is not complementary: w\[0\] = 0.5, but z\[0\] = 1.5 lies between"),
+        (lambda z: None, "it gave up \\(returned None\\) on a problem that has a solution"),
+        (lambda z: 1 / 0, "it gave up \\(raised ZeroDivisionError: division by zero\\)"),
+    ],
+)
+def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
+    """Each kind of wrong answer is named, on the 1 × 1 identity with q = −1, 0 or 1."""
+    report = verdict_on(lambda *data: spoil(exact_diagonal(*data)), matrices=h_plus_matrices(density=0))
+    assert re.search(complaint, report), report
+    assert re.search(r"M = \[\[1\]\], q = \[(-1|0|1)\], lower = \[0\], upper = \[inf\]", report), report
+
+
+def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
+    """On a nearly singular matrix a small residual does not hide a wrong answer, unless that is asked for."""
+    nearly = st.just(np.array([[1.0 + 2.0**-30, -1.0], [-1.0, 1.0]]))
+
+    def careless(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        z = least_squares_point(M, q)
+        return z + 1.0 if z.min() > 0 else z * 0.0
+
+    def least_squares_point(M: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(M, -q)
+
+    inactive = {"matrices": nearly, "tolerance": 10.0}
+    assert "z is far from the exact answer" in verdict_on(careless, **inactive)
+    assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
+
+
+def test_the_judge_shows_problems_without_solution() -> None:
+    """A solver that claims to have solved a problem without solution is found, with the proof, where that is asked."""
+    only_those = {"matrices": h_plus_matrices(1), "infeasible": True, "may_give_up": True}
+    report = verdict_on(lambda M, q, *bounds: exact_diagonal(M, q, *bounds) if M[0, 0] > 0 else q * 0.0, **only_those)
+    assert "it claims to have solved a problem that has no solution" in report
+    assert "contradict; proof: exact" in report
+
+
+def test_the_judge_refuses_wrong_options() -> None:
+    """Options out of range are refused before anything is drawn."""
+    for options, message in (
+        ({"max_examples": 0}, "max_examples must be a whole number ≥ 1, got 0"),
+        ({"tolerance": -1.0}, "tolerance must be a number ≥ 0, got -1.0"),
+        ({"bounds": 2.0}, r"bounds must lie in \[0, 1\], got 2.0"),
+    ):
+        with pytest.raises(InvalidOption, match=message):
+            assert_solves(exact_diagonal, **options)
+
+
 # --- Everything occurs ------------------------------------------------------------------------------------
 
 
@@ -251,7 +564,8 @@ def test_counterexamples_are_small() -> None:
         h_plus_matrices(st.integers(1, 4), row_scale=20), lambda M: np.count_nonzero(M) > len(M), settings=SEARCH
     )
     assert sorted(abs(matrix).ravel().tolist()) == [0.0, 1.0, 1.0, 2.0]
-    problem, z = find(solved_lcps(), lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH)
+    small = solved_lcps(h_plus_matrices(st.integers(1, 3)))
+    problem, z = find(small, lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH)
     assert np.array_equal(problem.M.toarray() if sp.issparse(problem.M) else problem.M, np.eye(2))
     assert exact_slack(problem, z)[0] == 1
     assert max(z) <= 1
@@ -273,6 +587,12 @@ def test_counterexamples_are_small() -> None:
         (lambda: positive_definite_matrices(scale=1.0), "scale must be a whole number from 0 to 400, got 1.0"),
         (lambda: h_plus_matrices(margin=0.3), r"margin must be a power of two from 2\*\*-30 to 1, got 0.3"),
         (lambda: positive_definite_matrices(margin=0.0), r"margin must be a power of two from 2\*\*-30 to 1, got 0.0"),
+        (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
+        (lambda: indefinite_matrices(1), "size must be a whole number ≥ 2 or a strategy of such, got 1"),
+        (lambda: positive_semidefinite_matrices(2, rank=3), "rank must be at most the size, got rank 3 for size 2"),
+        (lambda: positive_semidefinite_matrices(rank=-1), "rank must be a whole number ≥ 0, got -1"),
+        (lambda: solved_lcps(active=0.8, degenerate=0.4), "active \\+ degenerate must be at most 1, got 0.8 \\+ 0.4"),
+        (lambda: lcps(bounds=-0.5), r"bounds must lie in \[0, 1\], got -0.5"),
         (lambda: solved_lcps(row_scale=True), "row_scale must be a whole number from 0 to 400, got True"),
     ],
 )
@@ -288,15 +608,14 @@ def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
 def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
     """Where a double cannot hold q = w − M z the problem is refused, not drawn with a wrong answer."""
     with pytest.raises(InvalidProblem, match="not free of rounding in row 0"):
-        find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=SEARCH)
+        find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
 def test_nothing_is_drawn_in_vain() -> None:
     """Valid by construction: the module neither filters nor assumes."""
-    source = Path(strategies.__file__).read_text(encoding="utf-8")
-    assert ".filter(" not in source
-    assert "assume" not in source
-    assert "reject" not in source
+    for file in Path(strategies.__file__).parent.glob("*.py"):
+        source = file.read_text(encoding="utf-8")
+        assert not [word for word in (".filter(", "assume(", "reject(") if word in source], file.name
 
 
 def test_hypothesis_loads_with_the_strategies_only() -> None:

@@ -1,0 +1,32 @@
+"""Hypothesis strategies: matrices whose class is certain, problems whose answer is exact, and a test of any solver.
+
+Everything drawn is made of small integers and powers of two, so that it is what it claims to be in exact
+arithmetic, not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All
+strategies shrink towards the 1 × 1 identity, or the simplest matrix of their class, and small integers.
+"""
+
+from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
+from .dominant import h_plus_matrices, m_matrices, strictly_dominant_matrices, z_matrices
+from .judge import assert_solves
+from .principal import not_h_matrices, p_matrices
+from .problems import infeasible_lcps, lcps, solved_lcps
+from .programs import QPAnswer, complementarity_models, convex_qps
+
+__all__ = [
+    "QPAnswer",
+    "assert_solves",
+    "complementarity_models",
+    "convex_qps",
+    "h_plus_matrices",
+    "indefinite_matrices",
+    "infeasible_lcps",
+    "lcps",
+    "m_matrices",
+    "not_h_matrices",
+    "p_matrices",
+    "positive_definite_matrices",
+    "positive_semidefinite_matrices",
+    "solved_lcps",
+    "strictly_dominant_matrices",
+    "z_matrices",
+]

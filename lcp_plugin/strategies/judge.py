@@ -1,0 +1,283 @@
+"""assert_solves: a solver of anybody's against problems whose answers are known, judged in exact arithmetic."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from hypothesis.errors import Flaky
+
+from ..certificates.exact import exact_slack, is_exact_solution
+from ..certificates.infeasibility import Infeasibility
+from ..errors import InvalidOption
+from ..matrix_classes import analyze
+from ..problem import LCP, FloatVector
+from .principal import p_matrices
+from .problems import Answer, infeasible_lcps, lcps, solved_lcps
+
+Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
+Truth = Answer | Infeasibility | None
+
+HUGE_SLACKS = 24  # exponents of two: an active row's q up to 10⁸
+SHOWN_ROWS = 12
+
+
+def assert_solves(
+    solver: Solver,
+    *,
+    matrices: st.SearchStrategy[Any] | None = None,
+    bounds: float = False,
+    infeasible: bool = False,
+    may_give_up: bool = False,
+    tolerance: float = 1e-6,
+    error_tolerance: float = 1e-3,
+    max_examples: int = 200,
+    seed: int | None = 0,
+) -> None:
+    """Raise an AssertionError that shows the simplest problem found on which a solver is wrong, if there is one.
+
+    Parameters
+    ----------
+    solver : callable (M, q, lower, upper) → z
+        M of shape (n, n), an array or CSR array as drawn; the others arrays of shape (n,), lower = 0 and upper = ∞
+        where no bounds were asked for. It returns z of shape (n,), which claims that the problem is solved, or None, or
+        raises, where it was not able to: translate a status into that.
+    matrices : strategy of (n, n) matrices, optional
+        The matrices that the solver is meant for; P-matrices of size 1 to 8 by default.
+    bounds : bool or float
+        Share of rows with other bounds than 0 and ∞.
+    infeasible : bool
+        Draw problems without solution too, whatever `matrices` are; any z that is returned for one of them is wrong.
+    may_give_up : bool
+        Whether the solver may give up on a problem that has a solution. If not, that is a failure on all problems
+        drawn with their answer and, where M is a P-matrix, on the others.
+    tolerance : float
+        Allowed for each row's z − mid(lower, upper, z − w/d), d the diagonal entry (the row's largest where that is
+        negligible), relative to max(1, its largest value at the point between the bounds nearest to 0).
+    error_tolerance : float
+        Allowed for ‖z − z*‖∞ relative to 1 + ‖z*‖∞, where the answer z* is known and the only one (M is a P-matrix). On
+        nearly singular matrices a small residual goes with a large error; ∞ leaves this out.
+    max_examples : int
+        Number of problems, at least 1.
+    seed : int or None
+        The same number draws the same problems; None draws others each time.
+
+    Raises
+    ------
+    AssertionError
+        Where the solver was wrong, naming what: it gave up or raised; z not a vector of finite numbers, outside the
+        bounds, w of the wrong sign or not complementary, far from the exact answer, a solution of a problem that has
+        none; M, q or a bound modified; or not the same answer to the same problem twice.
+    InvalidOption
+        Where an option is out of its range.
+
+    Notes
+    -----
+    Half of the problems have an answer chosen beforehand, with inactive, active and degenerate rows and slacks up to
+    10⁸; the others have any q. w = M z + q is computed in rational arithmetic, so that the judge does not round.
+
+    Examples
+    --------
+    A diagonal solver, and what it forgot:
+
+    >>> def diagonal(M, q, lower, upper):
+    ...     return np.clip(-q / M.diagonal(), lower, upper)
+    >>> from lcp_plugin.strategies import h_plus_matrices
+    >>> assert_solves(diagonal, matrices=h_plus_matrices(density=0), bounds=True)
+    >>> try:
+    ...     assert_solves(diagonal, matrices=h_plus_matrices(2))
+    ... except AssertionError as report:
+    ...     print(str(report).splitlines()[0])
+    diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
+    """
+    _check_options(max_examples, tolerance, error_tolerance)
+    check = functools.partial(_check, solver, may_give_up, tolerance, error_tolerance)
+    _run(check, _drawn_problems(matrices, bounds, infeasible), max_examples, seed)
+
+
+def _check_options(max_examples: Any, tolerance: float, error_tolerance: float) -> None:
+    if isinstance(max_examples, bool) or not isinstance(max_examples, (int, np.integer)) or max_examples < 1:
+        raise InvalidOption(f"max_examples must be a whole number ≥ 1, got {max_examples!r}")
+    for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
+        if not value >= 0.0:
+            raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
+
+
+def _drawn_problems(
+    matrices: st.SearchStrategy[Any] | None, bounds: float, infeasible: bool
+) -> st.SearchStrategy[tuple[LCP, Truth]]:
+    """Return a strategy for problems with what is known of them: the answer, the proof that there is none, or None."""
+    classes = p_matrices() if matrices is None else matrices
+    solved = solved_lcps(classes, bounds=bounds, slack_scale=HUGE_SLACKS) | solved_lcps(classes, bounds=bounds)
+    unknown = lcps(classes, bounds=bounds).map(lambda problem: (problem, None))
+    kinds: list[st.SearchStrategy[Any]] = [solved, unknown]
+    if infeasible:
+        kinds.append(infeasible_lcps(bounds=bounds) | infeasible_lcps(bounds=bounds, monotone=True))
+    return st.one_of(kinds)
+
+
+def _run(check: Callable[[Any], None], problems: st.SearchStrategy[Any], max_examples: int, number: int | None) -> None:
+    @settings(
+        max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
+        suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate, Phase.shrink],
+    )
+    @given(problems)
+    def solver_is_right(drawn: tuple[LCP, Truth]) -> None:
+        check(drawn)
+
+    try:
+        (solver_is_right if number is None else seed(number)(solver_is_right))()
+    except Flaky as error:
+        raise AssertionError("the solver does not answer the same problem twice in the same way") from error
+
+
+def _check(
+    solver: Solver, may_give_up: bool, tolerance: float, error_tolerance: float, drawn: tuple[LCP, Truth]
+) -> None:
+    problem, truth = drawn
+    z, reason = _answer_of(solver, problem, truth)
+    if z is None:
+        has_solution = truth is not None or bool(analyze(problem.M).is_p_matrix)
+        if has_solution and not may_give_up and not isinstance(truth, Infeasibility):
+            raise _failure(solver, f"it gave up ({reason}) on a problem that has a solution", problem, truth)
+        return
+    if isinstance(truth, Infeasibility):
+        raise _failure(solver, "it claims to have solved a problem that has no solution", problem, truth, z)
+    complaint = complaint_about(problem, z, truth, tolerance, error_tolerance)
+    if complaint:
+        raise _failure(solver, complaint, problem, truth, z)
+
+
+def _answer_of(solver: Solver, problem: LCP, truth: Truth) -> tuple[Any, str]:
+    """Return what the solver says, or None and the reason; it gets copies, and they must stay as they are."""
+    given = [problem.M.copy(), problem.q.copy(), problem.lower.copy(), problem.upper.copy()]
+    reason = "returned None"
+    try:
+        z = solver(*given)
+    except Exception as error:  # whatever a foreign solver raises means that it gave up
+        z, reason = None, f"raised {type(error).__name__}: {error}"
+    for name, now, before in zip(
+        ("M", "q", "lower", "upper"), given, (problem.M, problem.q, problem.lower, problem.upper), strict=True
+    ):
+        if not _is_same(now, before):
+            raise _failure(solver, f"it modified its input {name}", problem, truth)
+    return z, reason
+
+
+def _is_same(now: Any, before: Any) -> bool:
+    if not sp.issparse(before):
+        return np.array_equal(now, before)
+    parts = ("data", "indices", "indptr")
+    return all(np.array_equal(getattr(now, part), getattr(before, part)) for part in parts)
+
+
+def complaint_about(
+    problem: LCP, given: Any, truth: Answer | None, tolerance: float = 1e-6, error_tolerance: float = 1e-3
+) -> str:
+    """Return what is wrong with z as an answer to the problem, "" where nothing is; tolerances of `assert_solves`.
+
+    Examples
+    --------
+    >>> complaint_about(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, -1], None)
+    'z is outside its bounds: z[1] = -1, but lower[1] = 0'
+    >>> complaint_about(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, 0], None)
+    ''
+    """
+    z = np.asarray(given)
+    if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
+        return f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
+    z = z.astype(np.float64)
+    if not np.isfinite(z).all():
+        return "z is not finite"
+    w = exact_slack(problem, z)
+    rows = [
+        _row_residual(Fraction(value), slack, float(low), float(high), float(d))
+        for value, slack, low, high, d in zip(
+            z.tolist(), w, problem.lower, problem.upper, problem.residual_scale, strict=True
+        )
+    ]
+    allowed = Fraction(tolerance) * max(Fraction(1), _size_at_start(problem)) if math.isfinite(tolerance) else math.inf
+    worst = max(range(problem.n), key=lambda i: abs(rows[i]), default=None)
+    if worst is not None and abs(rows[worst]) > allowed:
+        return _named(problem, z, w, worst, allowed)
+    return _distance(problem, z, truth, error_tolerance)
+
+
+def _row_residual(z: Fraction, w: Fraction, lower: float, upper: float, scale: float) -> Fraction:
+    """Return z − mid(lower, upper, z − w/scale), exactly."""
+    target = z - w / Fraction(scale)
+    if target <= lower:
+        return z - Fraction(lower)
+    return z - Fraction(upper) if target >= upper else z - target
+
+
+def _size_at_start(problem: LCP) -> Fraction:
+    start = problem.nearest_to_zero
+    rows = zip(
+        start.tolist(), exact_slack(problem, start), problem.lower.tolist(), problem.upper.tolist(),
+        problem.residual_scale.tolist(), strict=True,
+    )
+    return max((abs(_row_residual(Fraction(z), w, low, high, d)) for z, w, low, high, d in rows), default=Fraction(0))
+
+
+def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:
+    """Return which condition row i violates; a z within `allowed` of a bound is at it."""
+    low, high, here = problem.lower[i], problem.upper[i], z[i]
+    for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):
+        if excess > allowed:
+            return f"z is outside its bounds: z[{i}] = {here:g}, but {name}[{i}] = {bound:g}"
+    if here - low <= allowed:
+        return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} is at its lower bound {low:g}"
+    if high - here <= allowed:
+        return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} is at its upper bound {high:g}"
+    return f"z is not complementary: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} lies between its bounds"
+
+
+def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_tolerance: float) -> str:
+    if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
+        return ""
+    distance = max((abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)), default=0)
+    size = 1 + max(map(abs, truth), default=Fraction(0))
+    if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
+        return ""
+    return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
+
+
+def _failure(solver: Solver, complaint: str, problem: LCP, truth: Truth, z: Any = None) -> AssertionError:
+    matrix = problem.M.toarray() if sp.issparse(problem.M) else problem.M
+    name = getattr(solver, "__name__", type(solver).__name__)
+    lines = [
+        f"{name}: {complaint}",
+        f"M = {_shown(matrix, 4)}, q = {_shown(problem.q)}, lower = {_shown(problem.lower)}, "
+        f"upper = {_shown(problem.upper)}",
+    ]
+    if z is not None:
+        values = np.asarray(z)
+        if values.shape == (problem.n,) and values.dtype.kind in "biuf":
+            lines.append(f"z = {_shown(values)}, w = M z + q = {_shown(_rounded_slack(problem, values))}")
+    if isinstance(truth, Infeasibility):
+        lines.append(f"{truth}")
+    elif truth is not None:
+        lines.append(f"the exact answer is z = {_shown(np.array(truth, dtype=np.float64))}")
+    return AssertionError("\n".join(lines))
+
+
+def _rounded_slack(problem: LCP, z: Any) -> FloatVector:
+    with np.errstate(all="ignore"):
+        w: FloatVector = problem.M @ z.astype(np.float64) + problem.q
+    return w
+
+
+def _shown(values: Any, indent: int = 0) -> str:
+    text = np.array2string(
+        np.asarray(values), separator=", ", max_line_width=10**6, threshold=SHOWN_ROWS**2,
+        formatter={"all": lambda value: f"{value:.12g}"},
+    )
+    return text.replace("\n ", "\n" + " " * (indent + 1))

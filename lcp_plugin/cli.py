@@ -63,11 +63,16 @@ def _speaks_plainly(command: F) -> F:
 
 
 @app.callback(invoke_without_command=True)
-def main(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def main(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
     """Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary."""
     if version:
         typer.echo(f"lcp-plugin {__version__}")
         raise typer.Exit
+    if context.invoked_subcommand is None:  # "lcp-plugin --" has an argument, but no command
+        typer.echo(context.get_help())
+        raise typer.Exit(EXIT_BAD_INPUT)
 
 
 @app.command(

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .algorithms import Algorithm, Step
 from .algorithms.rehearsal import rehearse
-from .certificates.residuals import Certificate, ratio, reference_residual, scaled_residual
+from .certificates.residuals import GAINED, Certificate, ratio, reference_residual, scaled_residual
 from .checks import FloatVector
 from .choice import Choice, Policy, Single, Stage, policy_for
 from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
@@ -28,7 +28,6 @@ Callback = Callable[[Sample, FloatVector], Any]
 DIVERGED_BEYOND = 1e8
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 SAMPLE_GROWTH = 1.05
-GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
 
@@ -101,20 +100,26 @@ def solve(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
-    policy = policy_for(algorithm, options)
-    settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
-    start = checked_start(problem, z0)
-    run = _Run(problem, policy, settings, callback)
-    if isinstance(policy, Single):
-        warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
+    kept = np.geterr()
     try:
-        result = run.judged(start, run.drive(start))
+        policy = policy_for(algorithm, options)
+        settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
+        start = checked_start(problem, z0)
+        run = _Run(problem, policy, settings, callback)
+        if isinstance(policy, Single):
+            warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
+        try:
+            result = run.judged(start, run.drive(start))
+        except KeyboardInterrupt:
+            np.seterr(**kept)
+            return run.judged(start, Status.INTERRUPTED)
+        # What could be learnt from an analysis is not worth more time than the caller allows.
+        if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
+            warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
+        return result
     except KeyboardInterrupt:
-        return run.judged(start, Status.INTERRUPTED)
-    # What could be learnt from an analysis is not worth more time than the caller allows.
-    if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
-        warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
-    return result
+        np.seterr(**kept)  # one that hits np.errstate while it ends leaves its settings behind
+        raise
 
 
 class _Run:
@@ -141,6 +146,7 @@ class _Run:
         self.progress = Progress(problem.n, settings.max_iterations)
         self._last_certificate: Certificate | None = None
         self._unmeasured: FloatVector | None = None
+        self._is_with_the_caller = False  # what is raised meanwhile is his
         self._next_sample = 0
         self.proof: Any = None  # that there is no solution
 
@@ -167,7 +173,7 @@ class _Run:
         try:
             following, reason = self._follow(steps)
         except (UnsuitableMatrix, UnsuitableProblem):
-            if len(self.stages) == 1 or self.stages[-1].iterations > 0:
+            if len(self.stages) == 1 or self.stages[-1].iterations > 0 or self._is_with_the_caller:
                 raise
             following, reason = None, Status.STALLED  # auto tried what does not take this problem
         if following is not None:
@@ -323,7 +329,9 @@ class _Run:
                 view = step.z.view()
                 view.flags.writeable = False
                 sample = Sample(self.iteration, self.work, self.seconds, residual, name)
+                self._is_with_the_caller = True
                 wants_to_stop = bool(self.callback(sample, view))
+                self._is_with_the_caller = False
             if due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self._measure(step.z) if residual is None else residual

@@ -15,6 +15,8 @@ A comparison with NaN is false; every maximum below is written so that a NaN sur
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pickle import PickleError
 from typing import Any
 
 import numpy as np
@@ -24,9 +26,36 @@ from numba import njit, uintp
 def compiled(function: Any) -> Any:
     """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
     try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
+        dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # numba found no place for its cache
         return njit(nogil=True, error_model="numpy")(function)
+    if hasattr(dispatcher, "_cache"):  # there is none where numba is told not to compile
+        dispatcher._cache = _ForgivingCache(dispatcher._cache)
+    return dispatcher
+
+
+class _ForgivingCache:
+    """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run."""
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return self._cache.load_overload(signature, target_context)
+        except Exception:  # a damaged file raises whatever its decoders raise
+            return None
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        with suppress(OSError):
+            try:
+                self._cache.save_overload(signature, data)
+            except (EOFError, ValueError, PickleError):  # the index of what is there is damaged: begin a new one
+                self._cache.flush()
+                self._cache.save_overload(signature, data)
 
 
 @njit(inline="always")

@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..problem import LCP
+from ..problem import LCP, NEGLIGIBLE_DIAGONAL
+from ..rounding import compensated_product
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 MEASURES = ("relative", "euclidean")
+GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +80,40 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """‖r(z)‖∞ / ‖r(z°)‖∞; 0 for 0/0."""
-        return ratio(self.scaled_residual, reference_residual(self.problem))
+        reference = reference_residual(self.problem)
+        if not self._is_out_of_proportion:
+            return ratio(self.scaled_residual, reference)
+        with np.errstate(all="ignore"):
+            return ratio(_largest(np.abs(scaled_residual(self.problem, self.z, self._sure_slack))), reference)
+
+    @cached_property
+    def _is_out_of_proportion(self) -> bool:
+        """Whether rounding could hide a residual as large as the problem itself from a w in double precision."""
+        problem, reference = self.problem, reference_residual(self.problem)
+        if not problem.n or not 0.0 < reference < np.inf or not self.scaled_residual <= GAINED * reference:
+            return False
+        with np.errstate(all="ignore"):
+            # No entry of a row is larger than d_i by more than that, so that most z need no pass over M.
+            terms = problem.n if problem.is_dense else int(np.diff(problem.csr.indptr).max())
+            size = terms / NEGLIGIBLE_DIAGONAL * np.abs(self.z).max()
+            size += (np.abs(problem.q) / problem.residual_scale).max()
+            if (terms + 2) * MACHINE_EPSILON * size <= GAINED * reference:
+                return False
+            return bool(self.rounding_floor.max() > GAINED * reference)
+
+    @cached_property
+    def _sure_slack(self) -> FloatVector:
+        """The slack w, or the end farther from 0 of a proved enclosure of it where that of doubles says nothing."""
+        if not self._is_out_of_proportion:
+            return self.w
+        value, radius = compensated_product(self.problem.csr, self.z, self.problem.q)
+        return value + np.copysign(radius, value)
 
     @cached_property
     def _natural(self) -> FloatVector:
-        problem = self.problem
+        problem, w = self.problem, self._sure_slack
         with np.errstate(all="ignore"):
-            return _mid_residual(problem, self.z, self.w, self.w)
+            return _mid_residual(problem, self.z, w, w)
 
     @cached_property
     def natural_residual(self) -> float:

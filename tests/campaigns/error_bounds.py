@@ -143,6 +143,14 @@ class Tally:
             if sharp:
                 self.proven[quality].append(bound.is_active_set_proven)
 
+    def judge(self, kind: float | str, generator: np.random.Generator) -> None:
+        """Draw one problem of that kind and judge the bounds of several points."""
+        problem = random_problem(generator, kind)
+        exact = exact_solution(problem)
+        self.enumerated += exact.was_enumerated
+        for quality, z in points(generator, problem, exact):
+            self.count(kind, quality, problem, z, exact)
+
     def show(self) -> None:
         """Print the tables."""
         print(
@@ -174,11 +182,7 @@ def run(cases: int, seed: int) -> int:
     tally = Tally()
     kinds = [RADII[case % len(RADII)] for case in range(cases)] + [DEFINITE] * (cases // 10)
     for kind in kinds:
-        problem = random_problem(generator, kind)
-        exact = exact_solution(problem)
-        tally.enumerated += exact.was_enumerated
-        for quality, z in points(generator, problem, exact):
-            tally.count(kind, quality, problem, z, exact)
+        tally.judge(kind, generator)
     print(f"{cases} H₊ and {cases // 10} definite problems, seed {seed}, {time.perf_counter() - began:.0f} s")
     tally.show()
     print(f"largest median at convergence, H₊: {tally.worst_median:.4g} (must be ≤ 10)")

@@ -7,11 +7,12 @@ exactly, or one is lost.
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib.util
 import sys
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from lcp_plugin.presolve import presolve
 BOUNDS = [(0.0, np.inf), (0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-np.inf, 2.0)]
 
 
+@functools.cache
 def truth() -> Any:
     """The exact solver of the test of the same name."""
     path = Path(__file__).parent.parent / "test_presolve.py"
@@ -47,22 +49,39 @@ def fractions(values: Any) -> Any:
     return np.array([*(Fraction(value) for value in values), None], dtype=object)[:-1]
 
 
+class Outcome(NamedTuple):
+    """Rows before and after, whether there is a solution, how many came back wrongly and how many were lost."""
+
+    rows: int
+    left: int
+    solvable: bool
+    wrong: int
+    lost: int
+
+
+def check(rng: np.random.Generator) -> Outcome:
+    """Draw a problem, presolve it and compare all its solutions with all those of what is left."""
+    exact, case = truth(), problem(rng)
+    smaller = presolve(case, equilibrate=bool(rng.random() < 0.5))
+    found = exact.solutions(case)
+    return Outcome(
+        case.n,
+        smaller.problem.n,
+        bool(found),
+        sum(not exact.solves(case, smaller.restore(z)) for z in exact.solutions(smaller.problem)),
+        sum(not exact.solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found),
+    )
+
+
 def main() -> int:
     """Run the campaign and print what was found."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--cases", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    exact, rng = truth(), np.random.default_rng(options.seed)
-    rows = left = solvable = wrong = lost = 0
-    for _ in range(options.cases):
-        case = problem(rng)
-        smaller = presolve(case, equilibrate=bool(rng.random() < 0.5))
-        rows, left = rows + case.n, left + smaller.problem.n
-        wrong += sum(not exact.solves(case, smaller.restore(z)) for z in exact.solutions(smaller.problem))
-        found = exact.solutions(case)
-        solvable += bool(found)
-        lost += sum(not exact.solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found)
+    rng = np.random.default_rng(options.seed)
+    outcomes = [check(rng) for _ in range(options.cases)]
+    rows, left, solvable, wrong, lost = (sum(column) for column in zip(*outcomes, strict=True))
     print(f"{options.cases} problems, {solvable} with solutions; {left} of {rows} rows left;"
           f" {wrong} wrong, {lost} lost")
     return int(wrong + lost > 0)

@@ -23,7 +23,7 @@ from collection.judgement import false_claim, shortfall
 from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, decide
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.errors import LCPError
+from lcp_plugin.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
 
 Matrix = np.ndarray
 Generator = np.random.Generator
@@ -180,11 +180,8 @@ def random_offset(kind: str, M: Matrix, lower: Matrix, upper: Matrix, rng: Gener
     if kind == "bimatrix" and rng.random() < 0.7:
         return -np.ones(n)
     choice = rng.random()
-    if choice < 0.35 and kind != "doubles":  # planted without rounding, and as degenerate as it comes
-        z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
-        w = rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
-        w = np.where(lower == upper, rng.integers(-3, 4, n), w)
-        return w - M @ z
+    if choice < 0.35 and kind != "doubles":
+        return planted_offset(M, lower, upper, rng)
     q = rng.integers(-6, 7, n).astype(float)
     if kind == "badly scaled":
         q *= 2.0 ** rng.integers(-3, 4)
@@ -193,15 +190,24 @@ def random_offset(kind: str, M: Matrix, lower: Matrix, upper: Matrix, rng: Gener
     return q + rng.standard_normal(n) if kind == "doubles" else q
 
 
+def planted_offset(M: Matrix, lower: Matrix, upper: Matrix, rng: Generator) -> Matrix:
+    """Return q of a problem with a solution of small integers, without rounding and as degenerate as it comes."""
+    n = len(M)
+    z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
+    w = rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
+    w = np.where(lower == upper, rng.integers(-3, 4, n), w)
+    return w - M @ z
+
+
 # --- The truth ------------------------------------------------------------------------------------------------------
 
 
-def judged(problem: LCP, algorithm: str, tolerance: float) -> tuple[str, str, str]:
-    """Return the truth, the status, and what is false about it."""
-    truth = decide(problem).verdict
+def judged(problem: LCP, algorithm: str, tolerance: float, truth: str = "") -> tuple[str, str, str]:
+    """Return the truth, the status, and what is false about it; a truth that is known need not be searched for."""
+    truth = truth or decide(problem).verdict
     try:
         result = solve(problem, algorithm, tolerance=tolerance)
-    except LCPError as error:
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
         return truth, "refused", "" if algorithm != "auto" else str(error)
     except Exception as error:  # whatever is raised here is a finding, and the campaign goes on
         return truth, "raised", f"{type(error).__name__}: {error}"
@@ -273,4 +279,5 @@ if __name__ == "__main__":
     parser.add_argument("--show", type=int, default=20, help="how many unsolved solvable cases to print")
     given = parser.parse_args()
     warnings.simplefilter("error")
+    warnings.simplefilter("ignore", ConvergenceWarning)
     sys.exit(main(given.cases, given.seed, given.algorithm, given.tolerance, given.kind, given.show))

@@ -1,0 +1,346 @@
+"""What the long campaign (trust.py) draws and how each case is judged; judges and problems are those of the others."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
+import convex_programs
+import error_bounds
+import guarantees
+import matrix_verdicts
+import presolve
+import search
+import small_lcps
+from collection.judgement import false_claim
+from collection.truth import SOLVABLE, ExactData, decide
+from exact import Exact
+from relations import EXACT, bits, scaled
+
+from lcp_plugin import LCP, LCPError, error_bound, prepare, solve, solve_many
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.algorithms.base import SWEEPS
+from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+
+Generator = np.random.Generator
+
+SOLVED, BOUND, VERDICT, CLAIM, CRASH, MODIFIED = VIOLATIONS = (
+    "false SOLVED", "bound", "verdict", "false claim", "crash", "modified"
+)
+NEAR, OPEN = TOLD = "near", "open"
+TOLERANCE = 1e-9
+ALGORITHMS = (*REGISTRY,)
+
+
+class Finding(NamedTuple):
+    """What is wrong, and in words."""
+
+    what: str
+    text: str
+
+
+Found = Iterator[Finding]
+
+
+# --- One case of each kind ------------------------------------------------------------------------------------------
+
+
+def delivered(problem: LCP, rng: Generator) -> LCP:
+    """The same problem as a caller may state it: dense, or sparse of any format and index width."""
+    dense = problem.csr.toarray()
+    form = rng.choice(["C", "F", "csr", "csc", "coo", "wide"])
+    if form in ("C", "F"):
+        M: Any = np.array(dense, order=form)
+    else:
+        M = sp.coo_array(dense).asformat("csr" if form == "wide" else str(form))
+    if form == "wide":
+        M.indices, M.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    return LCP(M, problem.q.copy(), lower=problem.lower.copy(), upper=problem.upper.copy())
+
+
+def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
+    """Whether z is what SOLVED means, exactly: rounding may add its floor, but nothing as large as the problem itself.
+
+    A problem without any solution may have such a z, where its rows differ in size by more than the tolerance.
+    """
+    data = ExactData(problem)
+    reference = data.reference()
+    rounding = min(4 * max(data.floor(z.tolist())), reference / 25)
+    return max(data.residual(z.tolist())) <= Fraction(tolerance) * reference + rounding
+
+
+def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:
+    """Judge what each algorithm says about a problem of which the truth is known."""
+    for name in algorithms:
+        _, status, complaint = small_lcps.judged(problem, name, TOLERANCE, truth)
+        if complaint == "false SOLVED" and is_within(problem, solve(problem, name, tolerance=TOLERANCE).z, TOLERANCE):
+            yield Finding(NEAR, f"{name}: {truth}, but not within the tolerance")
+        elif complaint:
+            is_crash = status in ("raised", "refused")
+            yield Finding(CRASH if is_crash else SOLVED if "SOLVED" in complaint or "lie" in complaint else CLAIM,
+                          f"{name}: {complaint}")  # fmt: skip
+        elif name == "auto" and status != "right":
+            yield Finding(OPEN, f"auto: {truth}, {status}")
+
+
+def small(rng: Generator, kind: str) -> Found:
+    """Up to six unknowns, the truth by exact search; auto and two other algorithms."""
+    problem = small_lcps.random_problem(kind, rng)
+    others = rng.choice(ALGORITHMS, 2, replace=False)
+    yield from claims(delivered(problem, rng), decide(problem).verdict, ("auto", *map(str, others)))
+
+
+def related(rng: Generator, kind: str) -> Found:
+    """A small problem and a changed one: what is true of one is true of both."""
+    problem = small_lcps.random_problem(str(rng.choice([k for k in small_lcps.KINDS if k != "doubles"])), rng)
+    truth = decide(problem).verdict
+    changed, back = EXACT[kind](problem, rng)
+    yield from claims(changed, truth, ("auto", str(rng.choice(ALGORITHMS))))
+    if truth == SOLVABLE:
+        exact = decide(changed).z
+        if exact is None:
+            yield Finding(CLAIM, "the relation does not hold")
+            return
+        z = np.array([float(value) for value in exact])
+        if [Fraction(value) for value in z] == list(exact) and not ExactData(problem).is_solution(back(z)):
+            yield Finding(CLAIM, "the way back of the relation does not hold")
+
+
+def random_options(name: str, rng: Generator) -> dict[str, Any]:
+    """Options of a named algorithm, in and out of the ranges of its theorems, but in those it takes."""
+    offered = {
+        "sweep": lambda: str(rng.choice(SWEEPS)),
+        "scaling": lambda: rng.choice([None, "auto", "diagonal"]),
+        "scaling_factor": lambda: float(rng.uniform(0.1, 3.0)),
+        "relaxation": lambda: float(rng.uniform(0.05, 1.95)),
+        "acceleration": lambda: float(rng.uniform(-0.5, 1.9)),
+        "omega": lambda: float(rng.uniform(0.1, 5.0)),
+        "splitting": lambda: str(rng.choice(["diagonal", "tridiagonal", "lower"])),
+        "smoother": lambda: str(rng.choice(["pgs", "psor", "npgs", "npsor"])),
+        "nested": lambda: bool(rng.random() < 0.5),
+        "coarsest": lambda: int(rng.integers(1, 9)),
+        "max_pivots": lambda: int(rng.integers(1, 30)),
+    }
+    known = [] if name == "auto" else [each for each in algorithm_class(name).__dataclass_fields__ if each in offered]
+    options = {option: offered[option]() for option in known if rng.random() < 0.5}
+    return options | ({"scaling": "diagonal"} if "scaling_factor" in options else {})
+
+
+def optional(rng: Generator, name: str) -> Found:
+    """Any options, start, tolerance and units: no claim is false, no bound too small, whatever a run is asked for."""
+    kind = str(rng.choice([k for k in small_lcps.KINDS if k != "badly scaled"]))
+    problem = small_lcps.random_problem(kind, rng)
+    truth = decide(problem).verdict
+    if rng.random() < 0.5:  # another unit of w in every row and of z: powers of two, so that the truth stays
+        spread = int(rng.choice([3, 30, 250]))
+        problem = scaled(problem, np.exp2(rng.integers(-spread, spread + 1, problem.n)), np.exp2(np.full(
+            problem.n, rng.integers(-spread, spread + 1)))).problem  # fmt: skip
+    tolerance = float(rng.choice([0.0, 1e-15, 1e-12, 1e-6, 1e-2]))
+    asked: dict[str, Any] = {
+        "tolerance": tolerance,
+        "z0": None if rng.random() < 0.5 else rng.normal(size=problem.n) * 10.0 ** rng.integers(-9, 10),
+        "max_iterations": int(rng.choice([0, 3, 50, 1000])),
+        "record": bool(rng.random() < 0.3),
+        "error_bound": bool(rng.random() < 0.5),
+        "tolerance_on": "error" if rng.random() < 0.2 else "residual",
+        "callback": (lambda sample, z: sample.iteration >= 20) if rng.random() < 0.2 else None,
+    }
+    try:
+        result = solve(problem, name, **asked, **random_options(name, rng))
+    except (UnsuitableMatrix, UnsuitableProblem):
+        if name == "auto" and asked["tolerance_on"] == "residual":
+            yield Finding(CRASH, "auto refuses")
+        return
+    if asked["tolerance_on"] == "residual" or result.status.name != "SOLVED":
+        if result.status.name == "SOLVED" and problem.n and not is_within(problem, result.z, tolerance):
+            yield Finding(SOLVED, f"{truth}, {asked}")
+        elif result.status.name == "SOLVED" and truth != SOLVABLE:
+            yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
+        elif complaint := false_claim(problem, truth, result, tolerance):
+            yield Finding(CLAIM, f"{complaint}, {asked}")
+    if problem.n and result.error_bound is not None and result.error_bound.kind == "rigorous":
+        exact = decide(problem).z  # the only solution: a bound is a proof of that
+        if exact is None:
+            yield Finding(BOUND, "a bound where there is no solution")
+        elif error_bounds.violations(problem, result.z, Exact(exact, tuple(ExactData(problem).slack(exact)), True),
+                                     result.error_bound) != (0, 0):  # fmt: skip
+            yield Finding(BOUND, f"{asked}")
+    elif problem.n and result.status.name == "SOLVED" and asked["tolerance_on"] == "error":
+        yield Finding(SOLVED, f"an error within the tolerance without a bound, {asked}")
+
+
+def planted(rng: Generator, kind: str) -> Found:
+    """Seven to twelve unknowns with a planted solution; auto and another algorithm."""
+    n = int(rng.integers(7, 13))
+    M = small_lcps.KINDS[kind](n, rng)
+    lower, upper = small_lcps.random_bounds(n, rng) if rng.random() < 0.5 else (np.zeros(n), np.full(n, np.inf))
+    problem = LCP(M, small_lcps.planted_offset(M, lower, upper, rng), lower=lower, upper=upper)
+    yield from claims(problem, SOLVABLE, ("auto", str(rng.choice(ALGORITHMS))))
+
+
+def large(rng: Generator, kind: str) -> Found:
+    """A sparse H₊-matrix of 13 to 400 rows and a planted solution, which is the only one: claims, and error bounds."""
+    n = int(rng.integers(13, 401))
+    B = sp.random_array((n, n), density=min(1.0, rng.uniform(1.0, 6.0) / n), rng=rng, format="csr")
+    B.data = rng.integers(-4, 5, B.nnz).astype(float)
+    if kind == "symmetric":
+        B = sp.csr_array(B + B.T)
+    B.setdiag(0.0)
+    d = abs(B) @ np.ones(n) + rng.integers(1, 3)
+    rows = np.exp2(rng.integers(-8, 9, n)) if kind == "scaled" else np.ones(n)
+    M = sp.csr_array(sp.diags_array(rows) @ sp.csr_array(B + sp.diags_array(d)))
+    lower, upper = small_lcps.random_bounds(n, rng) if rng.random() < 0.5 else (np.zeros(n), np.full(n, np.inf))
+    z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
+    w = rows * rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
+    problem = LCP(M, w - M @ z, lower=lower, upper=upper)
+    yield from claims(problem, SOLVABLE, ("auto", str(rng.choice(ALGORITHMS))))
+    for near in (solve(problem, tolerance=float(rng.choice([1e-2, 1e-9]))).z, z + rng.normal(size=n) * 1e-3):
+        bound = error_bound(problem, near, sharp=bool(rng.random() < 0.5))
+        below = sum(
+            abs(Fraction(float(a)) - Fraction(float(b))) > Fraction(float(limit))
+            for a, b, limit in zip(near, z, bound.componentwise, strict=True)
+            if np.isfinite(limit)
+        )
+        if below:
+            yield Finding(BOUND, f"{below} of {n} rows")
+        at_end = (z == lower) | (z == upper)
+        if np.any(bound.proven_active & ~at_end) or np.any(bound.proven_inactive & at_end):
+            yield Finding(BOUND, "a row is classified wrongly")
+
+
+def verdicts(rng: Generator, kind: str) -> Found:
+    """The report on a matrix against exact arithmetic, or truth by construction."""
+    case = matrix_verdicts.draw(rng, kind)
+    before = bits(case.M)
+    for line in matrix_verdicts.check(case, Counter()):
+        yield Finding(OPEN if "undecided" in line else VERDICT, line)
+    if bits(case.M) != before:
+        yield Finding(MODIFIED, "the matrix that was analysed")
+
+
+def bounds(rng: Generator, kind: float | str) -> Found:
+    """Bounds of eight points, sharp and not, against the exact distance."""
+    tally = error_bounds.Tally()
+    tally.judge(kind, rng)
+    if tally.outside or tally.wrong:
+        yield Finding(BOUND, f"violated {tally.outside}, classified wrongly {tally.wrong}")
+    if tally.refused:
+        yield Finding(OPEN, f"{tally.refused} bounds refused")
+
+
+def presolved(rng: Generator, kind: str) -> Found:
+    """No solution gets lost in presolve, none comes back wrong."""
+    outcome = presolve.check(rng)
+    if outcome.wrong or outcome.lost:
+        yield Finding(CLAIM, str(outcome))
+
+
+def searched(rng: Generator, kind: str) -> Found:
+    """All solutions, feasibility and proofs of a problem against all patterns."""
+    for line in search.violations(*search.random_problem(rng, 3))[0]:
+        yield Finding(CLAIM, line)
+
+
+def guaranteed(rng: Generator, kind: str) -> Found:
+    """A guarantee against the run that it speaks of."""
+    for line in guarantees.run_case(rng).violations:
+        yield Finding(CLAIM, line)
+
+
+def programs(rng: Generator, kind: str) -> Found:
+    """A convex program with a planted answer, judged by its own conditions."""
+    case = convex_programs.program(kind, rng, 12)
+    before = bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
+    is_settled, is_false = convex_programs.judged(kind, case, "auto")
+    if is_false:
+        yield Finding(CLAIM, f"{case}")
+    elif not is_settled:
+        yield Finding(OPEN, f"{case}")
+    if bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper) != before:
+        yield Finding(MODIFIED, "the program")
+
+
+def stored(problem: LCP) -> tuple[bytes, ...]:
+    return bits(problem.csr, problem.q, problem.lower, problem.upper)
+
+
+def files(rng: Generator, kind: str) -> Found:
+    """A saved problem comes back bit for bit; damaged, it is refused or is some problem."""
+    problem = small_lcps.random_problem(str(rng.choice(list(small_lcps.KINDS))), rng)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "p.npz") if kind == "npz" else Path(folder, "p")
+        problem.save(path)
+        if stored(LCP.load(path)) != stored(problem):
+            yield Finding(CLAIM, "the file holds another problem")
+        member = path if kind == "npz" else path / str(rng.choice(["M.mtx", "q.mtx", "lower.mtx", "upper.mtx"]))
+        whole = member.read_bytes()
+        for _ in range(5):
+            damaged = bytearray(whole[: int(rng.integers(len(whole) + 1))] if rng.random() < 0.3 else whole)
+            for place in rng.integers(len(damaged), size=int(rng.integers(1, 5))) if damaged else ():
+                damaged[place] = rng.choice([rng.integers(256), *b"0123456789 -.\n%eE"])
+            member.write_bytes(damaged)
+            with suppress(LCPError):
+                LCP.load(path)
+
+
+def batches(rng: Generator, kind: str) -> Found:
+    """Many q with one prepared M, warm starts too: the bits of a problem stated anew."""
+    M = small_lcps.p_matrix(int(rng.integers(1, 6)), rng)
+    Q = rng.integers(-6, 7, (len(M), 4)).astype(float)
+    Q[:, 1] = np.nan
+    name = "auto" if kind == "auto" else str(rng.choice(["npsor", "psor", "lemke", "newton", "multigrid"]))
+    shared = prepare(LCP(M, Q[:, 0]))
+    try:
+        answers = solve_many(shared, Q, name)
+    except (UnsuitableMatrix, UnsuitableProblem):
+        return
+    start = rng.normal(size=len(M))
+    for q, answer in zip(Q.T, answers, strict=True):
+        if isinstance(answer, LCPError):
+            if not np.isnan(q).any() and not isinstance(answer, (UnsuitableMatrix, UnsuitableProblem)):
+                yield Finding(CRASH, repr(answer))
+            continue
+        fresh = solve(LCP(M, q), name)
+        warm, cold = solve(shared.with_q(q), name, z0=start), solve(LCP(M, q), name, z0=start)
+        if bits(answer.z) != bits(fresh.z) or bits(warm.z) != bits(cold.z):
+            yield Finding(CLAIM, f"{name}: other bits than a problem stated anew")
+
+
+Case = Callable[[Generator, Any], Found]
+
+# name: case, kinds, how often one of the kinds comes in a round
+ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
+    "small": (small, tuple(small_lcps.KINDS), 54),
+    "related": (related, tuple(EXACT), 45),
+    "optional": (optional, ("auto", *REGISTRY), 57),
+    "planted": (planted, tuple(small_lcps.KINDS), 18),
+    "large": (large, ("plain", "symmetric", "scaled"), 6),
+    "matrix": (verdicts, matrix_verdicts.KINDS, 80),
+    "bound": (bounds, error_bounds.CLASSES, 25),
+    "presolve": (presolved, ("any",), 32),
+    "search": (searched, ("any",), 6),
+    "guarantee": (guaranteed, ("any",), 10),
+    "program": (programs, convex_programs.KINDS, 11),
+    "file": (files, ("npz", "mtx"), 8),
+    "batch": (batches, ("auto", "named"), 8),
+}
+
+
+def order_of_a_round() -> list[tuple[str, Any]]:
+    """Every kind as often as its share says, in an order that mixes them."""
+    kinds = [(name, kinds[k % len(kinds)]) for name, (_, kinds, share) in ROUND.items() for k in range(share)]
+    return [kinds[k] for k in np.random.default_rng(0).permutation(len(kinds))]
+
+
+SCHEDULE = order_of_a_round()

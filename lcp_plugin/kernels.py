@@ -20,13 +20,7 @@ from typing import Any
 import numpy as np
 from numba import njit, uintp
 
-
-def compiled(function: Any) -> Any:
-    """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba found no place for its cache
-        return njit(nogil=True, error_model="numpy")(function)
+from .compilation import compiled
 
 
 @njit(inline="always")

@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from numba import njit
-
-
-def compiled(function: Any) -> Any:
-    """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba found no place for its cache
-        return njit(nogil=True, error_model="numpy")(function)
+from ..compilation import compiled
 
 
 @compiled

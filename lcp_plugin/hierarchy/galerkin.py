@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ..kernels import compiled
+from ..compilation import compiled
 from ..problem import FloatVector
 
 Indices = NDArray[Any]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from numba import uintp
 
-from ..kernels import compiled
+from ..compilation import compiled
 
 
 @compiled

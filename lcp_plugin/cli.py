@@ -32,6 +32,38 @@ app = typer.Typer(
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def _scene_names(incomplete: str) -> list[str]:
+    from .evidence import gallery
+
+    return [name for name in gallery.names() if name.startswith(incomplete)]  # none of them: the shell tries files
+
+
+def _algorithm_names(incomplete: str) -> list[str]:
+    from .algorithms import REGISTRY
+
+    return [name for name in ("auto", *REGISTRY) if name.startswith(incomplete)]
+
+
+def _benchmark_names(incomplete: str) -> list[str]:
+    from .evidence.benchmarks import BENCHMARKS
+
+    return [name for name in BENCHMARKS if name.startswith(incomplete)]
+
+
+Target = Annotated[
+    str,
+    typer.Argument(
+        help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…", autocompletion=_scene_names
+    ),
+]
+AlgorithmName = Annotated[
+    str,
+    typer.Option(
+        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.", autocompletion=_algorithm_names
+    ),
+]
+
+
 def run() -> None:
     """Entry point of the command."""
     for stream in (sys.stdout, sys.stderr):
@@ -76,12 +108,8 @@ def main(version: Annotated[bool, typer.Option("--version", help="Print the vers
 )
 @_speaks_plainly
 def solve(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
-    algorithm: Annotated[
-        str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
-    ] = "auto",
+    target: Target,
+    algorithm: AlgorithmName = "auto",
     relaxation: Annotated[
         str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
     ] = None,
@@ -124,13 +152,14 @@ def solve(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command(epilog="Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed.")
+@app.command(
+    epilog="Examples:  lcp-plugin check obstacle_2d:size=30   ·   lcp-plugin check problem.npz --reference clarabel   ·"
+    "   Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed."
+)
 @_speaks_plainly
 def check(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
-    algorithm: Annotated[str, typer.Option("--algorithm", "-a", help="Ours: a name, or auto.")] = "auto",
+    target: Target,
+    algorithm: AlgorithmName = "auto",
     reference: Annotated[str, typer.Option(help="The convex solver to compare with, or auto.")] = "auto",
     max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
 ) -> None:
@@ -144,12 +173,10 @@ def check(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command()
+@app.command(epilog="Examples:  lcp-plugin analyze paper_example_1   ·   lcp-plugin analyze problem.npz --json")
 @_speaks_plainly
 def analyze(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
+    target: Target,
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
 ) -> None:
     """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
@@ -166,15 +193,17 @@ def list_everything() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from .algorithms import REGISTRY, algorithm_class
+    from .algorithms import REGISTRY, algorithm_class, from_other_packages
     from .evidence.gallery import describe
 
     algorithms = Table(title="Algorithms", title_justify="left", show_lines=False)
     for heading in ("name", "needs", "proved to converge on", "an iteration costs", "source"):
         algorithms.add_column(heading)
-    for name in REGISTRY:
-        kind = algorithm_class(name)
-        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, kind.reference)
+    foreign = from_other_packages()
+    for name, kind in [*((name, algorithm_class(name)) for name in REGISTRY), *foreign.items()]:
+        if not isinstance(kind, LCPError):
+            facts = (getattr(kind, fact, "–") for fact in ("assumption", "converges_on", "cost", "reference"))
+            algorithms.add_row(name, *facts)
     scenes = Table(title="Scenes", title_justify="left")
     for heading in ("name", "what", "parameters"):
         scenes.add_column(heading)
@@ -182,6 +211,8 @@ def list_everything() -> None:
         scenes.add_row(name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(algorithms)
+    for error in (one for one in foreign.values() if isinstance(one, LCPError)):
+        console.print(f"left out: {error}\n", markup=False, highlight=False)
     console.print(scenes)
 
 
@@ -216,10 +247,13 @@ def tables() -> None:
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command()
+@app.command(epilog="Examples:  lcp-plugin bench   ·   lcp-plugin bench sweeps --quick")
 @_speaks_plainly
 def bench(
-    name: Annotated[str | None, typer.Argument(help="Which benchmark; without a name they are listed.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Which benchmark; without a name they are listed.", autocompletion=_benchmark_names),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes: to see that it runs, not for figures.")] = False,
 ) -> None:
     """Run a benchmark: ratios measured in one run on this machine."""
@@ -241,7 +275,8 @@ def bench(
 @_speaks_plainly
 def report(
     scenes: Annotated[
-        list[str] | None, typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.")
+        list[str] | None,
+        typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.", autocompletion=_scene_names),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
@@ -255,6 +290,15 @@ def report(
     typer.echo(story)
     if not is_complete:
         raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command("warm-up")
+@_speaks_plainly
+def warm_up() -> None:
+    """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
+    from .warm_up_command import warm_up as compile_everything
+
+    typer.echo(compile_everything())
 
 
 def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:

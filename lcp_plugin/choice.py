@@ -221,7 +221,8 @@ def _is_slow(problem: LCP, now: Stage, target: float) -> bool:
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the second table."""
     from .matrix_classes.factorisation import factor_fits
-    from .search.stages import ExhaustiveSearch, FeasibilityCheck, is_searchable
+    from .search import is_searchable
+    from .search.stages import ExhaustiveSearch, FeasibilityCheck
 
     reduced = presolve(problem)
     left = reduced.problem

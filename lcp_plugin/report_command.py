@@ -37,7 +37,13 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     parts = plan(scenes, quick=quick)
     with PartsBar(len(parts)) as bar:
         collected = collect(parts, out / PARTS, bar)
-    page = write_report(collected, out, is_quick=quick)
+    try:
+        page = write_report(collected, out, is_quick=quick)
+    except KeyboardInterrupt:
+        return False, (
+            f"interrupted while the page was written: {len(parts) - len(collected.missing)} of {len(parts)} parts are "
+            f"kept in {out / PARTS}; the same command goes on from here"
+        )
     took = f"{time.perf_counter() - began:.0f} s"
     if collected.is_complete:
         again = f", {collected.found} of {len(parts)} parts found from a former run" if collected.found else ""

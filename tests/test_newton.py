@@ -20,6 +20,7 @@ from lcp_plugin.algorithms.factorisation import BandedLU, Cholesky, DenseLU, Fac
 from lcp_plugin.algorithms.newton_state import NewtonState
 from lcp_plugin.algorithms.semismooth_newton import Newton, full_steps
 from lcp_plugin.evidence import gallery
+from lcp_plugin.matrix_classes.factorisation import diagonal_pivot_factor
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9
@@ -265,6 +266,7 @@ def test_superlu_is_never_given_a_block_that_it_cannot_take(shift: float, monkey
     stored_zeros = sp.csr_array(five_point(20))
     stored_zeros.data[stored_zeros.indices == 7] = 0.0
     assert factorise(stored_zeros) is None
+    assert diagonal_pivot_factor(stored_zeros) is None
 
 
 def test_a_permuted_diagonal_is_regular() -> None:

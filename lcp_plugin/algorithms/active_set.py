@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..matrix_classes.symmetry import is_symmetric_to_rounding
 from ..problem import LCP, FloatVector
 from .factorisation import Factor, factorise
 
@@ -253,14 +254,7 @@ def is_nearly_symmetric(problem: LCP) -> bool:
     """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns."""
 
     def compute() -> bool:
-        M = problem.M
-        if not sp.issparse(M):
-            from .interior_linear_algebra import is_symmetric
-
-            return is_symmetric(M)
-        difference = abs(M - M.T).tocoo()
-        scale = np.sqrt(problem.residual_scale)
-        return bool(np.all(difference.data <= 1e-13 * scale[difference.row] * scale[difference.col]))
+        return is_symmetric_to_rounding(problem.M, problem.residual_scale if sp.issparse(problem.M) else None)
 
     return problem.shared("is_nearly_symmetric", compute)
 

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
+from ..matrix_classes.factorisation import sparse_lu
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
 DENSE_ABOVE_DENSITY = 0.25
@@ -145,20 +146,17 @@ class SparseLU(Factor):
     """P A Q = L U of a sparse matrix, by SuperLU."""
 
     def __init__(self, matrix: sp.csr_array, is_symmetric: bool) -> None:
-        from scipy.sparse.linalg import splu
-
-        # SuperLU reads and writes outside its arrays where no permutation has a full diagonal.
-        if not is_structurally_regular(matrix):
+        if not np.isfinite(matrix.data).all():
             raise _Singular
         # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose.
         transpose = matrix.T
         if is_symmetric:
-            self._factor = splu(
+            self._factor = sparse_lu(
                 transpose, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=SYMMETRIC_PIVOT,
                 options={"SymmetricMode": True},
             )
         else:
-            self._factor = splu(transpose, permc_spec="COLAMD")
+            self._factor = sparse_lu(transpose, permc_spec="COLAMD")
         lower, upper = self._factor.L, self._factor.U
         columns_of_lower = np.diff(lower.indptr).astype(np.float64)
         rows_of_upper = np.bincount(upper.indices, minlength=matrix.shape[0])
@@ -168,24 +166,3 @@ class SparseLU(Factor):
         """Return x with A x = right, shape (n,)."""
         x: FloatVector = self._factor.solve(right, trans="T")
         return x
-
-
-def is_structurally_regular(matrix: sp.csr_array) -> bool:
-    """Return whether some permutation of a square matrix's rows leaves no zero on the diagonal, and all is finite.
-
-    Examples
-    --------
-    >>> is_structurally_regular(sp.csr_array([[0.0, 1.0], [2.0, 0.0]]))
-    True
-    >>> is_structurally_regular(sp.csr_array([[0.0, 1.0], [0.0, 2.0]]))
-    False
-    """
-    if not np.isfinite(matrix.data).all():
-        return False
-    if np.all(matrix.diagonal() != 0.0):
-        return True
-    from scipy.sparse.csgraph import structural_rank
-
-    pattern = sp.csr_array(matrix, copy=True)
-    pattern.eliminate_zeros()
-    return bool(np.diff(pattern.indptr).all() and structural_rank(pattern) == matrix.shape[0])

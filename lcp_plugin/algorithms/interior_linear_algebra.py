@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..matrix_classes.factorisation import sparse_lu
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
@@ -20,7 +21,6 @@ REFINEMENTS = 5
 PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
 USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
 REFINED = 1e-14
-SYMMETRIC_TO = 1e-13
 
 
 class NewtonMatrix(ABC):
@@ -145,18 +145,16 @@ class SparseNewtonMatrix(NewtonMatrix):
         return keys
 
     def _try(self, diagonal: FloatVector) -> bool:
-        from scipy.sparse.linalg import splu
-
         self._matrix.data[self._diagonal_at] = self._own_diagonal + (
             diagonal if self._order is None else diagonal[self._order]
         )
         for pivoting in range(self._pivoting, len(PIVOTS)):
             try:
-                self._factor = splu(
+                self._factor = sparse_lu(
                     self._matrix, permc_spec="MMD_AT_PLUS_A" if self._order is None else "NATURAL",
                     diag_pivot_thresh=PIVOTS[pivoting], options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
                 )
-            except RuntimeError:  # a pivot is exactly zero
+            except RuntimeError:
                 continue
             self._factor_order = self._order
             if self._order is None:
@@ -245,23 +243,6 @@ def scaled_by(M: Any, c: FloatVector) -> Any:
         return M * c[:, None] * c
     rows = np.repeat(c, np.diff(M.indptr))
     return sp.csr_array((M.data * rows * c[M.indices], M.indices, M.indptr), shape=M.shape)
-
-
-def is_symmetric(M: FloatVector) -> bool:
-    """Return whether a dense M equals its transpose to rounding, tile by tile."""
-    n, tile = M.shape[0], 256
-    root = np.sqrt(np.abs(M.diagonal()))
-    least = float(root.min(initial=np.inf)) ** 2
-    for i in range(0, n, tile):
-        for j in range(i, n, tile):
-            block, mirror = M[i : i + tile, j : j + tile], M[j : j + tile, i : i + tile].T
-            difference = np.abs(block - mirror)
-            if difference.max() <= SYMMETRIC_TO * least:
-                continue
-            allowed = SYMMETRIC_TO * np.multiply.outer(root[i : i + tile], root[j : j + tile])
-            if np.any(difference > allowed):
-                return False
-    return True
 
 
 def _largest_along(M: Any, axis: int) -> FloatVector:

@@ -11,15 +11,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..certificates.residuals import scaled_residual
+from ..matrix_classes.symmetry import is_symmetric_to_rounding
 from ..problem import LCP, FloatVector
 from .active_set import is_nearly_symmetric
 from .base import Algorithm, Step, without_warnings
-from .interior_linear_algebra import (
-    equilibration,
-    is_symmetric,
-    newton_matrix,
-    scaled_by,
-)
+from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
@@ -110,7 +106,7 @@ class _Search:
             q = r * q
         if sp.issparse(M) and q.size <= DENSE_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
             dense = M.toarray()
-            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric(dense)
+            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric_to_rounding(dense)
             M = dense if self.is_symmetric else M
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
@@ -159,8 +155,8 @@ class _Search:
         if M.size and float(M.diagonal().min()) < 0.0:
             return False
         if self.kept is None:
-            return is_nearly_symmetric(self.problem) if M is self.problem.M else is_symmetric(M)
-        return is_symmetric(M)
+            return is_nearly_symmetric(self.problem) if M is self.problem.M else is_symmetric_to_rounding(M)
+        return is_symmetric_to_rounding(M)
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""

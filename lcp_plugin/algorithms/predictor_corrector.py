@@ -37,8 +37,6 @@ class PredictorCorrector:
         Distance to the lower bound and the positive part of w, on the rows of `has_lower`.
     above, w_upper : ndarray
         The same for the upper bounds, on the rows of `has_upper`.
-    last_length : float
-        Of the last step, at most 1.
     """
 
     def __init__(
@@ -49,7 +47,6 @@ class PredictorCorrector:
         self.lower, self.upper = lower[self.has_lower], upper[self.has_upper]
         self._pairs = self.has_lower.size + self.has_upper.size
         self._both = np.isin(self.has_lower, self.has_upper), np.isin(self.has_upper, self.has_lower)
-        self.last_length = 1.0
 
     def start(self) -> bool:
         """Begin well inside, at a size that one linear system tells; return False where it cannot be factorised."""
@@ -160,7 +157,6 @@ class PredictorCorrector:
         return max(float(products), 0.0) / max(self._pairs, 1)
 
     def _move(self, direction: Direction, length: float) -> None:
-        self.last_length = length
         self.z += length * direction.z
         for value, change in self._positive_parts(direction):
             np.maximum(value + length * change, SMALLEST, out=value)

@@ -13,6 +13,7 @@ from ..certificates.contraction import triangle_sums, unit_triangle_sums
 from ..certificates.convergence import PROJECTED_SPLITTING, IterationFacts
 from ..certificates.residuals import euclidean_norm, scaled_residual
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ..matrix_classes.factorisation import sparse_lu
 from ..problem import LCP, FloatVector
 from .automatic_scaling import balanced_factors, scaled_rows
 from .base import Algorithm, Step, check_choice
@@ -116,13 +117,11 @@ class NPSplitting(Algorithm):
             raise InvalidOption(f"{need}: {error}") from error
 
     def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
-        from scipy.sparse.linalg import splu
-
         if problem.n == 0:
             return _NothingToSolve()
         try:
-            return splu(sp.csc_array(matrix))
-        except RuntimeError as error:  # SuperLU's word for an exactly singular factor
+            return sparse_lu(matrix)
+        except RuntimeError as error:
             hint = ', or scaling="auto"' if self.scaling is None else ""
             raise UnsuitableMatrix(
                 f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"

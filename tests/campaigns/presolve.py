@@ -7,7 +7,6 @@ exactly, or one is lost.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -15,21 +14,14 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from test_presolve import solutions, solves
+
 from lcp_plugin import LCP
 from lcp_plugin.presolve import presolve
 
 BOUNDS = [(0.0, np.inf), (0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-np.inf, 2.0)]
-
-
-def truth() -> Any:
-    """The exact solver of the test of the same name."""
-    path = Path(__file__).parent.parent / "test_presolve.py"
-    spec = importlib.util.spec_from_file_location("test_presolve", path)
-    if spec is None or spec.loader is None:
-        raise FileNotFoundError(path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def problem(rng: np.random.Generator) -> LCP:
@@ -53,16 +45,16 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    exact, rng = truth(), np.random.default_rng(options.seed)
+    rng = np.random.default_rng(options.seed)
     rows = left = solvable = wrong = lost = 0
     for _ in range(options.cases):
         case = problem(rng)
         smaller = presolve(case, equilibrate=bool(rng.random() < 0.5))
         rows, left = rows + case.n, left + smaller.problem.n
-        wrong += sum(not exact.solves(case, smaller.restore(z)) for z in exact.solutions(smaller.problem))
-        found = exact.solutions(case)
+        wrong += sum(not solves(case, smaller.restore(z)) for z in solutions(smaller.problem))
+        found = solutions(case)
         solvable += bool(found)
-        lost += sum(not exact.solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found)
+        lost += sum(not solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found)
     print(f"{options.cases} problems, {solvable} with solutions; {left} of {rows} rows left;"
           f" {wrong} wrong, {lost} lost")
     return int(wrong + lost > 0)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import time
 
-from .problem import LCP
+from ..problem import LCP
 
 
 def warm_up() -> str:
     """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
-    from .algorithms import REGISTRY, create
-    from .algorithms.rehearsal import rehearse
-    from .certificates.error_bounds import error_bound
-    from .compilation import cache_folder
-    from .driver import solve
-    from .evidence import gallery
+    from ..algorithms import REGISTRY, create
+    from ..algorithms.rehearsal import rehearse
+    from ..certificates.error_bounds import error_bound
+    from ..compilation import cache_folder
+    from ..driver import solve
+    from ..evidence import gallery
 
     began = time.perf_counter()
     scene = gallery.build("obstacle_2d", size=20)

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from .algorithms import REGISTRY
-from .certificates.convergence import Guarantee
-from .certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
-from .guarantees import convergence_guarantee
-from .matrix_classes import analyze
-from .matrix_classes.report import wrapped
-from .problem import LCP
+from ..algorithms import REGISTRY
+from ..certificates.convergence import Guarantee
+from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
+from ..guarantees import convergence_guarantee
+from ..matrix_classes import analyze
+from ..matrix_classes.report import wrapped
+from ..problem import LCP
 
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (

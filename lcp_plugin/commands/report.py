@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from .errors import UnreadableFile
+from ..errors import UnreadableFile
 from .terminal import PartsBar
 
 PARTS = "parts"
@@ -24,10 +24,10 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     LCPError
         Where matplotlib or jinja2 is not installed: before anything is computed.
     """
-    from .evidence.drawing import require_matplotlib
-    from .evidence.report.collect import collect
-    from .evidence.report.page import require_jinja, write_report
-    from .evidence.report.plan import plan
+    from ..evidence.drawing import require_matplotlib
+    from ..evidence.report.collect import collect
+    from ..evidence.report.page import require_jinja, write_report
+    from ..evidence.report.plan import plan
 
     require_matplotlib()
     require_jinja()

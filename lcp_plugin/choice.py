@@ -36,8 +36,8 @@ import numpy as np
 
 from .algorithms import Algorithm, Step, create
 from .algorithms.base import has_positive_diagonal
-from .algorithms.projected_relaxation import PGS, PSOR
-from .algorithms.projected_type import NPSOR
+from .algorithms.splittings.projected_relaxation import PGS, PSOR
+from .algorithms.splittings.projected_type import NPSOR
 from .certificates.infeasibility import contradictory_row
 from .errors import InvalidOption, UnknownAlgorithm
 from .presolve import Presolved, presolve
@@ -263,7 +263,7 @@ def _is_z_matrix(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from .algorithms.active_set import is_nearly_symmetric
+    from .algorithms.active_sets.active_set import is_nearly_symmetric
     from .conversions.qp_forms import QPOrigin
 
     if problem.n == 0:

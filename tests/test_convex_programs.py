@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
-from lcp_plugin.algorithms.interior_point import InteriorPoint
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_certificates import (
     QPInfeasibility,

@@ -138,7 +138,7 @@ def test_a_name_of_ours_cannot_be_taken(name: str, install: Install) -> None:
     install(WORKING.format(name=name), name, package="their-package")
     result = solve(PROBLEM, name)
     assert result.is_solved
-    assert algorithm_class("psor").__module__ == "lcp_plugin.algorithms.projected_relaxation"
+    assert algorithm_class("psor").__module__ == "lcp_plugin.algorithms.splittings.projected_relaxation"
     refused = from_other_packages()[name]
     assert isinstance(refused, UnknownAlgorithm)
     assert f"package their-package 1.2: the name {name!r} belongs to lcp_plugin" in str(refused)

@@ -10,14 +10,14 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms.interior_linear_algebra import (
+from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
     DenseNewtonMatrix,
     SparseNewtonMatrix,
     equilibration,
     scaled_by,
 )
-from lcp_plugin.algorithms.interior_point import InteriorPoint
-from lcp_plugin.algorithms.primal_active_set import BorderedFactor, NotConvex, PrimalActiveSet
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
+from lcp_plugin.algorithms.interior_points.primal_active_set import BorderedFactor, NotConvex, PrimalActiveSet
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.matrix_classes.symmetry import is_symmetric_to_rounding
 from lcp_plugin.result import Status

@@ -23,8 +23,8 @@ from hypothesis import given, settings
 
 from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.algorithms.canonical_box import canonical_box
-from lcp_plugin.algorithms.monotone_rows import monotone_rows
+from lcp_plugin.algorithms.interior_points.monotone_rows import monotone_rows
+from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.certificates.exact import is_exact_solution
 from lcp_plugin.errors import UnsuitableProblem
 from lcp_plugin.evidence import gallery

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ..certificates.residuals import scaled_residual
-from ..problem import LCP, FloatVector
+from ...certificates.residuals import scaled_residual
+from ...problem import LCP, FloatVector
+from ..base import Step
 from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
-from .base import Step
 
 LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
 LARGE_PATIENCE = 20

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ...checks import FloatVector
 from .canonical_box import invertible_part
 from .pivoting import AT_LOWER, AT_UPPER, BETWEEN
 from .pivoting_path import Path

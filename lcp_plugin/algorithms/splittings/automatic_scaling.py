@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
-from ..problem import LCP, FloatVector
-from .base import has_positive_diagonal
+from ...certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
+from ...problem import LCP, FloatVector
+from ..base import has_positive_diagonal
 
 LARGEST = 2.0
 COUPLED = 0.9  # g θ ℓ stays this far below 1

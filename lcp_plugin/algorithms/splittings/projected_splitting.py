@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.contraction import triangle_sums, unit_triangle_sums
-from ..certificates.convergence import PROJECTED_SPLITTING, IterationFacts
-from ..certificates.residuals import euclidean_norm, scaled_residual
-from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..matrix_classes.factorisation import sparse_lu
-from ..problem import LCP, FloatVector
+from ...certificates.contraction import triangle_sums, unit_triangle_sums
+from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
+from ...certificates.residuals import euclidean_norm, scaled_residual
+from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ...matrix_classes.factorisation import sparse_lu
+from ...problem import LCP, FloatVector
+from ..base import Algorithm, Step, check_choice
 from .automatic_scaling import balanced_factors, scaled_rows
-from .base import Algorithm, Step, check_choice
 from .projected_type import REFERENCE, check_scaling, clean_up_sweep
 
 NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ...checks import FloatVector
 from . import pivoting
 from .pivoting import AT_LOWER, AT_UPPER, BETWEEN, CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
 

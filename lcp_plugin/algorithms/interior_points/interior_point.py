@@ -10,11 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..certificates.residuals import scaled_residual
-from ..matrix_classes.symmetry import is_symmetric_to_rounding
-from ..problem import LCP, FloatVector
-from .active_set import is_nearly_symmetric
-from .base import Algorithm, Step, without_warnings
+from ...certificates.residuals import scaled_residual
+from ...matrix_classes.symmetry import is_symmetric_to_rounding
+from ...problem import LCP, FloatVector
+from ..active_sets.active_set import is_nearly_symmetric
+from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector

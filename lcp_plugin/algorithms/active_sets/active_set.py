@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..matrix_classes.symmetry import is_symmetric_to_rounding
-from ..problem import LCP, FloatVector
+from ...matrix_classes.symmetry import is_symmetric_to_rounding
+from ...problem import LCP, FloatVector
 from .factorisation import Factor, factorise
 
 BoolVector = NDArray[np.bool_]

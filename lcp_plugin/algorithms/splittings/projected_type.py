@@ -18,11 +18,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..certificates.convergence import PROJECTED_TYPE, IterationFacts
-from ..errors import InvalidOption, UnsuitableMatrix
-from ..problem import LCP, FloatVector
-from .automatic_scaling import automatic_factors, scaled_rows
-from .base import (
+from ...certificates.convergence import PROJECTED_TYPE, IterationFacts
+from ...errors import InvalidOption, UnsuitableMatrix
+from ...problem import LCP, FloatVector
+from ..base import (
     SWEEPS,
     Algorithm,
     Step,
@@ -33,6 +32,7 @@ from .base import (
     inverse_residual_scale,
     row_splits,
 )
+from .automatic_scaling import automatic_factors, scaled_rows
 
 SCALINGS = ("auto", "diagonal", None)
 REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
@@ -57,7 +57,7 @@ def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> N
 
 def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
     """Return z after one projected Gauss–Seidel sweep: components that should be active are then at their bound."""
-    from .. import kernels
+    from ... import kernels
 
     M = problem.csr
     rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem))
@@ -106,7 +106,7 @@ class ProjectedType(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from .. import kernels
+        from ... import kernels
 
         M = problem.csr
         alpha, beta = self.splitting()

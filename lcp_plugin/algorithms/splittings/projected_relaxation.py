@@ -8,11 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..certificates.convergence import PROJECTED_RELAXATION, IterationFacts
-from ..errors import InvalidOption
-from ..problem import LCP, FloatVector
-from .adaptive_relaxation import AdaptiveRelaxation
-from .base import (
+from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
+from ...errors import InvalidOption
+from ...problem import LCP, FloatVector
+from ..base import (
     SWEEPS,
     Algorithm,
     Step,
@@ -24,6 +23,7 @@ from .base import (
     require_positive_diagonal,
     row_splits,
 )
+from .adaptive_relaxation import AdaptiveRelaxation
 
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 
@@ -56,7 +56,7 @@ class _InPlace(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
-        from .. import kernels
+        from ... import kernels
 
         M = problem.csr
         require_positive_diagonal(problem, self.name)
@@ -159,7 +159,7 @@ class _Simultaneous(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from .. import kernels
+        from ... import kernels
 
         M = problem.csr
         omega, beta = self.weights()

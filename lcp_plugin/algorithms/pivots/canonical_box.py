@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..problem import LCP
+from ...checks import FloatVector
+from ...problem import LCP
 
 FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]

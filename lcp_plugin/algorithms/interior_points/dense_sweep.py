@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..compilation import compiled
+from ...compilation import compiled
 
 
 @compiled

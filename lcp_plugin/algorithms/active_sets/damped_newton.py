@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..problem import LCP, FloatVector
+from ...problem import LCP, FloatVector
+from ..base import Step
 from .active_set import bandwidth, classify
-from .base import Step
 from .factorisation import factorise
 from .newton_state import LARGE_PATIENCE, NewtonState
 

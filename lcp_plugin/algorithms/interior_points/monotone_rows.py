@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ...checks import FloatVector
 
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_SEARCH = 20_000  # rows up to which a tree through the pattern is followed row by row

@@ -10,11 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..certificates.residuals import Certificate
-from ..errors import InvalidOption, UnsuitableProblem
-from ..problem import LCP, FloatVector
-from .active_set import solve_active_set
-from .base import Algorithm, Step
+from ...certificates.residuals import Certificate
+from ...errors import InvalidOption, UnsuitableProblem
+from ...problem import LCP, FloatVector
+from ..active_sets.active_set import solve_active_set
+from ..base import Algorithm, Step
 from .canonical_box import CanonicalBox, canonical_box
 
 LARGEST = 6000  # of the canonical problem: its inverse fills 0.3 GB
@@ -112,7 +112,7 @@ class Lemke(Algorithm):
 
     def theorem(self, problem: LCP) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
-        from ..matrix_classes import analyze
+        from ...matrix_classes import analyze
 
         _parts_that_fit(problem)
         if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ...checks import FloatVector
 
 BoolVector = NDArray[np.bool_]
 

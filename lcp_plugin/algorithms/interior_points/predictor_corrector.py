@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import FloatVector
+from ...checks import FloatVector
 from .interior_linear_algebra import NewtonMatrix
 
 TO_THE_BOUNDARY = 0.995

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import Step
 from .active_set import BoolVector, classify
-from .base import Step
 from .newton_state import NewtonState
 
 LARGEST = 500

@@ -16,11 +16,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..certificates.convergence import MODULUS, IterationFacts
-from ..checks import FloatVector, real_vector
-from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ..problem import LCP
-from .base import (
+from ...certificates.convergence import MODULUS, IterationFacts
+from ...checks import FloatVector, real_vector
+from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...problem import LCP
+from ..base import (
     SWEEPS,
     Algorithm,
     Step,
@@ -89,7 +89,7 @@ class ModulusBased(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from .. import kernels
+        from ... import kernels
 
         M = problem.csr
         _require_lower_bounds_only(problem, self.name)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
-from ..matrix_classes.factorisation import sparse_lu
+from ...checks import FloatVector
+from ...matrix_classes.factorisation import sparse_lu
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
 DENSE_ABOVE_DENSITY = 0.25

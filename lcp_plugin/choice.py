@@ -14,6 +14,7 @@
 
 | M | direct methods, in this order |
 |---|---|
+| sparse, the diagonal positive and nothing else | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
 
@@ -35,8 +36,8 @@ import numpy as np
 
 from .algorithms import Algorithm, Step, create
 from .algorithms.base import has_positive_diagonal
-from .algorithms.projected_relaxation import PGS, PSOR
-from .algorithms.projected_type import NPSOR
+from .algorithms.splittings.projected_relaxation import PGS, PSOR
+from .algorithms.splittings.projected_type import NPSOR
 from .certificates.infeasibility import contradictory_row
 from .errors import InvalidOption, UnknownAlgorithm
 from .presolve import Presolved, presolve
@@ -221,7 +222,8 @@ def _is_slow(problem: LCP, now: Stage, target: float) -> bool:
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the second table."""
     from .matrix_classes.factorisation import factor_fits
-    from .search.stages import ExhaustiveSearch, FeasibilityCheck, is_searchable
+    from .search import is_searchable
+    from .search.stages import ExhaustiveSearch, FeasibilityCheck
 
     reduced = presolve(problem)
     left = reduced.problem
@@ -230,15 +232,18 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
-    if _seems_monotone(left, problem.origin):
-        order = [interior, check, newton, lemke]
-    else:
-        order = [newton, check, interior, lemke] if left.n > SMALL else [newton, check, lemke, interior]
     left_out = [] if problem.n <= LARGEST_PROGRAM else [check]
     if not (left.is_dense or left.n <= LARGEST_PROGRAM or factor_fits(left.csr)):
         left_out += [newton, interior]
     if contradictory_row(problem) is not None:
         yield replace(check, because="one row contradicts its bounds by itself")
+    elif newton not in left_out and not left.is_dense and _is_z_matrix(left):
+        yield newton
+        left_out.append(newton)
+    if _seems_monotone(left, problem.origin):
+        order = [interior, check, newton, lemke]
+    else:
+        order = [newton, check, interior, lemke] if left.n > SMALL else [newton, check, lemke, interior]
     yield from (choice for choice in order if choice not in left_out)
     if is_searchable(problem):
         yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them")
@@ -251,9 +256,14 @@ def last_resort(problem: LCP) -> Algorithm:
     return create("lemke" if problem.n <= LARGEST_PIVOTED else "psor", {})
 
 
+def _is_z_matrix(problem: LCP) -> bool:
+    """Return whether the diagonal is positive and nothing else is."""
+    return bool(has_positive_diagonal(problem).all()) and np.count_nonzero(problem.csr.data > 0.0) == problem.n
+
+
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from .algorithms.active_set import is_nearly_symmetric
+    from .algorithms.active_sets.active_set import is_nearly_symmetric
     from .conversions.qp_forms import QPOrigin
 
     if problem.n == 0:

@@ -9,18 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 import typer
 
 from . import __version__
-from .errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
-from .problem import LCP, FloatVector
-from .result import Result
-from .terminal import RunLine
+from .commands.completion import algorithm_names, benchmark_names, scene_names
+from .commands.target import read_target
+from .errors import InvalidOption, LCPError, did_you_mean
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
-OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
 
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
@@ -30,6 +27,20 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+Target = Annotated[
+    str,
+    typer.Argument(
+        help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…", autocompletion=scene_names
+    ),
+]
+AlgorithmName = Annotated[
+    str,
+    typer.Option(
+        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.", autocompletion=algorithm_names
+    ),
+]
 
 
 def run() -> None:
@@ -81,12 +92,8 @@ def main(
 )
 @_speaks_plainly
 def solve(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
-    algorithm: Annotated[
-        str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
-    ] = "auto",
+    target: Target,
+    algorithm: AlgorithmName = "auto",
     relaxation: Annotated[
         str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
     ] = None,
@@ -106,19 +113,22 @@ def solve(
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Solve a file or a scene; print status, residuals and counts."""
-    _check_outputs(target, plot, out)
-    problem, scene = _read_target(target)
+    from .commands import solving
+    from .commands.terminal import RunLine
+
+    solving.check_outputs(target, plot, out)
+    problem, scene = read_target(target)
     settings = dict(
-        algorithm=_chosen(algorithm, _options(relaxation, option or [])), tolerance=tolerance,
+        algorithm=solving.chosen(algorithm, solving.options(relaxation, option or [])), tolerance=tolerance,
         tolerance_on=tolerance_on, error_bound=error_bound, measure=measure, max_iterations=max_iterations,
         max_seconds=max_seconds, record=plot is not None,
     )
     with RunLine() as progress:
-        results = _solve_all(problem, scene, settings, progress)
+        results = solving.solve_all(problem, scene, settings, progress)
     result = results[-1]
-    typer.echo(_json(results) if json else _story(results, scene))
+    typer.echo(solving.as_json(results) if json else solving.story(results, scene))
     if out is not None:
-        _save_answer(result, out)
+        solving.save_answer(result, out)
     if plot is not None:
         from .evidence.pictures import draw
 
@@ -129,38 +139,37 @@ def solve(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command(epilog="Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed.")
+@app.command(
+    epilog="Examples:  lcp-plugin check obstacle_2d:size=30   ·   lcp-plugin check problem.npz --reference clarabel   ·"
+    "   Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed."
+)
 @_speaks_plainly
 def check(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
-    algorithm: Annotated[str, typer.Option("--algorithm", "-a", help="Ours: a name, or auto.")] = "auto",
+    target: Target,
+    algorithm: AlgorithmName = "auto",
     reference: Annotated[str, typer.Option(help="The convex solver to compare with, or auto.")] = "auto",
     max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
 ) -> None:
     """Compare our answer with that of a convex solver that shares no code with it."""
     from .evidence.cross_check import cross_validate
 
-    problem, _ = _read_target(target)
+    problem, _ = read_target(target)
     outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
     typer.echo(str(outcome))
     if not outcome.agrees:
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command()
+@app.command(epilog="Examples:  lcp-plugin analyze paper_example_1   ·   lcp-plugin analyze problem.npz --json")
 @_speaks_plainly
 def analyze(
-    target: Annotated[
-        str, typer.Argument(help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…")
-    ],
+    target: Target,
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
 ) -> None:
     """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
-    from .analysis_command import content, story
+    from .commands.analysis import content, story
 
-    problem, _ = _read_target(target)
+    problem, _ = read_target(target)
     typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
 
 
@@ -168,63 +177,28 @@ def analyze(
 @_speaks_plainly
 def list_everything() -> None:
     """List the algorithms with what they need, and the scenes with their parameters."""
-    from rich.console import Console
-    from rich.table import Table
+    from .commands.listing import list_everything as print_lists
 
-    from .algorithms import REGISTRY, algorithm_class
-    from .evidence.gallery import describe
-
-    algorithms = Table(title="Algorithms", title_justify="left", show_lines=False)
-    for heading in ("name", "needs", "proved to converge on", "an iteration costs", "source"):
-        algorithms.add_column(heading)
-    for name in REGISTRY:
-        kind = algorithm_class(name)
-        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, kind.reference)
-    scenes = Table(title="Scenes", title_justify="left")
-    for heading in ("name", "what", "parameters"):
-        scenes.add_column(heading)
-    for name, summary, parameters in describe():
-        scenes.add_row(name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    console.print(algorithms)
-    console.print(scenes)
+    print_lists()
 
 
 @app.command()
 @_speaks_plainly
 def tables() -> None:
     """Compute the paper's Tables 1 and 2 again; exit code 1 if an iteration count differs."""
-    from rich.console import Console
-    from rich.table import Table
+    from .commands.tables import print_tables
 
-    from .evidence.paper_tables import cells
-
-    computed = list(cells())
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    for example in (1, 2):
-        table = Table(title=f"Table {example}: Example {example}, δ = 4", title_justify="left")
-        for heading in ("algorithm", "n", "paper IT", "IT", "paper Res", "Res", "paper CPU", "CPU", "IT", "Res"):
-            table.add_column(heading, justify="left" if heading == "algorithm" else "right")
-        for cell in (cell for cell in computed if cell.example == example):
-            table.add_row(
-                f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n),
-                str(cell.paper_iterations), str(cell.iterations),
-                f"{cell.paper_residual:.1e}", f"{cell.residual:.2e}",
-                f"{cell.paper_seconds:.4f}", f"{cell.seconds:.4f}",
-                "yes" if cell.same_iterations else "NO", "yes" if cell.same_residual else "no",
-            )
-        console.print(table)
-    equal = sum(cell.same_iterations for cell in computed)
-    equal_residual = sum(cell.same_residual for cell in computed)
-    console.print(f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}.")
-    if equal < len(computed):
+    if not print_tables():
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command()
+@app.command(epilog="Examples:  lcp-plugin bench   ·   lcp-plugin bench sweeps --quick")
 @_speaks_plainly
 def bench(
-    name: Annotated[str | None, typer.Argument(help="Which benchmark; without a name they are listed.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Which benchmark; without a name they are listed.", autocompletion=benchmark_names),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes: to see that it runs, not for figures.")] = False,
 ) -> None:
     """Run a benchmark: ratios measured in one run on this machine."""
@@ -246,7 +220,8 @@ def bench(
 @_speaks_plainly
 def report(
     scenes: Annotated[
-        list[str] | None, typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.")
+        list[str] | None,
+        typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.", autocompletion=scene_names),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
@@ -254,7 +229,7 @@ def report(
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> None:
     """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
-    from .report_command import make
+    from .commands.report import make
 
     is_complete, story = make(scenes or [], out, quick=quick)
     typer.echo(story)
@@ -262,125 +237,13 @@ def report(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
-    """Refuse before the run what could not be written after it."""
-    if plot is not None:
-        from .evidence.drawing import check_format, require_matplotlib
+@app.command("warm-up")
+@_speaks_plainly
+def warm_up() -> None:
+    """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
+    from .commands.warm_up import warm_up as compile_everything
 
-        check_format(plot)
-        require_matplotlib()
-    if out is not None and out.suffix != ".npz":
-        raise InvalidOption(f"--out writes a .npz file, got {out.name!r}")
-    for path in filter(None, (plot, out)):
-        if not path.absolute().parent.is_dir():
-            raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
-        if path.is_dir():
-            raise UnreadableFile(f"cannot write {path}: it is a folder")
-        if path.exists() and Path(target).exists() and path.samefile(target):
-            raise UnreadableFile(f"cannot write {path}: it is the problem itself; choose another name")
-
-
-def _read_target(target: str) -> tuple[LCP, Any]:
-    """Return (problem, None) of a file or (problem, scene) of a scene's name."""
-    from .evidence import gallery
-
-    name = target.partition(":")[0]
-    if name in gallery.names():
-        scene = gallery.parse(target)
-        return scene.problem, scene
-    looks_like_a_path = "/" in target or "\\" in target or "." in target
-    if looks_like_a_path or Path(target).exists() or Path(f"{target}M.mtx").exists():
-        return LCP.load(target), None
-    raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
-
-
-def _options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
-    """Return the options of the algorithm; values are read as numbers, true/false/none, or words."""
-    words = {"none": None, "true": True, "false": False}
-    options: dict[str, Any] = {}
-    if relaxation is not None:
-        pairs = [f"relaxation={relaxation}", *pairs]
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals or not key:
-            raise InvalidOption(f"--option wants name=value, got {pair!r}")
-        if key in OWN_FLAGS:
-            raise InvalidOption(f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}")
-        if key in options:
-            raise InvalidOption(f"the option {key} is given twice; once is enough")
-        try:
-            options[key] = float(text)
-        except ValueError:
-            options[key] = words.get(text.lower(), text)
-    return options
-
-
-def _chosen(algorithm: str, options: dict[str, Any]) -> Any:
-    """Return the algorithm with its options, or "auto"."""
-    from .algorithms import create
-    from .choice import policy_for
-
-    if algorithm == "auto":
-        return policy_for(algorithm, options).name
-    return create(algorithm, options)
-
-
-def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunLine) -> list[Result]:
-    """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
-    from .driver import solve as solve_problem
-
-    results: list[Result] = []
-    start = scene.start if scene is not None else None
-    for step in range(scene.steps if scene is not None else 1):
-        if step:
-            start = results[-1].z
-            problem = problem.with_q(scene.advance(start))
-        results.append(solve_problem(problem, z0=start, callback=progress, **settings))
-        if not results[-1].is_solved:
-            break
-    return results
-
-
-def _save_answer(result: Result, path: Path) -> None:
-    from .problem_files import write_whole
-
-    status = np.array(result.status.name)
-    write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
-
-
-def _json(results: list[Result]) -> str:
-    """Return the last result as JSON, with the totals of a march."""
-    content = results[-1].to_content()
-    if len(results) > 1:
-        content["march"] = {
-            "steps": len(results),
-            "iterations": sum(result.iterations for result in results),
-            "seconds": sum(result.seconds for result in results),
-        }
-    return json_module.dumps(content, indent=2)
-
-
-def _story(results: list[Result], scene: Any) -> str:
-    """Return what a person wants to read after a run."""
-    result = results[-1]
-    problem = result.certificate.problem
-    lines = [str(scene) if scene is not None else "", f"{problem!r}", result.explain(), str(result.certificate)]
-    if len(results) > 1 or (scene is not None and scene.steps > 1):
-        total = sum(one.iterations for one in results)
-        seconds = sum(one.seconds for one in results)
-        count = f"{len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s"
-        lines.insert(2, f"march: {count}; the last step:")
-    at_bound = np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))
-    lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
-    if scene is not None and scene.steps == 1:
-        for reference, name in ((scene.exact, "true error"), (scene.continuum, "from the continuum")):
-            if reference is not None and problem.n:
-                lines.append(f"{name:<18} {_distance(result.z, reference):.3e}")
-    return "\n".join(filter(None, lines))
-
-
-def _distance(z: FloatVector, reference: FloatVector) -> float:
-    return float(np.max(np.abs(z - reference)))
+    typer.echo(compile_everything())
 
 
 if __name__ == "__main__":

@@ -15,47 +15,12 @@ A comparison with NaN is false; every maximum below is written so that a NaN sur
 
 from __future__ import annotations
 
-from contextlib import suppress
-from pickle import PickleError
 from typing import Any
 
 import numpy as np
 from numba import njit, uintp
 
-
-def compiled(function: Any) -> Any:
-    """Compile on first use and keep the result on disk, or in memory where no folder can be written to."""
-    try:
-        dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba found no place for its cache
-        return njit(nogil=True, error_model="numpy")(function)
-    if hasattr(dispatcher, "_cache"):  # there is none where numba is told not to compile
-        dispatcher._cache = _ForgivingCache(dispatcher._cache)
-    return dispatcher
-
-
-class _ForgivingCache:
-    """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run."""
-
-    def __init__(self, cache: Any) -> None:
-        self._cache = cache
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._cache, name)
-
-    def load_overload(self, signature: Any, target_context: Any) -> Any:
-        try:
-            return self._cache.load_overload(signature, target_context)
-        except Exception:  # a damaged file raises whatever its decoders raise
-            return None
-
-    def save_overload(self, signature: Any, data: Any) -> None:
-        with suppress(OSError):
-            try:
-                self._cache.save_overload(signature, data)
-            except (EOFError, ValueError, PickleError):  # the index of what is there is damaged: begin a new one
-                self._cache.flush()
-                self._cache.save_overload(signature, data)
+from .compilation import compiled
 
 
 @njit(inline="always")
@@ -258,6 +223,32 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
         z[i] = rows[i, 1] + positive
         new[i] = xi - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c) * rows[i, 4]
     return largest, squares
+
+
+@compiled
+def is_mirrored(indptr, indices, data, tolerance):  # type: ignore[no-untyped-def]
+    """Return whether a CSR array is its transpose up to a relative tolerance in each entry; rows sorted. One pass.
+
+    Row by row, the entries right of the diagonal meet the entries below it in the order in which those are stored.
+    """
+    one = uintp(1)
+    place = indptr[:-1].copy()
+    for i in range(uintp(indptr.size - 1)):
+        k = uintp(place[i])
+        end = uintp(indptr[i + one])
+        if k < end and uintp(indices[k]) < i:
+            return False  # an entry left of the diagonal that no row above has met
+        for m in range(k, end):
+            j = uintp(indices[m])
+            if j == i:
+                continue
+            p = uintp(place[j])
+            if p >= uintp(indptr[j + one]) or uintp(indices[p]) != i:
+                return False
+            if not abs(data[m] - data[p]) <= tolerance * max(abs(data[m]), abs(data[p])):
+                return False
+            place[j] = p + one
+    return True
 
 
 def row_splits(matrix: Any, *, backward: bool) -> Any:

@@ -169,7 +169,7 @@ def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Su
 
 @cache
 def _compiled_row_sums() -> Any:
-    from .kernels import compiled
+    from .compilation import compiled
 
     return compiled(_row_sums)
 

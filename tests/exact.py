@@ -63,6 +63,18 @@ def solve_fractions(A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> l
     return x
 
 
+def has_positive_pivots(A: Sequence[Sequence[Fraction]]) -> bool:
+    """Return whether elimination without exchanges meets positive pivots only: a symmetric A is positive definite."""
+    rows = [list(row) for row in A]
+    for k, pivot_row in enumerate(rows):
+        if pivot_row[k] <= 0:
+            return False
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / pivot_row[k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], pivot_row, strict=True)]
+    return True
+
+
 def _choices(problem: LCP) -> list[tuple[int, ...]]:
     choices = []
     for low, high in zip(problem.lower, problem.upper, strict=True):

@@ -123,11 +123,20 @@ def test_pgs_on_a_triangle_has_one_sweep() -> None:
 
 
 @pytest.mark.parametrize(("n", "dense", "second"), [
-    (1001, False, "multigrid"), (1000, False, "interior_point"), (1001, True, "interior_point"),
+    (1001, False, "multigrid"), (1000, False, "newton"), (1001, True, "interior_point"),
 ])
 def test_multigrid_is_for_large_sparse_matrices(n: int, dense: bool, second: str) -> None:
     """After a slow npsor comes multigrid where M is sparse with more than 1000 rows, else a direct method."""
     assert following(chain(n, dense=dense), after(create("npsor", {}), 10 - 8 * dense, 0.999)) == second
+
+
+@pytest.mark.parametrize(("coupling", "direct"), [(-1.0, "newton"), (1.0, "interior_point")])
+def test_newton_comes_first_on_sparse_z_matrices(coupling: float, direct: str) -> None:
+    """A sparse M with nothing positive off the diagonal goes to newton, its mirror image to interior_point."""
+    M = sp.diags_array([coupling, 2.1, coupling], offsets=[-1, 0, 1], shape=(50, 50))
+    problem = LCP(M, np.where(np.arange(50) % 3 == 0, 1.0, -1.0))
+    assert following(problem, after(create("npsor", {}), 10, 0.999)) == direct
+    assert solve(problem, direct).is_solved
 
 
 def test_psor_needs_a_positive_diagonal() -> None:
@@ -150,7 +159,7 @@ def test_how_long_psor_goes_on(iterations: int, rate: float, goes_on: bool) -> N
     assert found == (None if goes_on else "multigrid")
 
 
-@pytest.mark.parametrize(("n", "second"), [(1001, "interior_point"), (20_001, "psor")])
+@pytest.mark.parametrize(("n", "second"), [(1001, "newton"), (20_001, "psor")])
 def test_after_multigrid(n: int, second: str) -> None:
     """Where multigrid fails the direct methods come, and psor first where a factorisation may be too large."""
     stage = after(create("multigrid", {}), 9, 1.0)
@@ -160,11 +169,11 @@ def test_after_multigrid(n: int, second: str) -> None:
 def test_sweeps_that_fail_hand_over() -> None:
     """A pgs that fails is followed by a direct method, a psor that fails by multigrid, and later by a direct method."""
     problem, psor = chain(1001), after(create("psor", {}), 1, 1.0)
-    assert following(problem, after(create("pgs", {}), 1, 1.0), failed=True) == "interior_point"
+    assert following(problem, after(create("pgs", {}), 1, 1.0), failed=True) == "newton"
     assert following(problem, psor, failed=True) == "multigrid"
     choice = Auto().next_step(problem, [after(create("multigrid", {}), 9, 1.0), psor], TARGET, True)
     assert choice is not None
-    assert choice.algorithm.name == "interior_point"
+    assert choice.algorithm.name == "newton"
 
 
 # --- The second table --------------------------------------------------------------------------------------------

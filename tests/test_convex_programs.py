@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
-from lcp_plugin.algorithms.interior_point import InteriorPoint
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_certificates import (
     QPInfeasibility,
@@ -243,8 +243,8 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
 
 
 def test_a_rounded_bound_proves_nothing() -> None:
-    """3 x ≥ 1 and x = the double below 1/3 contradict; x rounded to it does not matter to the proof."""
-    for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0):
+    """3 x ≥ 1 and x = a double below 1/3 contradict, if by rounding only: no proof or an exact one; above it, none."""
+    for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0, np.nextafter(1.0 / 3.0, 1.0)):
         program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
         proof = proof_of_no_minimum(program)
         assert proof is None or (Fraction(right) * 3 < 1 and proof.holds())

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY, Step
-from lcp_plugin.algorithms.projected_type import NPSOR
+from lcp_plugin.algorithms.splittings.projected_type import NPSOR
 from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.certificates.residuals import Certificate
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.algorithms.modulus import MAOR, MGS, MJ, MSOR
-from lcp_plugin.algorithms.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
-from lcp_plugin.algorithms.projected_splitting import NPSplitting
-from lcp_plugin.algorithms.projected_type import NPAOR, NPGS, NPJ, NPSOR
+from lcp_plugin.algorithms.splittings.modulus import MAOR, MGS, MJ, MSOR
+from lcp_plugin.algorithms.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
+from lcp_plugin.algorithms.splittings.projected_splitting import NPSplitting
+from lcp_plugin.algorithms.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
 from lcp_plugin.evidence import gallery
 
 STEPS = 30

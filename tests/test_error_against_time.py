@@ -26,7 +26,7 @@ from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.contestants import TUNING, comparison, contestants, tuned
 from lcp_plugin.evidence.curves import Curve, Point, Report
-from lcp_plugin.evidence.drawing import spread
+from lcp_plugin.evidence.drawing import spread, styles
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.performance_profile import performance_profile
 
@@ -206,15 +206,14 @@ print([name for name in {names!r} if name in sys.modules])
 @pytest.mark.parametrize(
     ("text", "absent"),
     [
-        ("random_h_plus:n=20", ("cvxpy", "lcp_plugin.certificates.error_bounds", "lcp_plugin.evidence.qp_reference")),
+        ("random_h_plus:n=20", ("cvxpy", "lcp_plugin.certificates.error_bounds")),
         ("optimal_stopping:size=4", ("cvxpy",)),
         ("relay_control:n=4", ("cvxpy", "lcp_plugin.certificates.error_bounds", "pyamg")),
     ],
 )
 def test_what_is_left_out_is_not_imported(text: str, absent: tuple[str, ...]) -> None:
     """No convex solver where M is not symmetric, no bound where z* is known or M not H₊, no picture unless drawn."""
-    names = [name for name in (*absent, "matplotlib", "jinja2") if name != "lcp_plugin.evidence.qp_reference"]
-    code = LAZY.format(scene=text, names=names)
+    code = LAZY.format(scene=text, names=[*absent, "matplotlib", "jinja2"])
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
 
@@ -260,6 +259,38 @@ def test_plot_names_every_curve_and_its_axis(against: str, tmp_path: Path) -> No
     assert (tmp_path / "curves.svg").stat().st_size > 1000
 
 
+def test_no_two_members_of_a_family_look_alike() -> None:
+    """In the report's comparison colour and dashes together belong to one curve."""
+    problem = scene().problem
+    entrants = comparison(problem, start=None, tolerance=1e-8, max_work=1e4)
+    looks = [(look["color"], str(look["linestyle"])) for look in styles([one.family for one in entrants])]
+    assert len(set(looks)) == len(entrants)
+
+
+@pytest.mark.parametrize("spread_of_seconds", [1.5, 4.0, 30.0, 1e5])
+def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
+    """However few decades the curves span, at least two numbers stand at the axis; no name reaches beyond it."""
+    curves = tuple(
+        Curve(label, "modulus (M)", "MAX_WORK", (Point(0, 1, first, first, first, 1.0, 1.0),
+                                                 Point(9, 9, last, last, last, 1e-5, 1e-5)))
+        for label, first, last in (("NPSOR paper", 2e-3, 2e-3 * spread_of_seconds), ("a", 2e-3, 3e-3))
+    )  # fmt: skip
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = Report("t", "", 1, 1, "residual", 1e-8, 1, 0.5, curves).plot()
+    FigureCanvasAgg(figure).draw()
+    axes = figure.axes[0]
+    low, high = axes.get_xlim()
+    numbers = [
+        tick.label1.get_text() for minor in (False, True)
+        for tick in (axes.xaxis.get_minor_ticks() if minor else axes.xaxis.get_major_ticks())
+        if low <= tick.get_loc() <= high and tick.label1.get_text()
+    ]
+    assert 2 <= len(numbers) <= 9
+    frame = axes.get_window_extent()
+    assert all(text.get_window_extent().y0 >= frame.y0 - 1 for text in axes.texts)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -267,6 +298,10 @@ def test_plot_names_every_curve_and_its_axis(against: str, tmp_path: Path) -> No
         ({"repeats": True}, "repeats must be"),
         ({"references": "osqp"}, 'write \\("osqp",\\)'),
         ({"references": ("osqpp",)}, "unknown reference 'osqpp'; did you mean 'osqp'"),
+        ({"references": 5}, "references must be a sequence of names, got 5"),
+        ({"max_work": "10"}, "max_work must be a number > 0, got '10'"),
+        ({"max_work": math.nan}, "max_work must be a number > 0, got nan"),
+        ({"max_work": 0}, "max_work must be a number > 0, got 0"),
     ],
 )
 def test_bad_arguments_are_refused(arguments: dict[str, Any], words: str) -> None:
@@ -281,6 +316,8 @@ def test_bad_targets_and_names_are_refused() -> None:
         error_against_time(np.eye(2))  # type: ignore[arg-type]
     with pytest.raises(UnknownAlgorithm, match="did you mean 'psor'"):
         error_against_time(scene(), ["psr"])
+    with pytest.raises(InvalidOption, match=r'algorithms must be names .* got 5; write \["psor"\]'):
+        error_against_time(scene(), 5)
     with pytest.raises(InvalidOption, match="against must be"):
         error_against_time(scene(), ["pgs"], repeats=1).plot(against="time")
 
@@ -352,6 +389,15 @@ def test_profile_refuses_what_it_cannot_use() -> None:
         performance_profile([])
     with pytest.raises(InvalidOption, match="by must be"):
         performance_profile([report_of("p", a=1)], by="money")
+    with pytest.raises(InvalidOption, match=r"got one Report; write \[report\]"):
+        performance_profile(report_of("p", a=1))  # type: ignore[arg-type]
+    with pytest.raises(InvalidOption, match="no algorithm 'psor' in this profile; it has a"):
+        performance_profile([report_of("p", a=1)]).share("psor")
+
+
+def test_profile_of_a_problem_that_needs_no_work() -> None:
+    """Where the start is the answer, no pass counts as one, and no ratio explodes."""
+    assert performance_profile([report_of("p", a=1e-300, b=3)]).ratios == ((1.0,), (3.0,))
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20))

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import exact_solution, solve_fractions
+from exact import exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -294,18 +294,6 @@ def test_estimates_say_so(monkeypatch) -> None:
     assert 0.99e-6 < proven.infinity < 1.1e-6
 
 
-def is_positive_definite_exactly(A: list[list[Fraction]]) -> bool:
-    """Return whether all leading pivots are positive, in fractions."""
-    A = [list(row) for row in A]
-    for k in range(len(A)):
-        if A[k][k] <= 0:
-            return False
-        for i in range(k + 1, len(A)):
-            factor = A[i][k] / A[k][k]
-            A[i] = [a - factor * b for a, b in zip(A[i], A[k], strict=True)]
-    return True
-
-
 @property_test
 @given(positive_definite_matrices(scale=30, margin=2.0**-20), st.booleans())
 def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
@@ -324,7 +312,7 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
              for row, a in zip(M, scale, strict=True)]
     for i in range(len(exact)):
         exact[i][i] -= Fraction(value) * Fraction(999_999, 1_000_000)
-    assert is_positive_definite_exactly(exact)
+    assert has_positive_pivots(exact)
 
 
 def test_two_norm_bound_is_its_formula() -> None:

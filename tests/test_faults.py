@@ -20,7 +20,7 @@ from relations import bits, data_of, surroundings
 
 from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, prepare, solve, solve_many
 from lcp_plugin.algorithms import REGISTRY, Step
-from lcp_plugin.algorithms.projected_type import NPSOR
+from lcp_plugin.algorithms.splittings.projected_type import NPSOR
 from lcp_plugin.errors import LCPError
 from lcp_plugin.evidence import gallery
 

@@ -21,8 +21,8 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.algorithms.automatic_scaling import automatic_factors
-from lcp_plugin.algorithms.projected_splitting import NPSplitting
+from lcp_plugin.algorithms.splittings.automatic_scaling import automatic_factors
+from lcp_plugin.algorithms.splittings.projected_splitting import NPSplitting
 from lcp_plugin.certificates.contraction import triangle_sums
 from lcp_plugin.certificates.method_3_1 import theorem_4_1
 from lcp_plugin.certificates.spectral_radius import nonnegative_radius, radius_above_one

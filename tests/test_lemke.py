@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms.base import Step
-from lcp_plugin.algorithms.canonical_box import canonical_box, equilibrated
-from lcp_plugin.algorithms.covering_vectors import bimatrix_players, starts
-from lcp_plugin.algorithms.lemke import Lemke, connected_parts
-from lcp_plugin.algorithms.pivoting import GOING_ON, LOST, RAY, SOLVED
-from lcp_plugin.algorithms.pivoting_path import Path
+from lcp_plugin.algorithms.pivots.canonical_box import canonical_box, equilibrated
+from lcp_plugin.algorithms.pivots.covering_vectors import bimatrix_players, starts
+from lcp_plugin.algorithms.pivots.lemke import Lemke, connected_parts
+from lcp_plugin.algorithms.pivots.pivoting import GOING_ON, LOST, RAY, SOLVED
+from lcp_plugin.algorithms.pivots.pivoting_path import Path
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.errors import InvalidOption, UnsuitableProblem
 from lcp_plugin.strategies import solved_lcps
@@ -328,7 +328,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connected part that is too large for a dense inverse is refused by its size."""
-    monkeypatch.setattr("lcp_plugin.algorithms.lemke.LARGEST", 3)
+    monkeypatch.setattr("lcp_plugin.algorithms.pivots.lemke.LARGEST", 3)
     with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
         steps(LCP(np.ones((4, 4)), -np.ones(4)))
 

@@ -126,6 +126,23 @@ def test_negative_multiples_flip_the_bound() -> None:
     assert x.value == pytest.approx(1.5)
 
 
+def test_verbose_speaks_through_the_logger_of_cvxpy(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The story of a run goes where cvxpy's own messages go, and nowhere without verbose."""
+    told: list[str] = []
+    monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
+    x = cp.Variable(nonneg=True)
+    problem = ComplementarityProblem([complements(x >= 0, 2 * x - 3 >= 0)])
+    problem.solve()
+    assert told == []
+    problem.solve(verbose=True)
+    assert told == [problem.solver_stats.extra_stats.explain()]
+    assert capsys.readouterr().out == ""
+    cp.Problem(cp.Minimize(cp.square(x - 1))).solve(method="LCP", verbose=True)
+    assert any("SOLVED" in message for message in told[1:])
+
+
 def test_free_variables_take_equations() -> None:
     """A free variable with G == 0, paired or as a plain equality row, whose dual value is that variable."""
     for paired in (True, False):

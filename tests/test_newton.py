@@ -14,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.algorithms.active_set import FactorCache, classify, solve_active_set
-from lcp_plugin.algorithms.damped_newton import fischer_burmeister
-from lcp_plugin.algorithms.factorisation import BandedLU, Cholesky, DenseLU, Factor, SparseLU, factorise
-from lcp_plugin.algorithms.newton_state import NewtonState
-from lcp_plugin.algorithms.semismooth_newton import Newton, full_steps
+from lcp_plugin.algorithms.active_sets.active_set import FactorCache, classify, solve_active_set
+from lcp_plugin.algorithms.active_sets.damped_newton import fischer_burmeister
+from lcp_plugin.algorithms.active_sets.factorisation import BandedLU, Cholesky, DenseLU, Factor, SparseLU, factorise
+from lcp_plugin.algorithms.active_sets.newton_state import NewtonState
+from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, full_steps
 from lcp_plugin.evidence import gallery
+from lcp_plugin.matrix_classes.factorisation import diagonal_pivot_factor
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9
@@ -265,6 +266,7 @@ def test_superlu_is_never_given_a_block_that_it_cannot_take(shift: float, monkey
     stored_zeros = sp.csr_array(five_point(20))
     stored_zeros.data[stored_zeros.indices == 7] = 0.0
     assert factorise(stored_zeros) is None
+    assert diagonal_pivot_factor(stored_zeros) is None
 
 
 def test_a_permuted_diagonal_is_regular() -> None:
@@ -282,7 +284,7 @@ import sys
 import numpy as np, scipy.sparse as sp
 from itertools import islice
 from lcp_plugin import LCP
-from lcp_plugin.algorithms.semismooth_newton import Newton
+from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton
 a, b = int(sys.argv[1]), int(sys.argv[2])
 cost = np.random.default_rng(5).uniform(1, 10, a * b)
 sums = [sp.kron(sp.eye_array(a), np.ones((1, b))), sp.kron(np.ones((1, a)), sp.eye_array(b))]

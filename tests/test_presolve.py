@@ -10,6 +10,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from collection.truth import ExactData
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, Certificate, InvalidProblem
@@ -44,20 +45,9 @@ def eliminated(rows: list[list[Fraction]]) -> list[Fraction] | None:
     return solution
 
 
-def slack(problem: LCP, z: Any) -> list[Fraction]:
-    M = problem.csr.toarray()
-    return [sum((Fraction(M[i, j]) * z[j] for j in range(problem.n)), Fraction(problem.q[i])) for i in range(problem.n)]
-
-
 def solves(problem: LCP, z: Any) -> bool:
     """Whether z is a solution, exactly."""
-    for zi, wi, low, high in zip(z, slack(problem, z), problem.lower, problem.upper, strict=True):
-        if (low > -INF and zi < Fraction(low)) or (high < INF and zi > Fraction(high)):
-            return False
-        at_low, at_high = low > -INF and zi == Fraction(low), high < INF and zi == Fraction(high)
-        if not (wi == 0 or (wi > 0 and at_low) or (wi < 0 and at_high)):
-            return False
-    return True
+    return ExactData(problem).is_solution(z)
 
 
 def solutions(problem: LCP) -> list[Any]:

@@ -17,9 +17,9 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, Result, Sample, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.algorithms.modulus import MGS, ModulusBased
-from lcp_plugin.algorithms.projected_relaxation import PSOR
-from lcp_plugin.algorithms.projected_type import NPSOR
+from lcp_plugin.algorithms.splittings.modulus import MGS, ModulusBased
+from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
+from lcp_plugin.algorithms.splittings.projected_type import NPSOR
 from lcp_plugin.errors import (
     InvalidOption,
     InvalidProblem,

@@ -192,7 +192,7 @@ def scene_part(title: str, active: float, dominance: float = 0.5, **works: float
               "multigrid": "multigrid"}
     curves = tuple(
         Curve(
-            label, family[label], "SOLVED" if work > 0 else "STALLED",
+            label, family[label], "SOLVED" if work >= 0 else "STALLED",
             (Point(1, abs(work), abs(work), 1.0, 1.0, 0.1, 0.1),),
         )
         for label, work in works.items()
@@ -242,6 +242,45 @@ def test_promise_counts_scenes_with_active_constraints_only() -> None:
     assert "On 1 scene with" in text
     assert "is projected-type (NP) on 0, projected relaxation (P) on 1, modulus (M) on 0" in text
     assert "needs 3.0 times" in text
+
+
+def test_scene_that_no_splitting_solves_is_counted() -> None:
+    """A scene with active constraints that no splitting solves is named, not dropped in silence."""
+    text = said(scene_part("a", 0.5, NPSOR=30, PGS=10), scene_part("b", 0.5, NPSOR=-30, PGS=-10))
+    assert "On 1 scene with" in text
+    assert "On 1 more no splitting arrives." in text
+    assert "On 1 more" not in said(scene_part("a", 0.5, NPSOR=30, PGS=10))
+
+
+def test_multigrid_that_fails_does_not_win() -> None:
+    """Where M has no diagonal to spare and multigrid does not arrive, the scene counts all the same."""
+    text = said(scene_part("a", 0.5, 0.0, multigrid=5, PGS=100), scene_part("b", 0.5, 0.0, multigrid=-5, PGS=100))
+    assert "On 2 scenes whose matrix" in text
+    assert "fewest passes on 1 " in text
+    assert "The best splitting needs 20.0 to 20.0 times" in text
+
+
+def test_runs_without_any_work_break_no_sentence() -> None:
+    """Problems whose start is the answer take no pass; every sentence is computed all the same."""
+    idle = dict.fromkeys(("NPGS paper", "NPSOR", "PGS", "multigrid"), 0)
+    titles = ("paper_example_1:n=1,delta=4.0", "half_active:n=1,delta=4.0", "b")
+    parts = [scene_part(title, 0.5, 0.0, **idle) for title in titles]
+    assert "NPGS paper stays as it is" in said(*parts)
+
+
+def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
+    """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
+    atlas = stability_atlas(["newton"], ["scaling"], quick=True)
+    assert atlas.misleading
+    found = Collected({("atlas", "scaling"): atlas.to_content()})
+    assert f"{len(atlas.misleading)} of the SOLVED ones hide an error" in " ".join(one.text for one in claims(found))
+    write_report(found, tmp_path, is_quick=False)
+    page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))
+    assert f"error above a thousandth ({len(atlas.misleading)})" in page
+    for cell in atlas.misleading:
+        assert page.count(cell.stress) >= 1
+    spotless = Collected({("atlas", "far starts"): stability_atlas(["psor"], ["far starts"], quick=True).to_content()})
+    assert "hide an error" not in " ".join(one.text for one in claims(spotless))
 
 
 def test_nothing_measured_nothing_said() -> None:
@@ -334,6 +373,60 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
         refused = CliRunner().invoke(app, ["report", *arguments])
         assert refused.exit_code == 2
         assert words in refused.output
+
+
+@pytest.mark.parametrize("when", ["say", "write"])
+def test_interruption_between_two_parts_is_remembered(
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
+    from lcp_plugin.evidence.report import collect as module
+
+    def stop() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def write(path: Path, text: str) -> None:
+        if when == "write":
+            stop()
+        path.write_text(text, encoding="utf-8")
+
+    monkeypatch.setattr(module, "write_text", write)
+    found = collect(
+        [part("a", lambda say: {}), part("b", lambda say: {})], tmp_path,
+        lambda done, total, label: stop() if when == "say" else None,
+    )
+    assert found.missing == (["scene a", "scene b"] if when == "say" else ["scene b"])
+
+
+def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
+    from lcp_plugin.evidence.report import page as module
+
+    def stop(*args: Any, **options: Any) -> Path:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "write_report", stop)
+        run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
+    assert run.exit_code == 1
+    assert "goes on from here" in run.output
+    again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
+    assert "1 of 1 parts found from a former run" in again.output
+
+
+def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
+    from lcp_plugin.evidence.report import collect as module
+
+    parts = [part("a", lambda say: {})]
+    facts = {"processor": "one", "measured": "today"}
+    monkeypatch.setattr(module, "machine", lambda: facts)
+    collect(parts, tmp_path)
+    facts["measured"] = "tomorrow"
+    assert collect(parts, tmp_path).found == 1
+    facts["processor"] = "another"
+    assert collect(parts, tmp_path).found == 0
 
 
 def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,8 +23,8 @@ from hypothesis import given, settings
 
 from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.algorithms.canonical_box import canonical_box
-from lcp_plugin.algorithms.monotone_rows import monotone_rows
+from lcp_plugin.algorithms.interior_points.monotone_rows import monotone_rows
+from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.certificates.exact import is_exact_solution
 from lcp_plugin.errors import UnsuitableProblem
 from lcp_plugin.evidence import gallery
@@ -275,6 +275,7 @@ def test_an_empty_atlas_is_nothing_to_be_proud_of() -> None:
         ((None, ["stifness"]), InvalidOption, "unknown stress 'stifness'; did you mean 'stiffness'"),
         (("psor",), InvalidOption, r"algorithms must be a list of names, got the word 'psor'; write \['psor'\]"),
         ((None, "stiffness"), InvalidOption, "stresses must be a list of names"),
+        ((5,), InvalidOption, "algorithms must be a list of names, got 5"),
     ],
 )
 def test_wrong_names_are_refused(arguments: tuple[Any, ...], error: type[Exception], message: str) -> None:
@@ -353,14 +354,32 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
 
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
-    """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled."""
-    for problem in BASES:
+    """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.
+
+    Of multigrid this holds where one factor multiplies all rows: its grids see the rows beside one another.
+    """
+    for problem in (*BASES, half_active("", grid(12, 4.5)).problem):
         plain = solve(problem, name)
         for power in POWERS:
             for what, scaled, exponent in variants(problem, power):
+                if (name, what) == ("multigrid", "rows"):
+                    continue
                 result = solve(scaled, name)
                 assert np.array_equal(result.z, np.ldexp(plain.z, exponent)), (what, power)
                 assert (result.status, result.iterations) == (plain.status, plain.iterations), (what, power)
+
+
+@pytest.mark.parametrize("size", [4, 12])
+def test_multigrid_tells_the_truth_about_rows_in_other_units(size: int) -> None:
+    """With rows times 2^±900 multigrid takes other steps on more than one grid, and is SOLVED, accurate, and true."""
+    problem = half_active("", grid(size, 4.5)).problem
+    exact = exact_answer(problem, solve(problem, "psor", tolerance=1e-13).z.tolist())
+    for power in POWERS:
+        (scaled,) = (scaled for what, scaled, _ in variants(problem, power) if what == "rows")
+        result = solve(scaled, "multigrid")
+        assert lie_in(result, exact) == ""
+        assert result.status is Status.SOLVED
+        assert relative_error(result.z, exact, np.ones(problem.n)) < 1e-7
 
 
 @pytest.mark.parametrize("name", [name for name in ALL if name not in SCALE_INVARIANT])

@@ -1,51 +1,134 @@
-"""Algorithms: one family a file, one line of the registry each."""
+"""Algorithms: one family a file, one line of the registry each; other packages add theirs by entry points."""
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import fields
+from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .base import Algorithm, Step
 
-__all__ = ["REGISTRY", "Algorithm", "Step", "algorithm_class", "create"]
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+__all__ = ["ENTRY_POINT_GROUP", "REGISTRY", "Algorithm", "Step", "algorithm_class", "create", "from_other_packages"]
+
+ENTRY_POINT_GROUP = "lcp_plugin.algorithms"
 
 REGISTRY = {
-    "npj": "projected_type:NPJ",
-    "npgs": "projected_type:NPGS",
-    "npsor": "projected_type:NPSOR",
-    "npaor": "projected_type:NPAOR",
-    "npsplitting": "projected_splitting:NPSplitting",
-    "pj": "projected_relaxation:PJ",
-    "pgs": "projected_relaxation:PGS",
-    "psor": "projected_relaxation:PSOR",
-    "paor": "projected_relaxation:PAOR",
-    "mj": "modulus:MJ",
-    "mgs": "modulus:MGS",
-    "msor": "modulus:MSOR",
-    "maor": "modulus:MAOR",
-    "gfp": "projected_relaxation:GFP",
-    "newton": "semismooth_newton:Newton",
-    "interior_point": "interior_point:InteriorPoint",
-    "lemke": "lemke:Lemke",
+    "npj": "splittings.projected_type:NPJ",
+    "npgs": "splittings.projected_type:NPGS",
+    "npsor": "splittings.projected_type:NPSOR",
+    "npaor": "splittings.projected_type:NPAOR",
+    "npsplitting": "splittings.projected_splitting:NPSplitting",
+    "pj": "splittings.projected_relaxation:PJ",
+    "pgs": "splittings.projected_relaxation:PGS",
+    "psor": "splittings.projected_relaxation:PSOR",
+    "paor": "splittings.projected_relaxation:PAOR",
+    "mj": "splittings.modulus:MJ",
+    "mgs": "splittings.modulus:MGS",
+    "msor": "splittings.modulus:MSOR",
+    "maor": "splittings.modulus:MAOR",
+    "gfp": "splittings.projected_relaxation:GFP",
+    "newton": "active_sets.semismooth_newton:Newton",
+    "interior_point": "interior_points.interior_point:InteriorPoint",
+    "lemke": "pivots.lemke:Lemke",
     "multigrid": "multigrid:Multigrid",
 }
 
 
 def algorithm_class(name: str) -> type[Algorithm]:
-    """Return the class registered under the name.
+    """Return the class registered under the name, here or by an installed package.
 
     Raises
     ------
     UnknownAlgorithm
-        With the closest registered name.
+        With the closest known name, or with what is wrong with the package that offers it.
+
+    Notes
+    -----
+    Other packages offer an algorithm as ``name = "module:Class"`` in the entry point group ``lcp_plugin.algorithms``.
+    What is installed is only looked through for a name that is not in `REGISTRY`.
+
+    References
+    ----------
+    Python Packaging Authority, *Entry points specification*,
+    https://packaging.python.org/specifications/entry-points/.
+
+    Examples
+    --------
+    >>> algorithm_class("psor").__name__
+    'PSOR'
     """
     if name not in REGISTRY:
-        raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, ['auto', *REGISTRY])}")
+        return _class_from_outside(name)
     module, _, class_name = REGISTRY[name].partition(":")
     found: type[Algorithm] = getattr(import_module(f"{__name__}.{module}"), class_name)
     return found
+
+
+def from_other_packages() -> dict[str, type[Algorithm] | UnknownAlgorithm]:
+    """Return what installed packages offer: the class of each name, or the error that says why it cannot be used."""
+    found: dict[str, type[Algorithm] | UnknownAlgorithm] = {}
+    for name, offers in sorted(_offers().items()):
+        try:
+            found[name] = _checked_offer(name, offers)
+        except UnknownAlgorithm as error:
+            found[name] = error
+    return found
+
+
+def _offers() -> dict[str, list[EntryPoint]]:
+    from importlib.metadata import entry_points
+
+    offers: dict[str, list[EntryPoint]] = {}
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        offers.setdefault(entry.name, []).append(entry)
+    return offers
+
+
+@cache
+def _class_from_outside(name: str) -> type[Algorithm]:
+    offers = _offers()
+    if name not in offers:
+        raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, {'auto', *REGISTRY, *offers})}")
+    return _checked_offer(name, offers[name])
+
+
+def _checked_offer(name: str, offers: list[EntryPoint]) -> type[Algorithm]:
+    """Return the class that stands behind an entry point, or raise naming the package and what it should mend."""
+    packages = " and ".join(sorted({_package(entry) for entry in offers}))
+    if name == "auto" or name in REGISTRY:
+        raise UnknownAlgorithm(f"{packages}: the name {name!r} belongs to lcp_plugin; the package must choose another")
+    if len(offers) > 1:
+        raise UnknownAlgorithm(f"{packages}: {name!r} is offered more than once; uninstall all but one")
+    entry = offers[0]
+    wanted = f'the entry point must read {name} = "module:Class" and name a subclass of lcp_plugin.algorithms.Algorithm'
+    try:
+        kind = entry.load()
+    except Exception as error:  # a foreign module may raise anything while it is imported
+        reason = f"{type(error).__name__}: {error}"
+        raise UnknownAlgorithm(
+            f"{packages}: the algorithm {name!r} cannot be loaded from {entry.value!r} ({reason}); "
+            "repair or uninstall the package"
+        ) from error
+    if not (inspect.isclass(kind) and issubclass(kind, Algorithm)):
+        raise UnknownAlgorithm(f"{packages}: {entry.value!r} is {kind!r}; {wanted}")
+    if inspect.isabstract(kind):
+        raise UnknownAlgorithm(f"{packages}: the class {kind.__name__} has no method iterates(problem, z0); write it")
+    if getattr(kind, "name", None) != name:
+        raise UnknownAlgorithm(
+            f"{packages}: the entry point is called {name!r}, but {kind.__name__}.name is "
+            f"{getattr(kind, 'name', None)!r}; they must be equal"
+        )
+    return kind
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"package {entry.dist.name} {entry.dist.version}" if entry.dist is not None else "a package without name"
 
 
 def create(name: str, options: dict[str, Any]) -> Algorithm:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import diags_array
 
 from .. import kernels
-from ..hierarchy import galerkin, sweeps
+from ..hierarchy import sweeps
 from ..hierarchy.krylov import KrylovCorrection, power_of_two
 from ..hierarchy.levels import Grid, Hierarchy, build_hierarchy
 from ..hierarchy.truncation import Truncation
+from ..matrix_classes.symmetry import is_symmetric_entrywise
 from ..problem import LCP, FloatVector
 from .base import Step
 
@@ -35,7 +36,6 @@ GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by l
 MOST_FAILED_ROUNDS = 3
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
-ROUNDING = 1e-12  # to which m_ij and m_ji may differ in a symmetric matrix
 
 
 class GridProblem:
@@ -330,7 +330,7 @@ def symmetry_of(problem: LCP) -> tuple[bool, float]:
     def compute() -> bool:
         M = problem.csr
         read.append(float(M.nnz))
-        return bool(galerkin.is_symmetric(M.indptr, M.indices, M.data, ROUNDING))
+        return is_symmetric_entrywise(M)
 
     is_symmetric = problem.shared("is_symmetric", compute)
     return is_symmetric, sum(read)

@@ -167,6 +167,6 @@ def _triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: igno
 
 @cache
 def _compiled_triangle_sums() -> Any:
-    from ..kernels import compiled
+    from ..compilation import compiled
 
     return compiled(_triangle_sums)

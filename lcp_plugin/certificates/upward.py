@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit, vectorize
+from numba import njit
 
+from ..compilation import compiled_elementwise
 from ..problem import FloatVector
 
 EPSILON = 2.0**-52
@@ -45,16 +46,7 @@ def _above(value):  # type: ignore[no-untyped-def]
     return value + max(abs(value) * EPSILON, TINY)
 
 
-def _elementwise(function):  # type: ignore[no-untyped-def]
-    """Compile, and keep the result on disk, or in memory where no folder can be written to."""
-    signatures = ["float64(float64, float64)"]
-    try:
-        return vectorize(signatures, cache=True)(function)  # type: ignore[no-untyped-call]
-    except RuntimeError:  # numba found no place for its cache
-        return vectorize(signatures)(function)  # type: ignore[no-untyped-call]
-
-
-@_elementwise
+@compiled_elementwise
 def _sum(a, b):  # type: ignore[no-untyped-def]
     value = a + b
     part = value - a
@@ -63,11 +55,11 @@ def _sum(a, b):  # type: ignore[no-untyped-def]
     return value if error <= 0.0 else _above(value)
 
 
-@_elementwise
+@compiled_elementwise
 def _product(a, b):  # type: ignore[no-untyped-def]
     return 0.0 if a == 0.0 or b == 0.0 else _above(a * b)
 
 
-@_elementwise
+@compiled_elementwise
 def _quotient(a, b):  # type: ignore[no-untyped-def]
     return 0.0 if a == 0.0 else _above(a / b)

@@ -19,6 +19,7 @@ from ..matrix_classes.definiteness import (
     is_positive_semidefinite,
     positive_definite_solver,
 )
+from ..matrix_classes.symmetry import mismatch
 from ..problem import LCP
 from .checked import attach_origin, checked_matrix, checked_vector
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
@@ -316,7 +317,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     if not isinstance(problem, LCP):
         raise InvalidProblem(f"qp_from_lcp needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
-    if not _asymmetry(M)[1]:
+    if _mismatch(M)[1] is None:
         return QuadraticProgram(M, q, lower=lower, upper=upper)
     boxed = np.isfinite(lower) & np.isfinite(upper)
     if boxed.any():
@@ -371,9 +372,9 @@ def _checked_rows(
 
 def _symmetric(P: Any) -> tuple[Any, float]:
     """Return P with rounding errors in its symmetry averaged away, and how large they were."""
-    asymmetry, where = _asymmetry(P)
-    if where:
-        i, j = where[0]
+    asymmetry, where = _mismatch(P)
+    if where is not None:
+        i, j = where
         raise InvalidProblem(
             f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
             "(P + P.T) / 2: give that, if it is what you mean"
@@ -381,19 +382,9 @@ def _symmetric(P: Any) -> tuple[Any, float]:
     return (P, 0.0) if asymmetry == 0.0 else (checked_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
 
 
-def _asymmetry(M: Any) -> tuple[float, list[tuple[int, int]]]:
-    """Return max |m_ij − m_ji|, and where it is worst if that is more than rounding.
-
-    Rounding is at most 1e-12 of the geometric mean of the largest entries in rows i and j, so that a block in a small
-    unit is not measured by one in a large unit.
-    """
-    difference = sp.coo_array(M - M.T)
-    if difference.nnz == 0:
-        return 0.0, []
-    size = np.abs(difference.data)
+def _mismatch(M: Any) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    if M.shape[0] == 0:
+        return 0.0, None
     largest = abs(M).max(axis=1)
-    root = np.sqrt(np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel())
-    i, j = difference.row, difference.col
-    excess = size - SYMMETRIC_TO * root[i] * root[j]
-    worst = int(np.argmax(excess))
-    return float(size.max()), [(int(i[worst]), int(j[worst]))] if excess[worst] > 0.0 else []
+    return mismatch(M, np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel(), SYMMETRIC_TO)

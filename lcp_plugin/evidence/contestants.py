@@ -9,7 +9,7 @@ from typing import Any
 
 from ..algorithms import REGISTRY, Algorithm, create
 from ..driver import solve
-from ..errors import ConvergenceWarning, LCPError
+from ..errors import ConvergenceWarning, InvalidOption, LCPError
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample, Status
 
@@ -63,11 +63,15 @@ def contestants(algorithms: Any) -> list[Contestant]:
     ------
     UnknownAlgorithm
         With the closest name.
+    InvalidOption
+        Where `algorithms` is none of these.
     """
     if algorithms is None:
         return [*paper_settings(), *own_settings()]
     if isinstance(algorithms, str | Algorithm):
         algorithms = [algorithms]
+    if not isinstance(algorithms, Iterable):
+        raise InvalidOption(f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]')
     named = algorithms.items() if isinstance(algorithms, Mapping) else ((None, one) for one in algorithms)
     found: dict[str, Contestant] = {}
     for label, one in named:

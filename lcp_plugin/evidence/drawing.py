@@ -31,7 +31,9 @@ COLOURS = {
     "reference": "#56B4E9",
     "other": "#777777",
 }
-DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1, 1, 1, 1, 1)), "-")
+DASHES: tuple[Any, ...] = (
+    "-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1, 1, 1, 1, 1)), (0, (11, 2)), (0, (2.5, 3)),
+)
 STYLE: Any = {
     "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
     "axes.labelcolor": "#333333", "xtick.color": "#555555", "ytick.color": "#555555", "axes.grid": True,
@@ -40,7 +42,7 @@ STYLE: Any = {
 }
 SIZE = (4.7, 4.1)
 LABEL_SIZE = 8.0
-STRIP = 0.30
+STRIP = 0.36
 """Share of the height below the curves where their names stand."""
 
 BEND = 0.22
@@ -50,6 +52,9 @@ LABEL_WIDTH = 0.047
 """Least distance of two names, as a share of the width."""
 
 DEEPEST_BELOW_TOLERANCE = 1e-3
+DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
+"""First digits of the ticks, the first set that gives two of them."""
+
 AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
 
 
@@ -127,7 +132,7 @@ def draw_curves(report: Report, against: str = "seconds") -> Any:
         axes.set_ylim(strip, highest)
         axes.axhspan(strip, lowest, color="#f8f8f8", zorder=0)
         axes.set_yticks([tick for tick in axes.get_yticks() if lowest <= tick <= highest])
-        axes.minorticks_off()
+        _tick_width(axes)
         _name_ends(axes, names, lowest, lowest * (strip / lowest) ** BEND)
         if report.error_kind == "residual":
             axes.axhline(report.tolerance, color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
@@ -180,6 +185,19 @@ def _fit_width(axes: Any, report: Report, against: str) -> None:
         x += [reference.seconds for reference in report.references]
     if x:
         axes.set_xlim(min(x) / 1.3, max(x) * 1.5)
+
+
+def _tick_width(axes: Any) -> None:
+    """Take the small ticks away; where fewer than two powers of ten are left to read a scale from, set others."""
+    axes.minorticks_off()
+    low, high = axes.get_xlim()
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for digits in DIGITS:
+        ticks = [value for power in powers for digit in digits if low <= (value := digit * 10.0**power) <= high]
+        if len(ticks) >= 2:
+            break
+    if digits != DIGITS[0]:
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
 
 
 def _name_ends(axes: Any, names: list[tuple[float, float, str, str, str]], edge: float, bend: float) -> None:
@@ -247,6 +265,6 @@ def draw_profile(profile: Profile) -> Any:
             names.append((x[-2], float(y[-1]), profile.labels[k], line["color"], "o" if is_complete else "x"))
         axes.axhspan(1.02, 2.0, color="#f8f8f8", zorder=0)
         axes.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0], ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])
-        axes.minorticks_off()
+        _tick_width(axes)
         _name_ends(axes, names, 1.02, 1.02 + BEND * STRIP)
     return figure

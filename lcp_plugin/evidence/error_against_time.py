@@ -8,7 +8,7 @@ set-up look cheaper than it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -83,7 +83,7 @@ def error_against_time(
     ('true error', ['SOLVED', 'SOLVED'])
     """
     scene = _as_scene(target)
-    _check(repeats, references)
+    _check(repeats, references, max_work)
     say = progress or (lambda _: None)
     yardstick = Yardstick.of(scene, is_declared=isinstance(target, Scene))
     left_out = [*yardstick.left_out, *_march(scene)]
@@ -135,11 +135,15 @@ def _as_scene(target: Any) -> Scene:
     )
 
 
-def _check(repeats: Any, references: Sequence[str]) -> None:
+def _check(repeats: Any, references: Any, max_work: Any) -> None:
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
+    if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
+        raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
     if isinstance(references, str):
         raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("{references}",)')
+    if not isinstance(references, Iterable):
+        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("osqp",)')
     if references:
         from .qp_reference import check_reference
 

@@ -13,6 +13,9 @@ from typing import Any
 from ..errors import InvalidOption
 from .curves import Curve, Report, csv_text, finite_content, write_text
 
+LEAST = {"work": 1.0, "seconds": 1e-9}
+"""Less is not told apart: a run whose start is the answer counts one pass."""
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -38,6 +41,8 @@ class Profile:
 
     def share(self, label: str, within: float = 1.0) -> float:
         """Return the share of the problems that the algorithm solves within that multiple of the best."""
+        if label not in self.labels:
+            raise InvalidOption(f"no algorithm {label!r} in this profile; it has {', '.join(self.labels)}")
         row = self.ratios[self.labels.index(label)]
         return sum(ratio <= within and ratio < math.inf for ratio in row) / len(row) if row else math.nan
 
@@ -103,8 +108,10 @@ def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
     >>> performance_profile([report]).share("pgs")
     1.0
     """
-    if by not in ("work", "seconds"):
+    if by not in LEAST:
         raise InvalidOption(f"by must be 'work' or 'seconds', got {by!r}")
+    if isinstance(reports, Report):
+        raise InvalidOption("a performance profile needs a list of reports, got one Report; write [report]")
     if not reports:
         raise InvalidOption("a performance profile needs at least one report, got none")
     families = {curve.label: curve.family for report in reports for curve in report.curves}
@@ -120,4 +127,4 @@ def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
 def _cost(curve: Curve | None, by: str) -> float:
     if curve is None or not curve.is_solved:
         return math.inf
-    return max(float(getattr(curve, by)), 1e-9)
+    return max(float(getattr(curve, by)), LEAST[by])

@@ -14,6 +14,7 @@ from .gallery.scene import Scene
 
 FINEST_SURFACE = 70
 ACTIVE, FREE = "#D55E00", "#0072B2"
+ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
 
 def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence[Result] = ()) -> None:
@@ -72,7 +73,7 @@ def _draw_field(figure: Any, surface: Any, axes: Any, result: Result, scene: Any
     axes.grid(False)
     axes.set(xlabel=labels[1], ylabel=labels[0], aspect="equal" if _is_square(rows, columns) else "auto")
     _draw_surface(surface, field, active, rows, columns)
-    surface.set(xlabel=labels[1], ylabel=labels[0], zlabel=scene.unknown)
+    surface.set(xlabel=labels[1], ylabel=labels[0])  # the height is named beside the colours
 
 
 def _draw_surface(surface: Any, field: Any, active: Any, rows: Any, columns: Any) -> None:
@@ -131,9 +132,16 @@ def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
 
 
 def _draw_residuals(axes: Any, result: Result) -> None:
-    samples = [sample for sample in result.history if sample.residual is not None and sample.residual > 0.0]
+    samples = [(sample.seconds, sample.residual) for sample in result.history if sample.residual is not None]
+    least = min([*(value for _, value in samples if value > 0.0), result.tolerance or 1.0])
     if samples:
-        axes.semilogy([s.seconds for s in samples], [s.residual for s in samples], ".-", markersize=4, color=FREE)
+        seconds, residuals = zip(*samples, strict=True)
+        edge = ZERO_BELOW * least
+        axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
+        if zeros := [second for second, value in samples if value == 0.0]:
+            axes.plot(zeros, [edge] * len(zeros), "v", color=FREE, markersize=6)
+            axes.annotate("exactly 0", (zeros[0], edge), (-6, 0), textcoords="offset points", ha="right", va="center",
+                          color=FREE, fontsize=8)
     if result.tolerance > 0.0:
         axes.axhline(result.tolerance, color=ACTIVE, linewidth=1, linestyle="--")
         axes.annotate("tolerance", (0.99, result.tolerance), (0, 3), xycoords=("axes fraction", "data"),

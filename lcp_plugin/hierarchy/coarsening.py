@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import uintp
 
-from ..kernels import compiled
+from ..compilation import compiled
 
 UNDECIDED, COARSE, FINE = 0, 1, 2
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ..kernels import compiled
+from ..compilation import compiled
 from ..problem import FloatVector
 
 Indices = NDArray[Any]
@@ -207,29 +207,3 @@ def update_product(  # type: ignore[no-untyped-def]
         c_free_changed[row] = free != c_is_free[row]
         c_is_free[row] = free
     return products, changed_rows
-
-
-@compiled
-def is_symmetric(indptr, indices, data, tolerance):  # type: ignore[no-untyped-def]
-    """Return whether M = Mᵀ up to a relative tolerance in each entry; rows sorted. One pass.
-
-    Row by row, the entries right of the diagonal meet the entries below it in the order in which those are stored.
-    """
-    one = uintp(1)
-    place = indptr[:-1].copy()
-    for i in range(uintp(indptr.size - 1)):
-        k = uintp(place[i])
-        end = uintp(indptr[i + one])
-        if k < end and uintp(indices[k]) < i:
-            return False  # an entry left of the diagonal that no row above has met
-        for m in range(k, end):
-            j = uintp(indices[m])
-            if j == i:
-                continue
-            p = uintp(place[j])
-            if p >= uintp(indptr[j + one]) or uintp(indices[p]) != i:
-                return False
-            if not abs(data[m] - data[p]) <= tolerance * (abs(data[m]) + abs(data[p])):
-                return False
-            place[j] = p + one
-    return True

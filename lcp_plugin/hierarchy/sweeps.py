@@ -5,19 +5,25 @@
 
 from __future__ import annotations
 
-from numba import uintp
+from numba import njit, uintp
 
-from ..kernels import compiled
+from ..compilation import compiled
+
+
+@njit(inline="always")
+def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
+    """Return total + Σ data_k x_j over the entries first ≤ k < last of a row."""
+    for k in range(first, last):
+        total += data[k] * x[uintp(indices[k])]
+    return total
 
 
 @compiled
 def first_sweep(indptr, split, indices, data, inverse, b, x):  # type: ignore[no-untyped-def]
     """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
     for i in range(uintp(b.size)):
-        rest = b[i]
-        for k in range(uintp(indptr[i]), uintp(split[i])):
-            rest -= data[k] * x[uintp(indices[k])]
-        x[i] = rest * inverse[i]
+        excess = _plus_products(-b[i], uintp(indptr[i]), uintp(split[i]), indices, data, x)
+        x[i] = excess * -inverse[i]
 
 
 @compiled
@@ -25,11 +31,10 @@ def residual_after_first_sweep(indptr, split, indices, data, inverse, x, residua
     """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed."""
     one = uintp(1)
     for i in range(uintp(x.size)):
-        rest = 0.0
+        excess = 0.0
         if inverse[i] != 0.0:
-            for k in range(uintp(split[i]) + one, uintp(indptr[i + one])):
-                rest -= data[k] * x[uintp(indices[k])]
-        residual[i] = rest
+            excess = _plus_products(0.0, uintp(split[i]) + one, uintp(indptr[i + one]), indices, data, x)
+        residual[i] = -excess
 
 
 @compiled
@@ -38,10 +43,8 @@ def forward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-unty
     one = uintp(1)
     for i in range(uintp(b.size)):
         if inverse[i] != 0.0:
-            rest = b[i]
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                rest -= data[k] * x[uintp(indices[k])]
-            x[i] += rest * inverse[i]
+            excess = _plus_products(-b[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, x)
+            x[i] -= excess * inverse[i]
 
 
 @compiled
@@ -52,10 +55,8 @@ def backward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-unt
     for _ in range(uintp(b.size)):
         i -= one
         if inverse[i] != 0.0:
-            rest = b[i]
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                rest -= data[k] * x[uintp(indices[k])]
-            x[i] += rest * inverse[i]
+            excess = _plus_products(-b[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, x)
+            x[i] -= excess * inverse[i]
 
 
 @compiled
@@ -63,10 +64,7 @@ def restrict(r_indptr, r_indices, r_data, fine, coarse):  # type: ignore[no-unty
     """Coarse ← Pᵀ fine."""
     one = uintp(1)
     for row in range(uintp(coarse.size)):
-        total = 0.0
-        for k in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
-            total += r_data[k] * fine[uintp(r_indices[k])]
-        coarse[row] = total
+        coarse[row] = _plus_products(0.0, uintp(r_indptr[row]), uintp(r_indptr[row + one]), r_indices, r_data, fine)
 
 
 @compiled
@@ -76,9 +74,7 @@ def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # t
     cut = 0
     for i in range(uintp(z.size)):
         if is_free[i]:
-            value = z[i]
-            for k in range(uintp(p_indptr[i]), uintp(p_indptr[i + one])):
-                value += p_data[k] * coarse[uintp(p_indices[k])]
+            value = _plus_products(z[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
             if value < lower[i]:
                 value = lower[i]
                 cut += 1
@@ -95,10 +91,7 @@ def add_prolonged(p_indptr, p_indices, p_data, coarse, inverse, x):  # type: ign
     one = uintp(1)
     for i in range(uintp(x.size)):
         if inverse[i] != 0.0:
-            value = x[i]
-            for k in range(uintp(p_indptr[i]), uintp(p_indptr[i + one])):
-                value += p_data[k] * coarse[uintp(p_indices[k])]
-            x[i] = value
+            x[i] = _plus_products(x[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
 
 
 @compiled
@@ -113,9 +106,7 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
     largest = 0.0
     changed = 0
     for i in range(uintp(z.size)):
-        w = rows[i, 0]
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            w += data[k] * z[uintp(indices[k])]
+        w = _plus_products(rows[i, 0], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)
         above = z[i] - rows[i, 1]
         below = z[i] - rows[i, 2]
         r = w * rows[i, 3]
@@ -144,6 +135,5 @@ def free_product(indptr, indices, data, is_free, p, product):  # type: ignore[no
     for i in range(uintp(p.size)):
         total = 0.0
         if is_free[i]:
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                total += data[k] * p[uintp(indices[k])]
+            total = _plus_products(0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, p)
         product[i] = total

@@ -16,6 +16,7 @@ from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector
 from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
 from .factorisation import diagonal_pivot_factor, factor_fits
+from .symmetry import is_symmetric_entrywise
 
 Solver = Callable[[FloatVector], FloatVector]
 BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
@@ -23,7 +24,6 @@ BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 DENSE_LIMIT = 300
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
-SYMMETRY = 1e-12  # relative asymmetry that conjugate gradients do not notice
 
 
 class ComparisonMatrix:
@@ -47,7 +47,7 @@ class ComparisonMatrix:
     def __init__(self, M: Any) -> None:
         rows = row_numbers(M)
         on_diagonal = rows == M.indices
-        self.is_symmetric = is_nearly_symmetric(M)
+        self.is_symmetric = is_symmetric_entrywise(M)
         self.exponents: Exponents | None = scaling_exponents(M, rows, self.is_symmetric)
         magnitudes = np.abs(M.data)
         signed = np.where(on_diagonal, magnitudes, -magnitudes)
@@ -157,16 +157,6 @@ def comparison_solve(
     comparison = shared_comparison(problem)
     x = comparison.solve(comparison.from_caller(rhs), rows, tolerance)
     return None if x is None else comparison.to_caller(x)
-
-
-def is_nearly_symmetric(M: Any) -> bool:
-    """Return whether a CSR array equals its transpose to some ulps."""
-    transposed = M.T.tocsr()
-    if not (np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices)):
-        return False
-    larger = np.maximum(np.abs(M.data), np.abs(transposed.data))
-    with np.errstate(over="ignore"):
-        return bool((np.abs(M.data - transposed.data) <= SYMMETRY * larger).all())
 
 
 def direct_solver(matrix: Any) -> Solver | None:

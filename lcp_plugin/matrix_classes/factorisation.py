@@ -1,4 +1,4 @@
-"""The sparse factorisation that proofs ask for, and whether it is worth beginning."""
+"""The one door to SuperLU, the factors that proofs ask for, and whether one is worth beginning."""
 
 from __future__ import annotations
 
@@ -43,18 +43,49 @@ def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
     return bool(width.sum() <= LARGEST_FILL and width @ width <= LARGEST_OPERATIONS)
 
 
+def sparse_lu(matrix: Any, **options: Any) -> Any:
+    """Return SuperLU's factor of a square sparse matrix; the options are those of scipy's `splu`.
+
+    Raises
+    ------
+    RuntimeError
+        Where a pivot is exactly zero (SuperLU's own), or no order of the rows avoids one: SuperLU reads and writes
+        outside its arrays there.
+
+    Examples
+    --------
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [2.0, 0.0]])).solve(np.array([3.0, 4.0]))
+    array([2., 3.])
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [0.0, 2.0]]))
+    Traceback (most recent call last):
+    RuntimeError: no order of the rows puts a nonzero on each place of the diagonal
+    """
+    from scipy.sparse.linalg import splu
+
+    matrix = sp.csc_array(matrix)
+    if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
+        raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
+    return splu(matrix, **options)
+
+
+def _is_structurally_regular(matrix: Any) -> bool:
+    from scipy.sparse.csgraph import structural_rank
+
+    pattern = sp.csr_array(matrix, copy=True)
+    pattern.eliminate_zeros()
+    return bool(np.diff(pattern.indptr).all() and structural_rank(pattern) == matrix.shape[0])
+
+
 def diagonal_pivot_factor(matrix: Any) -> Any | None:
     """Return SuperLU's factor with pivots from the diagonal, in one order for rows and columns, or None if singular.
 
     That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
     """
-    from scipy.sparse.linalg import splu
-
     try:
-        return splu(
-            sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        return sparse_lu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-    except RuntimeError:  # "Factor is exactly singular"
+    except RuntimeError:
         return None
 
 

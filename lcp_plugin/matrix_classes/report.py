@@ -17,7 +17,8 @@ from .definiteness import semidefinite_margin, symmetric_part
 from .exact import EXACT_SIZE
 from .factorisation import factor_fits
 from .h_matrix import HVerdict, h_verdict
-from .structure import IntVector, asymmetry, components, row_excess_signs, scale_spread, strong_blocks, triangular_form
+from .structure import IntVector, components, row_excess_signs, scale_spread, strong_blocks, triangular_form
+from .symmetry import asymmetry
 from .verdicts import Verdict
 
 LINE = 100

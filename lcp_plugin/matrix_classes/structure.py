@@ -49,25 +49,6 @@ def triangular_form(M: Any) -> str | None:
     return "upper" if (rows <= M.indices).all() else None
 
 
-def asymmetry(M: Any) -> float:
-    """Return the largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
-    transposed = M.T.tocsr()
-    if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
-        ours, theirs = M.data, transposed.data
-    else:
-        difference = sp.coo_array(M - transposed)
-        if difference.nnz == 0:
-            return 0.0
-        ours = np.asarray(M[difference.row, difference.col]).ravel()
-        theirs = np.asarray(M[difference.col, difference.row]).ravel()
-    unequal = ours != theirs
-    if not unequal.any():
-        return 0.0
-    ours, theirs = ours[unequal], theirs[unequal]
-    larger = np.maximum(np.abs(ours), np.abs(theirs))
-    return float(np.abs(ours / larger - theirs / larger).max())
-
-
 def row_excess_signs(M: Any) -> IntVector:
     """Return the sign of |m_ii| − Σ_j≠i |m_ij| of each row, exactly, shape (n,)."""
     ones = np.ones(M.shape[0])

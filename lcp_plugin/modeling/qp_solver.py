@@ -70,7 +70,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         if not is_optimal and (is_proven or not ended_by_caller(result, options)):
             proof = program.proof_of_no_minimum
         if verbose:
-            print(result.explain() if proof is None else f"{result.explain()}\n{proof}")
+            settings.LOGGER.info(result.explain() if proof is None else f"{result.explain()}\n{proof}")
         return result, solution, _status(result, is_optimal, proof), proof
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:

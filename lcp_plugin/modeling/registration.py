@@ -94,7 +94,7 @@ def solve_model(
     warm_start : bool
         Begin with the present values of the variables where all have one.
     verbose : bool
-        Print the story of the run.
+        Tell the story of the run through cvxpy's logger.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 
@@ -127,7 +127,7 @@ def solve_model(
         options["z0"] = start
     result = solve_lcp(model.problem, algorithm, **options)
     if verbose:
-        print(result.explain())
+        settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
     return problem.value
 

@@ -16,7 +16,7 @@ from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ..problem import LCP, FloatVector
 from .explorer import Explorer, Face
 
-__all__ = ["Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "search"]
+__all__ = ["Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
@@ -190,15 +190,24 @@ def _rounded(value: Fraction) -> float:
         return math.inf if value > 0 else -math.inf
 
 
+def is_searchable(problem: LCP) -> bool:
+    """Return whether the problem is small enough for a search."""
+    return _choices(problem) <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE
+
+
+def _choices(problem: LCP) -> int:
+    """Return how many rows leave a choice."""
+    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
+
+
 def _require_small(problem: LCP) -> None:
     if not isinstance(problem, LCP):
         raise InvalidProblem(f"the search needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
-    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-    choices = int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
-    if choices > LARGEST_CHOICES or problem.n > LARGEST_SIZE:
+    if not is_searchable(problem):
         raise UnsuitableProblem(
             f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "
-            f"got {choices} and n = {problem.n}; solve(problem) looks for one solution"
+            f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
 
 

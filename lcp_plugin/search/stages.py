@@ -45,9 +45,9 @@ class ExhaustiveSearch(Algorithm):
     """Branch and bound over z_i = bound, w_i = 0 in exact arithmetic; finds a solution or proves that there is none."""
 
     name: ClassVar[str] = "search"
-    assumption: ClassVar[str] = "at most 24 rows that leave a choice, n ≤ 60"
+    assumption: ClassVar[str] = f"at most {LARGEST_CHOICES} rows that leave a choice, n ≤ {LARGEST_SIZE}"
     converges_on: ClassVar[str] = "every matrix"
-    cost: ClassVar[str] = "50 cases, each an exact linear program"
+    cost: ClassVar[str] = f"{NODES_A_STEP} cases, each an exact linear program"
     reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
     is_monotone: ClassVar[bool] = False
 
@@ -66,10 +66,3 @@ class ExhaustiveSearch(Algorithm):
                 yield Step(z0, work=float(NODES_A_STEP))
             if nodes >= MOST_NODES:
                 return
-
-
-def is_searchable(problem: LCP) -> bool:
-    """Return whether an exhaustive search takes the problem."""
-    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-    choices = int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
-    return choices <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms.interior_point import InteriorPoint
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.result import Status
 

@@ -13,12 +13,17 @@ import sys
 from collections import Counter
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import linprog
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from exact import solve_fractions
+
 from lcp_plugin import LCP, Certificate
-from lcp_plugin.algorithms.lemke import Lemke
+from lcp_plugin.algorithms.pivots.lemke import Lemke
 
 CLASSES = ("P", "PSD", "copositive", "indefinite", "nonnegative", "skew", "sparse", "degenerate")
 GUARANTEED = ("P,", "PSD,", "copositive,")
@@ -61,22 +66,6 @@ def problem(kind: str, bounds: str, n: int, rng: np.random.Generator) -> LCP:
     return LCP(matrix(kind, n, rng).astype(float), q, lower=lower, upper=upper)
 
 
-def exact_solve(M: list[list[Fraction]], b: list[Fraction]) -> list[Fraction] | None:
-    """The solution of M x = b, None where M is singular."""
-    n, rows = len(b), [[*row, value] for row, value in zip(M, b, strict=True)]
-    for k in range(n):
-        pivot = next((i for i in range(k, n) if rows[i][k]), None)
-        if pivot is None:
-            return None
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [value / rows[k][k] for value in rows[k]]
-        for i in range(n):
-            if i != k and rows[i][k]:
-                factor = rows[i][k]
-                rows[i] = [a - factor * c for a, c in zip(rows[i], rows[k], strict=True)]
-    return [row[-1] for row in rows]
-
-
 def is_solvable(lcp: LCP) -> bool:
     """Whether any cell holds a solution: regular cells in fractions, singular ones by a linear program."""
     n, M = lcp.n, lcp.csr.toarray()
@@ -91,7 +80,7 @@ def is_solvable(lcp: LCP) -> bool:
         z = [Fraction(0) if s == "b" else Fraction(lcp.lower[i] if s == "l" else lcp.upper[i])
              for i, s in enumerate(cell)]
         w = [Fraction(lcp.q[i]) + sum(F[i][j] * z[j] for j in range(n)) for i in range(n)]
-        solved = exact_solve([[F[i][j] for j in inner] for i in inner], [-w[i] for i in inner])
+        solved = solve_fractions([[F[i][j] for j in inner] for i in inner], [-w[i] for i in inner])
         if solved is None:
             singular.append(cell)
             continue

@@ -15,9 +15,14 @@ from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from exact import has_positive_pivots
 
 from lcp_plugin.matrix_classes import MatrixReport, analyze
 
@@ -164,18 +169,6 @@ def is_connected(M: np.ndarray) -> bool:
     for _ in M:
         reached = reached @ reached
     return bool(reached.all())
-
-
-def has_positive_pivots(A: list[list[Fraction]]) -> bool:
-    """Return whether elimination without exchanges meets positive pivots only."""
-    A = [row[:] for row in A]
-    for k in range(len(A)):
-        if A[k][k] <= 0:
-            return False
-        for i in range(k + 1, len(A)):
-            factor = A[i][k] / A[k][k]
-            A[i] = [a - factor * b for a, b in zip(A[i], A[k], strict=True)]
-    return True
 
 
 def is_semidefinite(A: list[list[Fraction]]) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...algorithms.interior_point import InteriorPoint
+from ...algorithms.interior_points.interior_point import InteriorPoint
 from ...driver import solve
 from ...problem import LCP, FloatVector
 from .timing import medians

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Any
 
 from ..curves import write_text
+from .machine import machine
 from .plan import Part
 
 Contents = dict[tuple[str, str], dict[str, Any]]
@@ -41,7 +42,7 @@ class Collected:
 
 
 def collect(parts: Sequence[Part], folder: Path, progress: Progress | None = None) -> Collected:
-    """Return the contents of all parts, those from a former run of the same program read from `folder`.
+    """Return the contents of all parts, those from a former run of the same program and machine read from `folder`.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def collect(parts: Sequence[Part], folder: Path, progress: Progress | None = Non
 
     Notes
     -----
-    On Ctrl-C the part under way is given up, and what is there is returned.
+    On Ctrl-C the part under way is given up, and what is there is returned; a second one changes nothing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     say = progress or (lambda done, total, label: None)
@@ -84,10 +85,13 @@ def _detail(say: Progress, done: int, total: int, label: str, text: str) -> None
 
 def _computed(part: Part, interruption: _Interruption, say: Callable[[str], object]) -> dict[str, Any] | None:
     try:
+        interruption.may_raise = True
         content = part.compute(say)
     except KeyboardInterrupt:
         interruption.is_wanted = True
         return None
+    finally:
+        interruption.may_raise = False
     # A solver may swallow Ctrl-C and return what it has; that is no measurement.
     return None if interruption.is_wanted else content
 
@@ -104,8 +108,9 @@ def _key(part: Part, program: str) -> str:
 
 
 def fingerprint() -> str:
-    """Return a hash of the package's own source: parts of another program are computed again."""
-    digest = hashlib.sha256()
+    """Return a hash of the package's own source, processor and versions: parts of others are computed again."""
+    facts = {name: fact for name, fact in machine().items() if name != "measured"}
+    digest = hashlib.sha256(json.dumps(facts).encode())
     for path in sorted(_sources(files(__package__.partition(".")[0])), key=str):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
@@ -120,10 +125,13 @@ def _sources(folder: Any) -> Iterator[Any]:
 
 
 class _Interruption:
-    """While this is open, Ctrl-C is remembered even where a solver swallows the exception."""
+    """While this is open, Ctrl-C is remembered even where a solver swallows the exception.
+
+    It raises only where something is computed: what is being written is written.
+    """
 
     def __init__(self) -> None:
-        self.is_wanted = False
+        self.is_wanted = self.may_raise = False
         self._former: Any = None
 
     def __enter__(self) -> _Interruption:
@@ -137,4 +145,5 @@ class _Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.is_wanted = True
-        raise KeyboardInterrupt
+        if self.may_raise:
+            raise KeyboardInterrupt

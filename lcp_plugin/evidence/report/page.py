@@ -221,6 +221,7 @@ def _atlas(collected: Collected) -> dict[str, Any] | None:
         rows.append((name, [_tally(cells) for cells in own]))
     return {
         "families": families, "rows": rows, "lies": atlas.lies, "unsolved": atlas.unsolved, "skipped": atlas.skipped,
+        "misleading": sorted(atlas.misleading, key=lambda cell: cell.condition),
         "count": len(atlas.cells), "share": atlas.solved_share, "well_posed": len(atlas.well_posed),
     }
 

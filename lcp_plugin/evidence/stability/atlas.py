@@ -246,6 +246,8 @@ def _checked_families(stresses: Iterable[str] | None) -> list[str]:
 def _words(names: Iterable[str], option: str) -> list[str]:
     if isinstance(names, str):
         raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
+    if not isinstance(names, Iterable):
+        raise InvalidOption(f"{option} must be a list of names, got {names!r}")
     return list(names)
 
 

@@ -1,0 +1,79 @@
+"""The oil film of a journal bearing: where it tears.
+
+A shaft turns off-centre in its bearing and drags oil into the narrowing gap h(θ) = 1 + ε cos θ. Pressure builds up
+there and carries the load. Behind the narrowest place the equation alone would ask for suction; oil cannot pull, the
+film tears (cavitation), and the pressure is zero:
+
+    p ≥ 0,   −∇·(h³ ∇p) ≥ ε sin θ,   and at every point one of the two is an equation.
+
+For a very long bearing there is a reference that needs no LCP: h³ p' = ε (cos θ − cos θc) up to the angle θc where the
+film tears, which is found from p(θc) = 0 by quadrature.
+
+Sources: Cryer, Math. Comp. 25, 1971, doi:10.1090/S0025-5718-1971-0298961-7 (cavitation as complementarity); Moré,
+Toraldo, SIAM J. Optim. 1, 1991, doi:10.1137/0801008 (this model).
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from lcp_plugin import gallery, solve
+from lcp_plugin.evidence.drawing import STYLE
+
+ECCENTRICITY, SIZE = 0.6, 140
+
+
+def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return angles in degrees, places along the shaft in radii, and the pressure over both, shape (SIZE, SIZE)."""
+    scene = gallery.journal_bearing(size=SIZE, eccentricity=ECCENTRICITY, half_length=half_length)
+    result = solve(scene.problem).require_solved()
+    print(f"length {2 * half_length:.0f} radii: {result.algorithm}, {result.iterations} iterations, "
+          f"the film is torn at {np.mean(result.z == 0):.0%} of the nodes")
+    angle, along = scene.coordinates
+    return np.degrees(angle), along, scene.picture(result.z)
+
+
+def very_long() -> tuple[float, np.ndarray]:
+    """Return the angle θc in degrees where the film tears, and the pressure at whole degrees up to it."""
+    def slope(angle: float, torn: float) -> float:
+        return ECCENTRICITY * (np.cos(angle) - np.cos(torn)) / (1 + ECCENTRICITY * np.cos(angle)) ** 3
+
+    torn = brentq(lambda end: quad(slope, 0, end, args=(end,))[0], np.pi * 1.01, np.pi * 1.9)
+    degrees = np.arange(np.degrees(torn))
+    return np.degrees(torn), np.array([quad(slope, 0, np.radians(angle), args=(torn,))[0] for angle in degrees])
+
+
+def main(out: Path = Path()) -> None:
+    """Solve a short and a long bearing, compare the long one with quadrature, save a picture into the folder OUT."""
+    angle, along, film = pressure(1.0)
+    _, _, long_film = pressure(10.0)
+    middle, torn_at = long_film[:, SIZE // 2], angle[np.flatnonzero(long_film[:, SIZE // 2])[-1]]
+    torn, exact = very_long()
+    print(f"the long film tears at {torn_at:.1f}°, by quadrature at {torn:.1f}° (step {angle[1] - angle[0]:.1f}°)")
+    print(f"check: the largest pressure differs from quadrature by {abs(middle.max() / exact.max() - 1):.2%}")
+
+    plt.style.use(STYLE)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.8, 4.2), layout="constrained")
+    image = left.pcolormesh(along, angle, film, shading="nearest", cmap="cividis", rasterized=True)
+    figure.colorbar(image, ax=left, label="pressure").outline.set_visible(False)
+    left.contour(along, angle, film > 0, levels=[0.5], colors="#D55E00", linewidths=1.8)
+    left.text(1.0, 300, "torn film, p = 0", color="white", ha="center", fontsize=10)
+    left.set(xlabel="along the shaft (radii)", ylabel="angle θ (degrees)", yticks=range(0, 361, 90))
+    left.set_title("Short bearing, as long as wide")
+    left.grid(visible=False)
+    right.fill_between(angle, middle, color="#0072B2", alpha=0.15, linewidth=0)
+    right.plot(angle, middle, color="#0072B2", linewidth=1.8, label="20 radii long")
+    right.plot(range(len(exact))[::12], exact[::12], "o", color="#D55E00", markerfacecolor="white", label="quadrature")
+    right.plot(angle, film[:, SIZE // 2], color="#009E73", linestyle="--", label="2 radii long")
+    right.set(xlim=(0, 360), ylim=(0, None), xticks=range(0, 361, 90), xlabel="angle θ (degrees)", ylabel="pressure")
+    right.set_title(f"In the middle of the shaft; the long film tears at {torn:.0f}°")
+    right.legend(loc="upper right")
+    figure.savefig(out / "journal_bearing.png", dpi=150)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,1 @@
+"""Active sets: Newton's method, its linear systems, and principal pivots."""

@@ -1,0 +1,256 @@
+"""The Newton matrix of an interior point, M + diag: equilibrated, regularised, factorised as its structure allows."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...checks import FloatVector
+from ...matrix_classes.factorisation import sparse_lu
+
+DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
+EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
+RUIZ_PASSES = 8
+REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
+LARGEST_REGULARISATION = 1e-4
+REFINEMENTS = 5
+PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
+USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
+REFINED = 1e-14
+
+
+class NewtonMatrix(ABC):
+    """M + diag(diagonal), factorised once an iteration; M itself is given, equilibrated, and not modified.
+
+    Attributes
+    ----------
+    work : float
+        Multiplications so far.
+    """
+
+    def __init__(self, M: Any) -> None:
+        self.M = M
+        self.n = M.shape[0]
+        self.work = 0.0
+        self.regularisation = REGULARISATION
+        self._diagonal = np.zeros(self.n)
+
+    def factorise(self, diagonal: FloatVector) -> bool:
+        """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
+        self._diagonal = diagonal
+        self.regularisation = max(REGULARISATION, 0.01 * self.regularisation)
+        while not self._try(diagonal + self.regularisation):
+            self.regularisation *= 100.0
+            if self.regularisation > LARGEST_REGULARISATION:
+                return False
+        return True
+
+    def solve(self, right: FloatVector) -> FloatVector:
+        """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
+        x = self._apply(right)
+        goal = REFINED * float(np.max(np.abs(right), initial=0.0))
+        left = self._left(right, x)
+        error = float(np.max(np.abs(left), initial=0.0))
+        for _ in range(REFINEMENTS):
+            if not goal < error < np.inf:
+                break
+            better = x + self._apply(left)
+            left = self._left(right, better)
+            smaller = float(np.max(np.abs(left), initial=0.0))
+            if not smaller < error:
+                break
+            x, error = better, smaller
+        return x
+
+    def _left(self, right: FloatVector, x: FloatVector) -> FloatVector:
+        self.work += self._entries
+        left: FloatVector = right - self.M @ x - self._diagonal * x
+        return left
+
+    @property
+    def _entries(self) -> float:
+        return float(self.M.nnz if sp.issparse(self.M) else self.M.size)
+
+    @abstractmethod
+    def _try(self, diagonal: FloatVector) -> bool:
+        """Factorise M + diag(diagonal); return whether that succeeded."""
+
+    @abstractmethod
+    def _apply(self, right: FloatVector) -> FloatVector:
+        """Return the factor's answer to one right-hand side."""
+
+
+class DenseNewtonMatrix(NewtonMatrix):
+    """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
+
+    def __init__(self, M: FloatVector, is_symmetric: bool) -> None:
+        from scipy.linalg import lapack
+
+        super().__init__(M)
+        self._lapack, self._is_symmetric = lapack, is_symmetric
+        self._buffer = np.empty_like(M)
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        np.copyto(self._buffer, self.M)
+        self._buffer.flat[:: self.n + 1] += diagonal
+        if self._is_symmetric:
+            self.work += self.n**3 / 6.0
+            self._factor, info = self._lapack.dpotrf(self._buffer.T, lower=1, overwrite_a=1, clean=0)
+        else:
+            self.work += self.n**3 / 3.0
+            self._factor, self._pivots, info = self._lapack.dgetrf(self._buffer.T, overwrite_a=1)
+        return bool(info == 0)
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += float(self.n) ** 2
+        x: FloatVector
+        if self._is_symmetric:
+            x = self._lapack.dpotrs(self._factor, right, lower=1)[0]
+        else:
+            x = self._lapack.dgetrs(self._factor, self._pivots, right, trans=1)[0]
+        return x
+
+
+class SparseNewtonMatrix(NewtonMatrix):
+    """LU by SuperLU, ordered once by the pattern of M + Mᵀ, pivots from the diagonal.
+
+    The symmetric part of M + diag is positive definite, so every pivot on the diagonal is positive: on the matrix of
+    a quadratic program, [P, Aᵀ; −A, 0], this is the factorisation of the quasi-definite matrix with the signs of the
+    last rows turned. Where a solve shows a factor to be useless, pivoting is allowed.
+    """
+
+    def __init__(self, M: sp.csr_array) -> None:
+        super().__init__(M)
+        # Entries as CSR of M + diag, which is CSC of its transpose; the diagonal is always stored.
+        union = sp.csr_array(abs(M) + sp.eye_array(self.n, format="csr"))
+        keys = self._keys(union)
+        data = np.zeros(union.nnz)
+        data[np.searchsorted(keys, self._keys(M))] = M.data
+        self._diagonal_at = np.searchsorted(keys, np.arange(self.n, dtype=np.int64) * (self.n + 1))
+        self._own_diagonal = data[self._diagonal_at]
+        self._matrix = sp.csc_array((data, union.indices, union.indptr), shape=union.shape)
+        self._order: NDArray[np.intp] | None = None
+        self._factor: Any = None
+        self._factor_order: NDArray[np.intp] | None = None
+        self._factor_work = 0.0
+        self._pivoting = 0
+
+    def _keys(self, matrix: sp.csr_array) -> NDArray[np.int64]:
+        rows = np.repeat(np.arange(self.n, dtype=np.int64), np.diff(matrix.indptr))
+        keys: NDArray[np.int64] = rows * self.n + matrix.indices
+        return keys
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        self._matrix.data[self._diagonal_at] = self._own_diagonal + (
+            diagonal if self._order is None else diagonal[self._order]
+        )
+        for pivoting in range(self._pivoting, len(PIVOTS)):
+            try:
+                self._factor = sparse_lu(
+                    self._matrix, permc_spec="MMD_AT_PLUS_A" if self._order is None else "NATURAL",
+                    diag_pivot_thresh=PIVOTS[pivoting], options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
+                )
+            except RuntimeError:
+                continue
+            self._factor_order = self._order
+            if self._order is None:
+                self._count_work()
+                self._keep_order(np.argsort(self._factor.perm_c))
+            self.work += self._factor_work
+            if self._is_useful(diagonal):
+                self._pivoting = pivoting
+                return True
+        return False
+
+    def _keep_order(self, order: NDArray[np.intp]) -> None:
+        """Put rows and columns in the order that was found, so that nobody looks for it again."""
+        matrix = self._matrix
+        numbered = sp.csc_array((np.arange(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
+        moved = sp.csc_array(numbered[order][:, order])
+        moved.sort_indices()
+        came_from = moved.data
+        goes_to = np.empty_like(came_from)
+        goes_to[came_from] = np.arange(came_from.size)
+        self._matrix = sp.csc_array((matrix.data[came_from], moved.indices, moved.indptr), shape=matrix.shape)
+        self._diagonal_at, self._own_diagonal = goes_to[self._diagonal_at[order]], self._own_diagonal[order]
+        self._order = order
+
+    def _count_work(self) -> None:
+        lower, upper = self._factor.L, self._factor.U
+        columns_of_lower = np.diff(lower.indptr).astype(np.float64)
+        rows_of_upper = np.bincount(upper.indices, minlength=self.n)
+        self._factor_work = float(columns_of_lower @ rows_of_upper)
+
+    def _is_useful(self, diagonal: FloatVector) -> bool:
+        """Whether a solve leaves a residual that refinement can reduce."""
+        x = self._apply(np.ones(self.n))
+        left = 1.0 - self.M @ x - diagonal * x
+        return bool(np.max(np.abs(left), initial=0.0) <= USEFUL)
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += float(self._factor.nnz)
+        x: FloatVector
+        if self._factor_order is None:
+            x = self._factor.solve(right, trans="T")
+        else:
+            x = np.empty_like(right)
+            x[self._factor_order] = self._factor.solve(right[self._factor_order], trans="T")
+        return x
+
+
+def newton_matrix(M: Any, is_symmetric: bool) -> NewtonMatrix:
+    """Return the Newton matrix that suits M: dense or small, or sparse."""
+    if not sp.issparse(M):
+        return DenseNewtonMatrix(M, is_symmetric)
+    if M.shape[0] <= DENSE_UP_TO:
+        return DenseNewtonMatrix(M.toarray(), is_symmetric)
+    return SparseNewtonMatrix(M)
+
+
+def equilibration(M: Any) -> FloatVector | None:
+    """Return c, powers of two, shape (n,), such that c_i m_ij c_j has rows and columns of even size; None for c = 1.
+
+    The same factors on both sides keep a monotone matrix monotone and a symmetric one symmetric.
+    """
+    n = M.shape[0]
+    c = np.ones(n)
+    if not n:
+        return None
+    if not sp.issparse(M):
+        diagonal = M.diagonal()
+        if diagonal.min() > 0.0:
+            if diagonal.max() <= EVEN * diagonal.min():
+                return None
+            return _power_of_two(1.0 / np.sqrt(diagonal))
+    absolute = abs(M)
+    for _ in range(RUIZ_PASSES):
+        scaled = scaled_by(absolute, c)
+        size = np.maximum(_largest_along(scaled, 0), _largest_along(scaled, 1))
+        size[size == 0.0] = 1.0
+        c /= np.sqrt(size)
+        if size.max() <= 2.0 and size.min() >= 0.5:
+            break
+    return _power_of_two(c)
+
+
+def scaled_by(M: Any, c: FloatVector) -> Any:
+    """Return c_i m_ij c_j."""
+    if not sp.issparse(M):
+        return M * c[:, None] * c
+    rows = np.repeat(c, np.diff(M.indptr))
+    return sp.csr_array((M.data * rows * c[M.indices], M.indices, M.indptr), shape=M.shape)
+
+
+def _largest_along(M: Any, axis: int) -> FloatVector:
+    largest = M.max(axis=axis)
+    vector: FloatVector = np.asarray(largest.toarray() if sp.issparse(largest) else largest, dtype=float).ravel()
+    return vector.copy()
+
+
+def _power_of_two(c: FloatVector) -> FloatVector:
+    rounded: FloatVector = np.ldexp(1.0, np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64))
+    return rounded

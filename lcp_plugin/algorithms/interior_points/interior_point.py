@@ -1,0 +1,284 @@
+"""Interior point for monotone problems, with the active set guessed early and solved for at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...certificates.residuals import scaled_residual
+from ...matrix_classes.symmetry import is_symmetric_to_rounding
+from ...problem import LCP, FloatVector
+from ..active_sets.active_set import is_nearly_symmetric
+from ..base import Algorithm, Step, without_warnings
+from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
+from .monotone_rows import monotone_rows
+from .predictor_corrector import PredictorCorrector
+from .primal_active_set import PrimalActiveSet
+
+BoolVector = NDArray[np.bool_]
+
+SMALL = 600  # rows up to which a sweep costs less than one change of an active set
+SWEEPS_AT_ONCE = (20, 5)  # small or not
+MOST_SWEEPS = 60
+SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
+FIRST_GUESS = (100, 0.25)  # changes of the first active set before interior steps are tried: 100 + n/4
+LATER_GUESS = (20, 0.02)
+EARLIEST_GUESS = 3
+PATIENCE = 12
+MOST_ITERATIONS = 150
+POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
+MOST_POLISHES = 12
+POLISHING_ROUNDS = 4
+DENSE_UP_TO = 1000  # rows of a sparse symmetric M that is treated as a dense one, unless fewer entries than this share
+SPARSE_BELOW = 0.01
+LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
+CLASSIFICATIONS = (1.0, 1e-3, 1e3)
+SAFE_TO_MULTIPLY = 400  # bits
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteriorPoint(Algorithm):
+    """Infeasible predictor–corrector: Newton on {M z + q = w⁺ − w⁻, (z − lower) w⁺ = (upper − z) w⁻ = μ}, μ → 0.
+
+    Notes
+    -----
+    For monotone M, symmetric or not, also where its rows are in other units; rows bounded on one side, on both, on
+    none, or fixed. Singular blocks are regularised and refined. As soon as the active set looks settled its linear
+    system is solved, so that the residual of the answer is at rounding level and not only the gap. On dense symmetric M
+    a few projected Gauss–Seidel sweeps guess the active set beforehand, and a primal active set method corrects the
+    guess with one Cholesky factor; only where that takes long do interior steps follow, three as a rule, before it
+    tries again.
+
+    References
+    ----------
+    Mehrotra 1992, doi:10.1137/0802028. Gondzio 1996, doi:10.1007/BF00249643. Friedlander, Orban 2012,
+    doi:10.1007/s12532-012-0035-2.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> lcp_plugin.solve(problem, InteriorPoint()).z
+    array([2.5, 0. ])
+    """
+
+    name: ClassVar[str] = "interior_point"
+    assumption: ClassVar[str] = "monotone M"
+    converges_on: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
+    cost: ClassVar[str] = "1 factorisation"
+    reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
+    is_compiled: ClassVar[bool] = True
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""
+        z = np.clip(z0, problem.lower, problem.upper)
+        yield Step(z, work=1.0)
+        yield from without_warnings(self._steps(problem, z))
+
+    def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
+        yield from _Search(problem).steps(z)
+
+
+class _Search:
+    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y."""
+
+    def __init__(self, problem: LCP) -> None:
+        self.problem = problem
+        kept = np.flatnonzero(problem.lower != problem.upper)
+        self.kept = None if kept.size == problem.n else kept
+        M, q = problem.M, problem.q
+        lower, upper = problem.lower, problem.upper
+        if self.kept is not None:
+            fixed = np.where(lower == upper, lower, 0.0)
+            q = (q + M @ fixed)[kept]
+            M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
+            lower, upper = lower[kept], upper[kept]
+        self.is_symmetric = not sp.issparse(M) and self._is_symmetric(M)
+        r = None if self.is_symmetric else monotone_rows(M)
+        if r is not None:
+            M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
+            q = r * q
+        if sp.issparse(M) and q.size <= DENSE_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
+            dense = M.toarray()
+            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric_to_rounding(dense)
+            M = dense if self.is_symmetric else M
+        c = equilibration(M)
+        self.M = M if c is None else scaled_by(M, c)
+        c = np.ones(q.size) if c is None else c
+        q = q * c
+        size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
+        self.unit = c * size
+        self.q, self.lower, self.upper = q / size, lower / c / size, upper / c / size
+        self.entries = max(float(problem.M.nnz if sp.issparse(problem.M) else problem.M.size), 1.0)
+        self.counted = 0.0  # of the primal active set's work
+        self.best, self.best_z = np.inf, np.array(problem.nearest_to_zero)
+
+    # --- what the driver sees ---------------------------------------------------------------------------
+
+    def step(self, y: FloatVector, work: float) -> Step:
+        """Return the best z so far, with y, projected, taken into account; `work` is what y took."""
+        problem = self.problem
+        z = problem.lower.copy()
+        inside = self.unit * y
+        if self.kept is None:
+            z = inside
+        else:
+            z[self.kept] = inside
+        z = np.clip(z, problem.lower, problem.upper)
+        residual = scaled_residual(problem, z, problem.slack(z))
+        largest = float(np.max(np.abs(residual), initial=0.0))
+        if largest < self.best:
+            self.best, self.best_z = largest, z
+        return Step(self.best_z, residual=self.best, work=1.0 + work / self.entries)
+
+    # --- the stages -------------------------------------------------------------------------------------
+
+    def steps(self, z0: FloatVector) -> Iterator[Step]:
+        y = (z0 if self.kept is None else z0[self.kept]) / self.unit
+        if not y.size:
+            yield self.step(y, 0.0)
+            return
+        primal: PrimalActiveSet | None = None
+        if self.is_symmetric:
+            primal = PrimalActiveSet(self.M, self.q, self.lower, self.upper)
+            yield from self.guessed(primal, y)
+        yield from self.interior(primal)
+
+    def _is_symmetric(self, M: FloatVector) -> bool:
+        """Whether a dense M could be that of a convex energy."""
+        if M.size and float(M.diagonal().min()) < 0.0:
+            return False
+        if self.kept is None:
+            return is_nearly_symmetric(self.problem) if M is self.problem.M else is_symmetric_to_rounding(M)
+        return is_symmetric_to_rounding(M)
+
+    def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
+        """Sweep until few rows change sides, then correct the active set one row at a time."""
+        from .dense_sweep import dense_sweeps
+
+        n = y.size
+        diagonal = self.M.diagonal()
+        inverse = np.divide(1.0, diagonal, out=np.zeros(n), where=diagonal > 0.0)
+        M = np.ascontiguousarray(self.M).view()
+        M.flags.writeable = False
+        y = y.copy()
+        sweeps, at_once = 0, SWEEPS_AT_ONCE[n > SMALL]
+        inside, changes = np.zeros(n, dtype=bool), n
+        w = M @ y + self.q
+        while sweeps < MOST_SWEEPS and changes > SETTLED * n:
+            dense_sweeps(M, inverse, self.lower, self.upper, y, w, at_once)
+            sweeps += at_once
+            before, inside = inside, (self.lower < y) & (y < self.upper)
+            changes = int(np.count_nonzero(before != inside))
+        primal.start(y, inside)
+        if n > SMALL:
+            yield self.step(y, sweeps * self.entries)
+        else:  # a step of its own would cost more than it tells
+            primal.work += sweeps * self.entries
+        yield from self.corrected(primal, FIRST_GUESS)
+
+    def corrected(self, primal: PrimalActiveSet, limit: tuple[int, float]) -> Iterator[Step]:
+        for _ in primal.steps(limit[0] + int(limit[1] * self.q.size)):
+            yield self.step(primal.z, primal.work - self.counted)
+            self.counted = primal.work
+
+    def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
+        """Make interior steps; after each, where the active set has settled, solve for it."""
+        symmetric = primal is not None
+        matrix = newton_matrix(self.M, symmetric)
+        corrections = 2 if self.q.size >= LARGE else 1
+        point = PredictorCorrector(matrix, self.q, self.lower, self.upper, corrections)
+        if not point.start():
+            return
+        first_gap, counted, since_best = point.gap, 0.0, 0
+        polishes, settled_for, last = 0, 0, None
+        for k in range(MOST_ITERATIONS):
+            if not point.step():
+                break
+            before = self.best
+            yield self.step(point.z, matrix.work - counted)
+            counted = matrix.work
+            since_best = 0 if self.best < 0.9 * before else since_best + 1
+            if since_best >= PATIENCE:
+                break
+            if primal is not None:
+                if k + 1 >= EARLIEST_GUESS:
+                    primal.start(np.clip(point.z, self.lower, self.upper), ~_active(point, 1.0)[0])
+                    yield from self.corrected(primal, LATER_GUESS)
+                    if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
+                        break
+                continue
+            present = _active(point, 1.0)
+            has_settled = last is not None and np.array_equal(last[0], present[0])
+            last = present
+            settled_for = settled_for + 1 if has_settled else 0
+            if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
+                polishes += 1
+                yield from self.polished(point, 1.0)
+        for threshold in CLASSIFICATIONS:
+            yield from self.polished(point, threshold)
+
+    def polished(self, point: PredictorCorrector, threshold: float) -> Iterator[Step]:
+        """Solve the linear system of the active set and correct the set, as long as that improves the residual."""
+        active, at = _active(point, threshold)
+        y, best = point.z.copy(), self.best
+        for _ in range(POLISHING_ROUNDS):
+            y = np.where(active, at, y)
+            work = self._solve_for(y, np.flatnonzero(~active))
+            if not np.isfinite(y).all():
+                return
+            yield self.step(y, work)
+            w = self.M @ y + self.q
+            outside = ~active & ((y < self.lower) | (y > self.upper))
+            inwards = active & np.where(at == self.lower, w < 0.0, w > 0.0)
+            if not (outside.any() or inwards.any()) or not self.best < best:
+                return
+            best = self.best
+            at = np.where(outside, np.where(y < self.lower, self.lower, self.upper), at)
+            active = (active | outside) & ~inwards
+
+    def _solve_for(self, y: FloatVector, free: NDArray[np.intp]) -> float:
+        """Change y on the free rows by as little as makes w = 0 there, as well as can be; return the work."""
+        if not free.size:
+            return 0.0
+        # A fresh order for the block: the one of the whole matrix, active rows pinned, was measured less accurate.
+        block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
+        system = newton_matrix(block, False)
+        if not system.factorise(np.zeros(free.size)):
+            y[free] = np.nan
+            return system.work
+        for _ in range(2):
+            y[free] -= system.solve((self.M @ y + self.q)[free])
+        return system.work
+
+
+def _unit_of(q: FloatVector, entries: FloatVector) -> float:
+    """Return a power of two to measure y and w in: 1, or what makes y w about 1 where it would leave the range.
+
+    With M and q of sizes m and s, y is about s/m and w about s.
+    """
+    of_q, of_M = (np.frexp(np.abs(values).max(initial=0.0)) for values in (q, entries))
+    exponent = int(of_q[1]) - 1 - int(of_M[1]) // 2
+    is_known = 0.0 < of_q[0] < np.inf and 0.0 < of_M[0] < np.inf
+    return float(np.ldexp(1.0, exponent)) if is_known and SAFE_TO_MULTIPLY < abs(exponent) < 1000 else 1.0
+
+
+def _active(point: PredictorCorrector, threshold: float) -> tuple[BoolVector, FloatVector]:
+    """Return the rows whose distance to a bound is less than threshold × its multiplier, and that bound."""
+    n = point.z.size
+    active, at = np.zeros(n, dtype=bool), np.zeros(n)
+    upper = point.above < threshold * point.w_upper
+    rows = point.has_upper[upper]
+    active[rows], at[rows] = True, point.upper[upper]
+    lower = point.below < threshold * point.w_lower
+    rows = point.has_lower[lower]
+    active[rows], at[rows] = True, point.lower[lower]
+    return active, at
+
+

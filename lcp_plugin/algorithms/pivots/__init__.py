@@ -1,0 +1,1 @@
+"""Complementary pivoting: Lemke's method for bounds and free rows."""

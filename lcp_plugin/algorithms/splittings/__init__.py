@@ -1,0 +1,1 @@
+"""Splitting methods: projected-type, projected relaxation, modulus-based."""

@@ -1,0 +1,142 @@
+"""The paper's Method 3.1 itself, with any splitting the user supplies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...certificates.contraction import triangle_sums, unit_triangle_sums
+from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
+from ...certificates.residuals import euclidean_norm, scaled_residual
+from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ...matrix_classes.factorisation import sparse_lu
+from ...problem import LCP, FloatVector
+from ..base import Algorithm, Step, check_choice
+from .automatic_scaling import balanced_factors, scaled_rows
+from .projected_type import REFERENCE, check_scaling, clean_up_sweep
+
+NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NPSplitting(Algorithm):
+    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
+
+    Parameters
+    ----------
+    splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
+        𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
+        diagonal, or the product of incomplete factors, is a good 𝓜 too.
+    scaling, scaling_factor
+        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
+
+    Raises
+    ------
+    UnsuitableMatrix
+        Where S(𝓜 + D) + 2I is singular.
+    """
+
+    name: ClassVar[str] = "npsplitting"
+    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    is_compiled: ClassVar[bool] = True
+    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
+    cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
+    reference: ClassVar[str] = REFERENCE
+
+    splitting: Any = "tridiagonal"
+    scaling: str | None = "auto"
+    scaling_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.splitting, str):
+            check_choice(self, "splitting", NAMED_SPLITTINGS)
+        check_scaling(self, self.scaling, self.scaling_factor)
+
+    def rehearsal(self) -> Algorithm:
+        """Return the same with a splitting that fits any size."""
+        return replace(self, splitting="diagonal")
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, each with its residual."""
+        splitting = self._matrix(problem)
+        step = self._scaling(problem, splitting)
+        scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
+        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        entries = max(problem.nonzeros, 1)
+        work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
+        z = z0
+        while True:
+            with np.errstate(all="ignore"):  # what overflows is seen in the residual
+                w = problem.slack(z)
+                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
+                euclidean = euclidean_norm(natural) if self.scaling is None else None
+            yield Step(z, residual, euclidean, None, work)
+            with np.errstate(all="ignore"):
+                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            work = (factor.nnz + problem.nonzeros) / entries
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return 𝓜, S, and whether 𝓜 is a part of M."""
+        splitting = self._matrix(problem)
+        return IterationFacts(
+            family=PROJECTED_SPLITTING, scaling=self._scaling(problem, splitting), is_scaled=self.scaling is not None,
+            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
+        )
+
+    def _scaling(self, problem: LCP, splitting: sp.csr_array) -> FloatVector:
+        if self.scaling is None:
+            return np.ones(problem.n)
+        if self.scaling == "diagonal" or not isinstance(self.splitting, str):
+            return scaled_rows(problem, self.scaling_factor)
+
+        def compute() -> FloatVector:
+            taken = np.add(*triangle_sums(problem, np.ones(problem.n), splitting))
+            return balanced_factors(problem, 1.0, taken, unit_triangle_sums(problem))
+
+        return scaled_rows(problem, problem.shared(f"automatic_factors of {self.splitting}", compute))
+
+    def _matrix(self, problem: LCP) -> sp.csr_array:
+        M = problem.csr
+        if isinstance(self.splitting, str):
+            reach = {"diagonal": 0, "tridiagonal": 1, "lower": problem.n}[self.splitting]
+            upper_reach = 0 if self.splitting == "lower" else reach
+            return sp.csr_array(sp.tril(sp.triu(M, -reach), upper_reach))
+        need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
+        shape = getattr(self.splitting, "shape", None)
+        if shape is not None and shape != M.shape:
+            raise InvalidOption(f"{need}, got shape {shape}")
+        try:
+            # The checks of a problem's matrix are the checks of 𝓜.
+            return LCP(self.splitting, np.zeros(problem.n)).csr
+        except InvalidProblem as error:
+            raise InvalidOption(f"{need}: {error}") from error
+
+    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
+        if problem.n == 0:
+            return _NothingToSolve()
+        try:
+            return sparse_lu(matrix)
+        except RuntimeError as error:
+            hint = ', or scaling="auto"' if self.scaling is None else ""
+            raise UnsuitableMatrix(
+                f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"
+            ) from error
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
+        return clean_up_sweep(problem, z)
+
+
+class _NothingToSolve:
+    """The factorisation of a 0 × 0 matrix, which SuperLU refuses."""
+
+    nnz = 0
+
+    @staticmethod
+    def solve(right_hand_side: FloatVector) -> FloatVector:
+        return right_hand_side

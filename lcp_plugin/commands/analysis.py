@@ -1,0 +1,102 @@
+"""What `lcp-plugin analyze` tells: the matrix report, and what is proven about every algorithm on that matrix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from ..algorithms import REGISTRY
+from ..certificates.convergence import Guarantee
+from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
+from ..guarantees import convergence_guarantee
+from ..matrix_classes import analyze
+from ..matrix_classes.report import wrapped
+from ..problem import LCP
+
+SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
+PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("npj", {"scaling": None}),
+    ("npgs", {"scaling": None}),
+    ("npsor", {"scaling": None}),
+    ("npaor", {"scaling": None}),
+    ("npsplitting", {"scaling": None}),
+    ("mgs", {"omega": 0.5}),
+    ("msor", {"omega": 0.5 / 0.85**2}),
+)
+
+
+def guarantees(problem: LCP) -> Iterator[tuple[str, Guarantee]]:
+    """Yield (title, guarantee) of auto, of every registered algorithm at its defaults, and of the paper's variants."""
+    for name in ("auto", *REGISTRY):
+        yield name, convergence_guarantee(problem, name)
+    for name, options in PAPER_VARIANTS:
+        shown = ", ".join(f"{option}={_short(value)}" for option, value in options.items())
+        yield f"{name}, {shown}", convergence_guarantee(problem, name, **options)
+
+
+def story(problem: LCP) -> str:
+    """Return both tables as text for a terminal.
+
+    Examples
+    --------
+    >>> print(story(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
+    matrix of size 2, 4 nonzeros
+    """
+    lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
+    said: dict[str, list[str]] = {}
+    first: dict[str, str] = {}
+    for title, guarantee in guarantees(problem):
+        rate = "" if guarantee.rate is None else _rate(guarantee.rate)
+        because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
+        named = f"as {first[because]}" if because in first else _with_numbers(because)
+        first.setdefault(because, title)
+        lines += wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
+        if guarantee.paper:
+            said.setdefault(guarantee.paper, []).append(title.partition(",")[0])
+    lines.append("")
+    for k, source in SOURCES.items():
+        if any(source in text for text in first):
+            lines += wrapped(f"[{k}] ", f"{source}, {PAPER_TITLE}" if source == PAPER else source)
+    if said:
+        lines += ["", "The paper's Theorem 4.2, for its methods without row scaling:"]
+        lines += [line for text, names in said.items() for line in wrapped(f"{', '.join(names)}: ", text)]
+    return "\n".join(lines).rstrip()
+
+
+def content(problem: LCP) -> dict[str, Any]:
+    """Return both tables as a dictionary that JSON can hold; numbers that are not finite become None."""
+    rows = [
+        {
+            "algorithm": title, "verdict": found.verdict, "theorem": found.theorem, "rate": found.rate,
+            "rate_of": found.speaks_of if found.rate is not None else None, "remedy": found.remedy,
+            "theorem_4_2": found.paper,
+        }
+        for title, found in guarantees(problem)
+    ]
+    told: dict[str, Any] = _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    return told
+
+
+def _with_numbers(text: str) -> str:
+    """Return the text with [1], [2] … for its sources."""
+    for k, source in SOURCES.items():
+        text = text.replace(f"({source})", f"[{k}]").replace(source, f"[{k}]")
+    return text
+
+
+def _rate(rate: float) -> str:
+    """Return the rate rounded up, or its distance to 1 where that is what counts."""
+    return f"{math.ceil(1000.0 * rate) / 1000.0:.3f}" if rate <= 0.99 else f"1-{1.0 - rate:.0e}"
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value).lower()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

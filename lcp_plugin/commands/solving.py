@@ -1,0 +1,124 @@
+"""What `lcp-plugin solve` does between its command line and its last line."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, UnreadableFile
+from ..problem import LCP, FloatVector
+from ..result import Result
+from .terminal import RunLine
+
+OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
+
+
+def check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
+    """Refuse before the run what could not be written after it."""
+    if plot is not None:
+        from ..evidence.drawing import check_format, require_matplotlib
+
+        check_format(plot)
+        require_matplotlib()
+    if out is not None and out.suffix != ".npz":
+        raise InvalidOption(f"--out writes a .npz file, got {out.name!r}")
+    for path in filter(None, (plot, out)):
+        if not path.absolute().parent.is_dir():
+            raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
+        if path.is_dir():
+            raise UnreadableFile(f"cannot write {path}: it is a folder")
+        if path.exists() and Path(target).exists() and path.samefile(target):
+            raise UnreadableFile(f"cannot write {path}: it is the problem itself; choose another name")
+
+
+def options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
+    """Return the options of the algorithm; values are read as numbers, true/false/none, or words."""
+    words = {"none": None, "true": True, "false": False}
+    options: dict[str, Any] = {}
+    if relaxation is not None:
+        pairs = [f"relaxation={relaxation}", *pairs]
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key:
+            raise InvalidOption(f"--option wants name=value, got {pair!r}")
+        if key in OWN_FLAGS:
+            raise InvalidOption(f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}")
+        if key in options:
+            raise InvalidOption(f"the option {key} is given twice; once is enough")
+        try:
+            options[key] = float(text)
+        except ValueError:
+            options[key] = words.get(text.lower(), text)
+    return options
+
+
+def chosen(algorithm: str, options: dict[str, Any]) -> Any:
+    """Return the algorithm with its options, or "auto"."""
+    from ..algorithms import create
+    from ..choice import policy_for
+
+    if algorithm == "auto":
+        return policy_for(algorithm, options).name
+    return create(algorithm, options)
+
+
+def solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunLine) -> list[Result]:
+    """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
+    from ..driver import solve as solve_problem
+
+    results: list[Result] = []
+    start = scene.start if scene is not None else None
+    for step in range(scene.steps if scene is not None else 1):
+        if step:
+            start = results[-1].z
+            problem = problem.with_q(scene.advance(start))
+        results.append(solve_problem(problem, z0=start, callback=progress, **settings))
+        if not results[-1].is_solved:
+            break
+    return results
+
+
+def save_answer(result: Result, path: Path) -> None:
+    """Write z, w and the status into an .npz file, whole or not at all."""
+    from ..problem_files import write_whole
+
+    status = np.array(result.status.name)
+    write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
+
+
+def as_json(results: list[Result]) -> str:
+    """Return the last result as JSON, with the totals of a march."""
+    content = results[-1].to_content()
+    if len(results) > 1:
+        content["march"] = {
+            "steps": len(results),
+            "iterations": sum(result.iterations for result in results),
+            "seconds": sum(result.seconds for result in results),
+        }
+    return json_module.dumps(content, indent=2)
+
+
+def story(results: list[Result], scene: Any) -> str:
+    """Return what a person wants to read after a run."""
+    result = results[-1]
+    problem = result.certificate.problem
+    lines = [str(scene) if scene is not None else "", f"{problem!r}", result.explain(), str(result.certificate)]
+    if len(results) > 1 or (scene is not None and scene.steps > 1):
+        total = sum(one.iterations for one in results)
+        seconds = sum(one.seconds for one in results)
+        count = f"{len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s"
+        lines.insert(2, f"march: {count}; the last step:")
+    at_bound = np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))
+    lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
+    if scene is not None and scene.steps == 1:
+        for reference, name in ((scene.exact, "true error"), (scene.continuum, "from the continuum")):
+            if reference is not None and problem.n:
+                lines.append(f"{name:<18} {_distance(result.z, reference):.3e}")
+    return "\n".join(filter(None, lines))
+
+
+def _distance(z: FloatVector, reference: FloatVector) -> float:
+    return float(np.max(np.abs(z - reference)))

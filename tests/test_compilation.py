@@ -1,0 +1,79 @@
+"""Compiled kernels lie in the user's cache folder, and one command compiles them all."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from lcp_plugin.cli import app
+from lcp_plugin.compilation import cache_folder
+
+COUNT_COMPILED = """
+import sys
+from lcp_plugin import error_bound, solve
+from lcp_plugin.evidence import gallery
+from numba.core.dispatcher import Dispatcher
+
+for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30"):
+    problem = gallery.parse(name).problem
+    for algorithm in ("auto", "npsor", "multigrid") if name.startswith("obstacle") else ("auto",):
+        result = solve(problem, algorithm)
+        if name.startswith("half"):
+            error_bound(problem, result.z)
+kernels = [
+    kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
+    for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
+]
+print(len(kernels) > 20, sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
+"""
+
+
+def in_a_new_process(code: str, **environment: str) -> str:
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ | environment
+    )
+    return run.stdout.strip()
+
+
+def test_nothing_is_compiled_after_a_warm_up() -> None:
+    """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
+    run = CliRunner().invoke(app, ["warm-up"])
+    assert run.exit_code == 0
+    assert f"they lie in {cache_folder()}" in run.output
+    assert in_a_new_process(COUNT_COMPILED) == "True 0"
+
+
+def test_cache_is_the_user_s(tmp_path: Path) -> None:
+    """The kernels lie in the user's cache folder or where NUMBA_CACHE_DIR says; other packages' lie where they did."""
+    code = (
+        "from numba import config, njit\n"
+        "before = config.CACHE_DIR\n"
+        "from lcp_plugin import kernels\n"
+        "print(config.CACHE_DIR == before, kernels.split_rows.stats.cache_path)"
+    )
+    said = in_a_new_process(code, XDG_CACHE_HOME=str(tmp_path / "user"), NUMBA_CACHE_DIR="")
+    unchanged, _, path = said.partition(" ")
+    assert unchanged == "True"
+    assert Path(path).is_relative_to(tmp_path / "user" / "lcp_plugin" if sys.platform == "linux" else Path.home())
+    unchanged, _, path = in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path / "named")).partition(" ")
+    assert unchanged == "True"
+    assert Path(path).is_relative_to(tmp_path / "named")
+
+
+def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
+    """The shell offers what the command knows."""
+    code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.cli import app; app(prog_name='lcp-plugin')"
+    for words, offered in (
+        ("lcp-plugin solve obstacle", "obstacle_2d obstacle_3d obstacle_bumps"),
+        ("lcp-plugin solve x -a nps", "npsor npsplitting"),
+        ("lcp-plugin bench riv", "rivals"),
+    ):
+        position = str(len(words.split()) - 1)
+        found = in_a_new_process(
+            code, _LCP_PLUGIN_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=position
+        )
+        assert found.split() == offered.split()

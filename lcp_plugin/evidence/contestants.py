@@ -48,7 +48,8 @@ def family_of(algorithm: str | Algorithm) -> str:
         return "general fixed point (GFP)"
     if name not in REGISTRY and name != "auto":
         return "other"
-    return FAMILIES.get(REGISTRY.get(name, name).partition(":")[0], OTHER)
+    module = REGISTRY.get(name, name).partition(":")[0]
+    return FAMILIES.get(module.rpartition(".")[2], OTHER)
 
 
 def contestants(algorithms: Any) -> list[Contestant]:

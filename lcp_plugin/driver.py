@@ -100,8 +100,7 @@ def solve(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
-    kept = np.geterr()
-    try:
+    with np.errstate():  # Ctrl-C that hits one further down while it ends leaves its settings behind
         policy = policy_for(algorithm, options)
         settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
         start = checked_start(problem, z0)
@@ -111,15 +110,11 @@ def solve(
         try:
             result = run.judged(start, run.drive(start))
         except KeyboardInterrupt:
-            np.seterr(**kept)
             return run.judged(start, Status.INTERRUPTED)
         # What could be learnt from an analysis is not worth more time than the caller allows.
         if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
             warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
         return result
-    except KeyboardInterrupt:
-        np.seterr(**kept)  # one that hits np.errstate while it ends leaves its settings behind
-        raise
 
 
 class _Run:

@@ -146,7 +146,7 @@ def _rounded_pair_radius(low: FloatVector, radius: FloatVector) -> FloatVector:
     # The low part is an error of the rounded value.
     low = np.abs(low)
     with np.errstate(over="ignore"):
-        return np.where(low == 0.0, radius, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf)))
+        return np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
 
 
 def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Sums:
@@ -225,8 +225,7 @@ def _row_sums(  # type: ignore[no-untyped-def]
             low[i] = 0.0
             radius[i] = np.inf
             continue
-        # `lost` itself was rounded at most 2k times; an underflowing product is wrong by at most 5·2⁻¹⁰⁷⁴.
+        # `lost` itself was rounded at most 2k times, below 2⁻¹⁰²¹ never; an underflowing product is wrong by at most
+        # 5·2⁻¹⁰⁷⁴.
         terms = indptr[i + 1] - indptr[i]
-        if lost > 0.0:
-            lost = lost * (1.0 + (4.0 * terms + 8.0) * 2.0**-52) + 2.0**-1074
-        radius[i] = lost + 5.0 * underflows * 2.0**-1074
+        radius[i] = lost * (1.0 + (4.0 * terms + 8.0) * 2.0**-52) + 5.0 * underflows * 2.0**-1074

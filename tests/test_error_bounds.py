@@ -179,13 +179,14 @@ def test_large_five_point_matrix() -> None:
     assert bound.is_active_set_proven
 
 
-def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch) -> None:
-    """Where a sweep contracts well, a few of them lead to a point whose bound is sharp."""
+@pytest.mark.parametrize("unit", [1.0, 2.0**-10])
+def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch, unit) -> None:
+    """Where a sweep contracts well, a few of them lead to a point whose bound is sharp, in any unit of the rows."""
     monkeypatch.setattr("lcp_plugin.certificates.error_bounds._sharpen", lambda *_: pytest.fail("not needed"))
     side = 50
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
     laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
-    M = sp.csr_array(laplacian + 4.0 * sp.eye_array(side**2))
+    M = unit * sp.csr_array(laplacian + 4.0 * sp.eye_array(side**2))
     rng = np.random.default_rng(0)
     exact = np.maximum(rng.integers(-5, 6, side**2), 0).astype(float)
     problem = LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact)
@@ -333,7 +334,7 @@ def test_two_norm_bound_is_its_formula() -> None:
     with np.errstate(all="ignore"):
         y = definite_bounds.two_norm_bound(problem, RowInequality.at(problem, z), eigenvalue)
     assert (y >= formula * (1.0 - 1e-13)).all()
-    assert (y <= formula * (1.0 + 1e-11)).all()
+    assert (y <= formula * (1.0 + 1e-10)).all()
 
 
 @pytest.mark.parametrize("kind", ["dense", "sparse"])

@@ -310,7 +310,7 @@ def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
     rng = np.random.default_rng(0)
     steps = []
     for copies in (375, 376):
-        blocks = sp.csr_array(sp.block_diag([rng.standard_normal((8, 8)) for _ in range(copies)]))
+        blocks = sp.csr_array(sp.block_diag([sp.coo_array(rng.standard_normal((8, 8))) for _ in range(copies)]))
         problem = LCP(blocks, rng.standard_normal(8 * copies))
         steps.append(sum(1 for _ in full_steps(NewtonState(problem, np.zeros(problem.n)))))
     assert steps[0] > 250

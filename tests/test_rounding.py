@@ -109,6 +109,14 @@ def test_radius_is_of_third_order() -> None:
     assert (compensated_pair(M, x)[2] <= 40 * UNIT**2 * size).all()
 
 
+def test_what_rounding_took_is_in_the_radius() -> None:
+    """2⁵⁴ + 1 is 2⁵⁴ with a radius of 1, and with nothing lost beside the pair."""
+    M = sp.csr_array(np.array([[2.0**54, 1.0]]))
+    value, radius = compensated_product(M, np.ones(2))
+    assert (value[0], radius[0]) == (2.0**54, 1.0)
+    assert [float(part[0]) for part in compensated_pair(M, np.ones(2))] == [2.0**54, 1.0, 0.0]
+
+
 def test_overflow_is_an_infinite_radius() -> None:
     """Overflow, an entry too large to be split and a non-finite vector give an infinite radius, never a bound."""
     M = sp.csr_array(np.array([[1e200, 0.0], [0.0, 1.7e308], [1.0, 1.0]]))

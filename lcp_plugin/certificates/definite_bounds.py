@@ -30,6 +30,7 @@ DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
 INVERSE_ITERATIONS = 30
 SHARES = (0.95, 0.5, 0.1)
+OUTWARD = 1.0 + 2.0**-36  # more than what rounds in sums of 2 · SPARSE_UP_TO terms of one sign
 UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a matrix of unit size
 
 
@@ -93,8 +94,8 @@ def _norm_above(x: FloatVector) -> np.float64:
     if largest == 0.0 or not np.isfinite(largest):
         return largest
     unit = np.exp2(np.floor(np.log2(largest)))
-    squares = float(np.sum((x / unit) ** 2)) * (1.0 + 2.0 * gamma(x.size + 4)) + x.size * UNDERFLOW
-    return np.float64(unit * np.sqrt(squares) * (1.0 + 8.0 * UNIT))
+    squares = float(np.sum((x / unit) ** 2)) * OUTWARD + x.size * UNDERFLOW
+    return np.float64(unit * np.sqrt(squares) * OUTWARD)
 
 
 def _smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
@@ -142,9 +143,9 @@ def _dense_bound(part: Any, blur: float) -> float | None:
         shift = share * estimate
         shifted = part.copy()
         shifted.flat[:: n + 1] -= shift
-        trace = float(np.sum(np.abs(shifted.diagonal()))) * (1.0 + gamma(n))
+        trace = float(np.sum(np.abs(shifted.diagonal()))) * OUTWARD
         rounding = 1.01 * gamma(n + 3) * trace + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
-        value = float((shift - rounding - blur - n * n * UNDERFLOW) * (1.0 - 8.0 * UNIT))
+        value = float(shift - rounding - blur - n * n * UNDERFLOW) / OUTWARD
         if value > 0.0 and lapack.dpotrf(shifted, lower=1)[1] == 0:
             return value
     return None
@@ -157,11 +158,11 @@ def _sparse_bound(part: Any, blur: float) -> float | None:
     estimate = _inverse_iteration(factor.solve, part)
     for share in SHARES:
         shift = share * estimate
-        factor = positive_pivot_factor(part - shift * sp.eye_array(part.shape[0]))
+        factor = positive_pivot_factor(part - shift * sp.eye_array(*part.shape))
         if factor is None:
             continue
         rounding = _factor_error(factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
-        value = (shift - rounding - blur) * (1.0 - 8.0 * UNIT)
+        value = (shift - rounding - blur) / OUTWARD
         if value > 0.0:
             return value
     return None
@@ -179,7 +180,7 @@ def _factor_error(factor: Any) -> float:
     asymmetry = abs(factor.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
     ones = np.ones(n)
     by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
-    return float(float(by_row.max()) * (1.0 + 2.0 * gamma(2 * terms + 4)) + n * UNDERFLOW)
+    return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
 
 def _inverse_iteration(solve: Any, part: Any) -> float:

@@ -165,15 +165,14 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
             rhs = branches.gap - comparison_product(problem.csr, candidate)[0]
             solution = comparison_solve(problem, rhs, rows=branches.linear, tolerance=TOLERANCE)
             if solution is None:
-                break
+                return y
             candidate = np.maximum(candidate, solution)
         t = at.inflation(certificate.v, certificate.margin, candidate)
         better = np.minimum(y, sum_above(candidate, product_above(np.float64(t), certificate.v)))
         better = np.minimum(better, at.image(better))
-        gains = bool((better < 0.9 * y).any())
+        if not (better < 0.9 * y).any():
+            return better
         y = better
-        if not gains:
-            break
     return y
 
 

@@ -42,7 +42,7 @@ class ActiveSetSteps:
         problem = self.problem
         w = 0.5 * (at.slack - at.negative_slack)
         target = at.high - self.scale * w
-        on_lower = (target <= problem.lower) | (problem.lower == problem.upper)
+        on_lower = target <= problem.lower
         on_upper = (target >= problem.upper) & ~on_lower
         free = ~(on_lower | on_upper)
         bound = np.where(on_lower, problem.lower, problem.upper)

@@ -184,9 +184,8 @@ def condition_estimate(P: Any, solver: Solver, steps: int = 8) -> float:
         Products with P, and as many solves: usually right within a factor of 2.
     """
     root: FloatVector = np.sqrt(np.array(P.diagonal()))
-    start = np.random.default_rng(0).standard_normal(root.size)
     largest = smallest = 1.0
-    forward = backward = start / max(float(np.linalg.norm(start)), 1e-300)
+    forward = backward = np.random.default_rng(0).standard_normal(root.size)
     for _ in range(steps):
         forward = (P @ (forward / root)) / root
         backward = root * solver(root * backward)

@@ -88,7 +88,7 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
     """
     position: Any = _least_squares(ratios, rows, columns, n)
     for _ in range(BALANCING_SWEEPS):
-        magnitude = np.exp2(np.clip(ratios + position[columns] - position[rows], -900.0, 900.0))
+        magnitude = np.exp2(np.clip(ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT))
         row_sum = np.bincount(rows, magnitude, n)
         column_sum = np.bincount(columns, magnitude, n)
         both = (row_sum > 0.0) & (column_sum > 0.0)

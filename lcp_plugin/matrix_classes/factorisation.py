@@ -71,9 +71,10 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
 def _is_structurally_regular(matrix: Any) -> bool:
     from scipy.sparse.csgraph import structural_rank
 
-    pattern = sp.csr_array(matrix, copy=True)
+    pattern = sp.csr_array(matrix, copy=True)  # zeros are taken out in place
     pattern.eliminate_zeros()
-    return bool(np.diff(pattern.indptr).all() and structural_rank(pattern) == matrix.shape[0])
+    row_lengths = np.diff(pattern.indptr)
+    return bool(row_lengths.all() and structural_rank(pattern) == row_lengths.size)
 
 
 def diagonal_pivot_factor(matrix: Any) -> Any | None:

@@ -63,8 +63,7 @@ def row_excess_signs(M: Any) -> IntVector:
 def scale_spread(M: Any) -> dict[str, float]:
     """Return log10 of largest over smallest nonzero magnitude: of entries, row and column maxima, diagonal."""
     magnitudes = np.abs(M.data)
-    n = M.shape[0]
-    row_largest, column_largest = np.zeros(n), np.zeros(n)
+    row_largest, column_largest = (np.zeros(size) for size in M.shape)
     np.maximum.at(row_largest, row_numbers(M), magnitudes)
     np.maximum.at(column_largest, M.indices, magnitudes)
     parts = {

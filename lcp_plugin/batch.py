@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,8 @@ def solve_many(
         What concerns all columns, before the first.
     InvalidProblem
         Where Q is no collection of vectors.
+    Exception
+        What a callback raises, whatever it is, as in :func:`lcp_plugin.solve`.
 
     Examples
     --------
@@ -82,6 +84,11 @@ def solve_many(
     >>> [type(answer).__name__ for answer in answers], answers[0].z.round(6)
     (['Result', 'InvalidProblem', 'Result'], array([2.5, 0. ]))
     """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"solve_many needs an LCP, got {type(problem).__name__}; write solve_many(LCP(M, q), Q)")
+    raised: list[BaseException] = []
+    if callable(callback := options.get("callback")):
+        options["callback"] = _remembering(callback, raised)
     answers: list[Result | LCPError] = []
     for q in _columns(Q):
         try:
@@ -89,11 +96,26 @@ def solve_many(
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
+            if any(error is each for each in raised):
+                raise
             answer = error
         answers.append(answer)
         if isinstance(answer, Result) and answer.status is Status.INTERRUPTED:
             break
     return answers
+
+
+def _remembering(callback: Callable[..., Any], raised: list[BaseException]) -> Callable[..., bool]:
+    """Return the callback, which notes what it raises: an error of the caller's is none of a column."""
+
+    def remembering(*seen: Any) -> bool:
+        try:
+            return bool(callback(*seen))
+        except BaseException as error:
+            raised.append(error)
+            raise
+
+    return remembering
 
 
 def _columns(Q: Any) -> list[Any]:

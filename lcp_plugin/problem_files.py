@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from .errors import InvalidProblem, UnreadableFile
+from .errors import InvalidOption, InvalidProblem, UnreadableFile
 from .matrix_market import read_matrix_market
 from .problem import LCP, FloatVector
 
@@ -23,7 +23,7 @@ VECTORS = ("q", "lower", "upper")
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
-    target = Path(path)
+    target = _checked_path(path)
     _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
         M = problem.csr
@@ -34,9 +34,19 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         _save_folder(problem, target)
 
 
+def _checked_path(path: Any) -> Path:
+    try:
+        target = Path(path)
+    except TypeError:
+        raise InvalidOption(f"path must be a string or a Path, got {type(path).__name__}") from None
+    if "\0" in str(target):
+        raise UnreadableFile(f"no file can be called {str(target)!r}; leave out the null character")
+    return target
+
+
 def load(path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
-    source = Path(path)
+    source = _checked_path(path)
     if source.suffix.lower() == ".npz":
         return _load_npz(source)
     prefix = _matrix_market_prefix(source)

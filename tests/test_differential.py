@@ -166,6 +166,20 @@ def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: p
         np.seterr(**around[1])
 
 
+def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A z0 that a run takes for its own is found out."""
+    from lcp_plugin.driver import checked_start
+
+    def careless(problem: LCP, z0: object) -> np.ndarray:
+        start = checked_start(problem, z0)
+        if isinstance(z0, np.ndarray):
+            z0 += 1.0
+        return start
+
+    monkeypatch.setattr("lcp_plugin.driver.checked_start", careless)
+    assert finds(trust.MODIFIED, "optional")
+
+
 def overwrite(problem: LCP) -> None:
     """Write into the caller's matrix, past the flag that forbids it."""
     base = problem.M if problem.is_dense else problem.M.data

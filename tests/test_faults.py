@@ -21,7 +21,7 @@ from relations import bits, data_of, surroundings
 from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, prepare, solve, solve_many
 from lcp_plugin.algorithms import REGISTRY, Step
 from lcp_plugin.algorithms.splittings.projected_type import NPSOR
-from lcp_plugin.errors import LCPError
+from lcp_plugin.errors import LCPError, UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import gallery
 
 ALL = ["auto", *REGISTRY]
@@ -96,6 +96,14 @@ def test_a_batch_passes_on_what_is_no_fault_of_a_column() -> None:
 
     with pytest.raises(Stop):
         solve_many(problem, Q, callback=raises)
+
+    for kind in (InvalidProblem, UnsuitableMatrix, UnsuitableProblem):
+
+        def refuses(sample: Any, z: np.ndarray, kind: type[LCPError] = kind) -> None:
+            raise kind("mine")
+
+        with pytest.raises(kind, match=r"^mine$"):
+            solve_many(problem, Q, callback=refuses)
     answers = solve_many(problem, Q)
     assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "Result"]
     for k in (0, 2):

@@ -385,10 +385,15 @@ def test_refusals_are_ours(tmp_path: Path) -> None:
         lambda: solve(TWO, "psor", relax=1.0),
         lambda: solve(LCP([[0.0]], [1.0]), "psor"),
         lambda: solve_many(TWO, 7),
+        lambda: solve_many(7, [[1.0]]),
         lambda: analyze([[1.0, 2.0]]),
         lambda: error_bound(TWO, [1.0]),
         lambda: LCP.load(tmp_path / "nothing.npz"),
         lambda: LCP.load(tmp_path),
+        lambda: LCP.load(None),
+        lambda: LCP.load(b"p.npz"),
+        lambda: TWO.save(3),
+        lambda: TWO.save("p\0.npz"),
         lambda: TWO.save(tmp_path / "no" / "p.npz"),
     ]
     for call in calls:

@@ -2,7 +2,8 @@
 
 Everything drawn is made of small integers and powers of two, so that it is what it claims to be in exact
 arithmetic, not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All
-strategies shrink towards the 1 × 1 identity, or the simplest matrix of their class, and small integers.
+strategies shrink towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to
+some thirty rows are practical: hypothesis draws every entry and refuses what is too much for it.
 """
 
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices

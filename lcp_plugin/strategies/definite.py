@@ -142,7 +142,8 @@ def positive_semidefinite_matrices(
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> find(positive_semidefinite_matrices(), lambda M: True, settings=quick)
     array([[1.]])
-    >>> find(positive_semidefinite_matrices(2, rank=1), lambda M: M.all())
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(positive_semidefinite_matrices(2, rank=1), lambda M: M.all(), settings=shrunk)
     array([[1., 1.],
            [1., 1.]])
     """

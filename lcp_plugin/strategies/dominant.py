@@ -103,7 +103,8 @@ def m_matrices(
     --------
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> find(m_matrices(2), lambda M: M[0, 1] != 0)
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(m_matrices(2), lambda M: M[0, 1] != 0, settings=shrunk)
     array([[ 2., -1.],
            [ 0.,  1.]])
     """
@@ -143,7 +144,8 @@ def z_matrices(
     --------
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> find(z_matrices(), lambda M: M[0, 0] < 0)
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(z_matrices(), lambda M: M[0, 0] < 0, settings=shrunk)
     array([[-1.]])
     """
     options = checked_options(size, density, row_scale, column_scale, margin, dense)
@@ -181,7 +183,8 @@ def strictly_dominant_matrices(
     --------
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> find(strictly_dominant_matrices(2, signed=True), lambda M: M[0, 0] < 0)
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(strictly_dominant_matrices(2, signed=True), lambda M: M[0, 0] < 0, settings=shrunk)
     array([[-1.,  0.],
            [ 0.,  1.]])
     """

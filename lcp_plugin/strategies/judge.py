@@ -19,11 +19,13 @@ from ..certificates.infeasibility import Infeasibility
 from ..errors import InvalidOption
 from ..matrix_classes import analyze
 from ..problem import LCP, FloatVector
+from .options import checked_share
 from .principal import p_matrices
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
 Truth = Answer | Infeasibility | None
+Drawn = tuple[LCP, Truth, bool]  # the problem, what is known of it, whether M was drawn as an array
 
 HUGE_SLACKS = 24  # exponents of two: an active row's q up to 10⁸
 SHOWN_ROWS = 12
@@ -46,9 +48,9 @@ def assert_solves(
     Parameters
     ----------
     solver : callable (M, q, lower, upper) → z
-        M of shape (n, n), an array or CSR array as drawn; the others arrays of shape (n,), lower = 0 and upper = ∞
-        where no bounds were asked for. It returns z of shape (n,), which claims that the problem is solved, or None, or
-        raises, where it was not able to: translate a status into that.
+        M of shape (n, n), an array or CSR array as `matrices` draws it; the others arrays of shape (n,), lower = 0 and
+        upper = ∞ where no bounds were asked for. It returns z of shape (n,), which claims that the problem is solved,
+        or None, or raises, where it was not able to: translate a status into that.
     matrices : strategy of (n, n) matrices, optional
         The matrices that the solver is meant for; P-matrices of size 1 to 8 by default.
     bounds : bool or float
@@ -97,12 +99,20 @@ def assert_solves(
     ...     print(str(report).splitlines()[0])
     diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
     """
-    _check_options(max_examples, tolerance, error_tolerance)
+    _check_options(solver, matrices, bounds, max_examples, tolerance, error_tolerance)
     check = functools.partial(_check, solver, may_give_up, tolerance, error_tolerance)
-    _run(check, _drawn_problems(matrices, bounds, infeasible), max_examples, seed)
+    classes = p_matrices() if matrices is None else matrices
+    _run(check, _drawn_problems(classes, bounds, infeasible), max_examples, seed)
 
 
-def _check_options(max_examples: Any, tolerance: float, error_tolerance: float) -> None:
+def _check_options(
+    solver: Any, matrices: Any, bounds: float, max_examples: Any, tolerance: float, error_tolerance: float
+) -> None:
+    if not callable(solver):
+        raise InvalidOption(f"solver must be callable as solver(M, q, lower, upper), got {solver!r}")
+    if matrices is not None and not isinstance(matrices, st.SearchStrategy):
+        raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {type(matrices).__name__}")
+    checked_share("bounds", bounds)
     if isinstance(max_examples, bool) or not isinstance(max_examples, (int, np.integer)) or max_examples < 1:
         raise InvalidOption(f"max_examples must be a whole number ≥ 1, got {max_examples!r}")
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
@@ -110,26 +120,28 @@ def _check_options(max_examples: Any, tolerance: float, error_tolerance: float) 
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
 
 
-def _drawn_problems(
-    matrices: st.SearchStrategy[Any] | None, bounds: float, infeasible: bool
-) -> st.SearchStrategy[tuple[LCP, Truth]]:
-    """Return a strategy for problems with what is known of them: the answer, the proof that there is none, or None."""
-    classes = p_matrices() if matrices is None else matrices
-    solved = solved_lcps(classes, bounds=bounds, slack_scale=HUGE_SLACKS) | solved_lcps(classes, bounds=bounds)
-    unknown = lcps(classes, bounds=bounds).map(lambda problem: (problem, None))
-    kinds: list[st.SearchStrategy[Any]] = [solved, unknown]
-    if infeasible:
-        kinds.append(infeasible_lcps(bounds=bounds) | infeasible_lcps(bounds=bounds, monotone=True))
-    return st.one_of(kinds)
+@st.composite
+def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: float, infeasible: bool) -> Drawn:
+    """Return a problem with what is known of it, the answer, the proof that there is none, or None, and M's form."""
+    given = draw(matrices)
+    classes, is_dense = st.just(given), not sp.issparse(given)  # an LCP may hold M in the other form
+    kind = draw(st.integers(0, 5 if infeasible else 3))
+    if kind >= 4:
+        return *draw(infeasible_lcps(bounds=bounds, monotone=kind == 5)), is_dense
+    if kind >= 2:
+        return draw(lcps(classes, bounds=bounds)), None, is_dense
+    return *draw(solved_lcps(classes, bounds=bounds, slack_scale=HUGE_SLACKS if kind else 0)), is_dense
 
 
-def _run(check: Callable[[Any], None], problems: st.SearchStrategy[Any], max_examples: int, number: int | None) -> None:
+def _run(
+    check: Callable[[Drawn], None], problems: st.SearchStrategy[Drawn], max_examples: int, number: int | None
+) -> None:
     @settings(
         max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
         suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate, Phase.shrink],
     )
     @given(problems)
-    def solver_is_right(drawn: tuple[LCP, Truth]) -> None:
+    def solver_is_right(drawn: Drawn) -> None:
         check(drawn)
 
     try:
@@ -139,10 +151,10 @@ def _run(check: Callable[[Any], None], problems: st.SearchStrategy[Any], max_exa
 
 
 def _check(
-    solver: Solver, may_give_up: bool, tolerance: float, error_tolerance: float, drawn: tuple[LCP, Truth]
+    solver: Solver, may_give_up: bool, tolerance: float, error_tolerance: float, drawn: Drawn
 ) -> None:
-    problem, truth = drawn
-    z, reason = _answer_of(solver, problem, truth)
+    problem, truth, is_dense = drawn
+    z, reason = _answer_of(solver, problem, truth, is_dense)
     if z is None:
         has_solution = truth is not None or bool(analyze(problem.M).is_p_matrix)
         if has_solution and not may_give_up and not isinstance(truth, Infeasibility):
@@ -155,17 +167,17 @@ def _check(
         raise _failure(solver, complaint, problem, truth, z)
 
 
-def _answer_of(solver: Solver, problem: LCP, truth: Truth) -> tuple[Any, str]:
+def _answer_of(solver: Solver, problem: LCP, truth: Truth, is_dense: bool) -> tuple[Any, str]:
     """Return what the solver says, or None and the reason; it gets copies, and they must stay as they are."""
-    given = [problem.M.copy(), problem.q.copy(), problem.lower.copy(), problem.upper.copy()]
+    M = problem.csr.toarray() if is_dense else problem.csr
+    stated = (M, problem.q, problem.lower, problem.upper)
+    given = [each.copy() for each in stated]
     reason = "returned None"
     try:
         z = solver(*given)
     except Exception as error:  # whatever a foreign solver raises means that it gave up
         z, reason = None, f"raised {type(error).__name__}: {error}"
-    for name, now, before in zip(
-        ("M", "q", "lower", "upper"), given, (problem.M, problem.q, problem.lower, problem.upper), strict=True
-    ):
+    for name, now, before in zip(("M", "q", "lower", "upper"), given, stated, strict=True):
         if not _is_same(now, before):
             raise _failure(solver, f"it modified its input {name}", problem, truth)
     return z, reason
@@ -190,7 +202,7 @@ def complaint_about(
     >>> complaint_about(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, 0], None)
     ''
     """
-    z = np.asarray(given)
+    z = _as_array(given)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
         return f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
     z = z.astype(np.float64)
@@ -208,6 +220,14 @@ def complaint_about(
     if worst is not None and abs(rows[worst]) > allowed:
         return _named(problem, z, w, worst, allowed)
     return _distance(problem, z, truth, error_tolerance)
+
+
+def _as_array(given: Any) -> Any:
+    """Return an array of whatever a solver returned; of shape () where it is nothing of the kind."""
+    try:
+        return np.asarray(given)
+    except Exception:  # a pair (z, info), or an object that refuses in a way of its own
+        return np.array(None)
 
 
 def _row_residual(z: Fraction, w: Fraction, lower: float, upper: float, scale: float) -> Fraction:
@@ -259,7 +279,7 @@ def _failure(solver: Solver, complaint: str, problem: LCP, truth: Truth, z: Any 
         f"upper = {_shown(problem.upper)}",
     ]
     if z is not None:
-        values = np.asarray(z)
+        values = _as_array(z)
         if values.shape == (problem.n,) and values.dtype.kind in "biuf":
             lines.append(f"z = {_shown(values)}, w = M z + q = {_shown(_rounded_slack(problem, values))}")
     if isinstance(truth, Infeasibility):

@@ -143,7 +143,8 @@ def not_h_matrices(
     --------
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> find(not_h_matrices(), lambda M: len(M) > 1)
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(not_h_matrices(), lambda M: len(M) > 1, settings=shrunk)
     array([[1., 1.],
            [1., 1.]])
     >>> find(not_h_matrices(p_matrix=True), lambda M: True, settings=quick)

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 
 from ..certificates.infeasibility import Infeasibility
+from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector
 from .definite import positive_definite_matrices
 from .dominant import h_plus_matrices
@@ -134,7 +135,7 @@ def solved_lcps(
     InvalidOption
         Where an option is out of its range.
     InvalidProblem
-        While drawing, where q = w − M z is not free of rounding.
+        While drawing, where q = w − M z is not free of rounding, or scales leave the range of doubles.
 
     Notes
     -----
@@ -189,9 +190,17 @@ def _any_problem(
 
 def _in_units(given: Any, q: FloatVector, lower: FloatVector, upper: FloatVector, row: Any, column: Any) -> LCP:
     """Return the problem with rows multiplied by 2^row and unknowns measured in 2^−column, as dense as given."""
+    M = _array(given)
+    with np.errstate(over="ignore"):
+        moved, offset = scaled(M, row, column), np.ldexp(q, row)
+        is_exact = np.array_equal(scaled(moved, -row, -column), M) and np.array_equal(np.ldexp(offset, -row), q)
+    if not is_exact:
+        raise InvalidProblem(
+            "row_scale and column_scale move an entry of M or q beyond the range of doubles, given entries up to "
+            f"{abs(M).max(initial=0.0):g} in size; draw matrices or use options with smaller scales"
+        )
     return LCP(
-        delivered(scaled(_array(given), row, column), not sp.issparse(given)),
-        np.ldexp(q, row), lower=np.ldexp(lower, -column), upper=np.ldexp(upper, -column),
+        delivered(moved, not sp.issparse(given)), offset, lower=np.ldexp(lower, -column), upper=np.ldexp(upper, -column)
     )
 
 
@@ -218,7 +227,7 @@ def infeasible_lcps(
     size : int or strategy of int, optional
         Rows, at least 1; 1 to 8 by default.
     monotone : bool
-        Draw symmetric positive semidefinite M, singular ones by necessity; otherwise anything.
+        Draw M that is symmetric positive semidefinite before it is scaled, singular by necessity; otherwise anything.
     bounds : bool or float
         Share of rows with other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
     density : float

@@ -156,12 +156,15 @@ def optional(rng: Generator, name: str) -> Found:
         "tolerance_on": "error" if rng.random() < 0.2 else "residual",
         "callback": (lambda sample, z: sample.iteration >= 20) if rng.random() < 0.2 else None,
     }
+    start = bits(asked["z0"])
     try:
         result = solve(problem, name, **asked, **random_options(name, rng))
     except (UnsuitableMatrix, UnsuitableProblem):
         if name == "auto" and asked["tolerance_on"] == "residual":
             yield Finding(CRASH, "auto refuses")
         return
+    if bits(asked["z0"]) != start:
+        yield Finding(MODIFIED, "z0")
     if asked["tolerance_on"] == "residual" or result.status.name != "SOLVED":
         if result.status.name == "SOLVED" and problem.n and not is_within(problem, result.z, tolerance):
             yield Finding(SOLVED, f"{truth}, {asked}")
@@ -176,6 +179,11 @@ def optional(rng: Generator, name: str) -> Found:
         elif error_bounds.violations(problem, result.z, Exact(exact, tuple(ExactData(problem).slack(exact)), True),
                                      result.error_bound) != (0, 0):  # fmt: skip
             yield Finding(BOUND, f"{asked}")
+        elif asked["tolerance_on"] == "error" and result.status.name == "SOLVED":
+            z = [Fraction(float(value)) for value in result.z]
+            error = max(abs(ours - right) for ours, right in zip(z, exact, strict=True))
+            if error > Fraction(tolerance) * max(map(abs, z)):
+                yield Finding(SOLVED, f"an error beyond the tolerance, {asked}")
     elif problem.n and result.status.name == "SOLVED" and asked["tolerance_on"] == "error":
         yield Finding(SOLVED, f"an error within the tolerance without a bound, {asked}")
 
@@ -300,11 +308,13 @@ def batches(rng: Generator, kind: str) -> Found:
     Q = rng.integers(-6, 7, (len(M), 4)).astype(float)
     Q[:, 1] = np.nan
     name = "auto" if kind == "auto" else str(rng.choice(["npsor", "psor", "lemke", "newton", "multigrid"]))
-    shared = prepare(LCP(M, Q[:, 0]))
+    shared, given = prepare(LCP(M, Q[:, 0])), bits(Q)
     try:
         answers = solve_many(shared, Q, name)
     except (UnsuitableMatrix, UnsuitableProblem):
         return
+    if bits(Q) != given:
+        yield Finding(MODIFIED, "Q")
     start = rng.normal(size=len(M))
     for q, answer in zip(Q.T, answers, strict=True):
         if isinstance(answer, LCPError):

@@ -142,14 +142,14 @@ def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> N
     [
         (lambda problem: problem.M.flags.writeable, trust.CRASH),
         (lambda problem: np.random.seed(1), trust.MODIFIED),  # noqa: NPY002 - the global state is what is damaged
-        (lambda problem: np.seterr(over="raise"), trust.MODIFIED),
+        (lambda problem: np.set_printoptions(precision=3), trust.MODIFIED),
         (lambda problem: overwrite(problem), trust.MODIFIED),
     ],
-    ids=["a bug", "random state", "error settings", "the matrix"],
+    ids=["a bug", "random state", "print options", "the matrix"],
 )
 def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     """An exception that is no refusal, a change of global state and a matrix written to are found out."""
-    healthy, around = NPSOR.iterates, (np.random.get_state(), np.geterr())  # noqa: NPY002 - put back below
+    healthy, around = NPSOR.iterates, (np.random.get_state(), np.get_printoptions())  # noqa: NPY002 - put back below
 
     def faulty(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         if problem.n > 1:
@@ -163,7 +163,7 @@ def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: p
         assert finds(what, "small")
     finally:
         np.random.set_state(around[0])  # noqa: NPY002
-        np.seterr(**around[1])
+        np.set_printoptions(**around[1])
 
 
 def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,15 +13,23 @@ import typer
 
 from . import __version__
 from .commands.completion import algorithm_names, benchmark_names, scene_names
-from .commands.target import read_target
 from .errors import InvalidOption, LCPError, did_you_mean
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
+
+def _ending(exit_codes: str, *examples: str) -> str:
+    """Return what stands below a help page."""
+    return "\n".join(["Examples:", *(f"  lcp-plugin {words}" for words in examples), "", f"Exit codes: {exit_codes}."])
+
+
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
-    epilog="Exit codes: 0 done, 1 ran but not solved or a figure differs, 2 bad input.",
+    epilog=_ending(
+        "0 done, 1 ran but not solved (or: answers differ, interrupted), 2 bad input",
+        "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
+    ),
     pretty_exceptions_enable=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -87,8 +95,11 @@ def main(
 
 
 @app.command(
-    epilog="Examples:  lcp-plugin solve obstacle_2d:size=200 --plot out.png   ·   "
-    "lcp-plugin solve problem.npz -a psor --relaxation 1.5   ·   lcp-plugin solve folder_with_M_and_q/ --json"
+    epilog=_ending(
+        "0 solved, 1 ran but not solved, 2 bad input",
+        "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
+        "solve folder_with_M_and_q/ --json",
+    )
 )
 @_speaks_plainly
 def solve(
@@ -114,6 +125,7 @@ def solve(
 ) -> None:
     """Solve a file or a scene; print status, residuals and counts."""
     from .commands import solving
+    from .commands.target import read_target
     from .commands.terminal import RunLine
 
     solving.check_outputs(target, plot, out)
@@ -140,8 +152,10 @@ def solve(
 
 
 @app.command(
-    epilog="Examples:  lcp-plugin check obstacle_2d:size=30   ·   lcp-plugin check problem.npz --reference clarabel   ·"
-    "   Exit code 0: both agree.  1: they do not, or nothing can be compared; the reason is printed."
+    epilog=_ending(
+        "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
+        "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
+    )
 )
 @_speaks_plainly
 def check(
@@ -151,6 +165,7 @@ def check(
     max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
 ) -> None:
     """Compare our answer with that of a convex solver that shares no code with it."""
+    from .commands.target import read_target
     from .evidence.cross_check import cross_validate
 
     problem, _ = read_target(target)
@@ -160,7 +175,7 @@ def check(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command(epilog="Examples:  lcp-plugin analyze paper_example_1   ·   lcp-plugin analyze problem.npz --json")
+@app.command(epilog=_ending("0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json"))
 @_speaks_plainly
 def analyze(
     target: Target,
@@ -168,12 +183,13 @@ def analyze(
 ) -> None:
     """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
     from .commands.analysis import content, story
+    from .commands.target import read_target
 
     problem, _ = read_target(target)
     typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
 
 
-@app.command("list")
+@app.command("list", epilog=_ending("0 done", "list"))
 @_speaks_plainly
 def list_everything() -> None:
     """List the algorithms with what they need, and the scenes with their parameters."""
@@ -182,17 +198,17 @@ def list_everything() -> None:
     print_lists()
 
 
-@app.command()
+@app.command(epilog=_ending("0 every iteration count is the paper's, 1 one differs", "tables"))
 @_speaks_plainly
 def tables() -> None:
-    """Compute the paper's Tables 1 and 2 again; exit code 1 if an iteration count differs."""
+    """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
     from .commands.tables import print_tables
 
     if not print_tables():
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command(epilog="Examples:  lcp-plugin bench   ·   lcp-plugin bench sweeps --quick")
+@app.command(epilog=_ending("0 done, 2 bad input", "bench", "bench sweeps --quick"))
 @_speaks_plainly
 def bench(
     name: Annotated[
@@ -215,7 +231,10 @@ def bench(
 
 
 @app.command(
-    epilog="Examples:  lcp-plugin report --out report --quick   ·   lcp-plugin report half_active:n=2500 --out mine"
+    epilog=_ending(
+        "0 complete, 1 interrupted (the same command goes on), 2 bad input",
+        "report --out report --quick", "report half_active:n=2500 --out mine",
+    )
 )
 @_speaks_plainly
 def report(
@@ -237,7 +256,7 @@ def report(
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-@app.command("warm-up")
+@app.command("warm-up", epilog=_ending("0 done", "warm-up"))
 @_speaks_plainly
 def warm_up() -> None:
     """Compile every kernel now, so that no later run has to; say where the compiled code lies."""

@@ -104,6 +104,8 @@ def solve(
         policy = policy_for(algorithm, options)
         settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
         start = checked_start(problem, z0)
+        if isinstance(policy, Single):  # before the clock starts: the question below needs compiled code too
+            rehearse(policy.algorithm, problem)
         run = _Run(problem, policy, settings, callback)
         if isinstance(policy, Single):
             warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)

@@ -135,7 +135,12 @@ class LCP:
         return read_only(np.clip(0.0, self.lower, self.upper))
 
     def slack(self, z: ArrayLike) -> FloatVector:
-        """Return w = M z + q, shape (n,)."""
+        """Return w = M z + q, shape (n,).
+
+        Parameters
+        ----------
+        z : array, shape (n,)
+        """
         if not isinstance(z, np.ndarray) or z.dtype != np.float64 or z.shape != (self.n,):
             z = real_vector(z, "z", self.n)
         w: FloatVector = self.M @ z
@@ -166,7 +171,15 @@ class LCP:
         return other
 
     def shared(self, key: str, compute: Callable[[], T]) -> T:
-        """Return what `compute` gives, kept under `key` and shared by all problems with this M."""
+        """Return what `compute` gives, kept under `key` and shared by all problems with this M.
+
+        Parameters
+        ----------
+        key : str
+            One name for one thing that depends on M alone.
+        compute : callable
+            Without arguments; called where nothing is kept under the key yet.
+        """
         return self._shared.get(key, compute)
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -174,6 +187,10 @@ class LCP:
 
         A path ending in ``.npz`` gets the keys data, indices, indptr, shape, q, lower, upper; any other
         path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : str or PathLike
         """
         from .problem_files import save
 
@@ -190,6 +207,20 @@ class LCP:
         :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. The tolerance of
         ``solve`` speaks of the complementarity problem: ``recover(result).is_optimal()`` says whether the program is
         solved; if not, solve again with a smaller tolerance and ``z0=result.z``.
+
+        Parameters
+        ----------
+        P : array or sparse array, shape (n, n)
+            Symmetric.
+        c : array, shape (n,)
+        G, h : shapes (p, n) and (p,), optional
+            Inequalities G x ≤ h.
+        A, b : shapes (m, n) and (m,), optional
+            Equations A x = b.
+        lower, upper : scalar or array, shape (n,)
+            Bounds of x; none by default.
+        form : {"auto", "direct", "dual", "kkt"}
+            Which optimality conditions become the problem.
         """
         from .conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 
@@ -203,7 +234,13 @@ class LCP:
 
     @classmethod
     def from_cvxpy(cls, problem: Any) -> LCP:
-        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables."""
+        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+            Of :func:`lcp_plugin.complements` and equalities.
+        """
         from .modeling.model import build_from
 
         model = build_from(problem)
@@ -218,9 +255,13 @@ class LCP:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> LCP:
-        """Read a problem written by :meth:`save`, or a folder or prefix with ``M.mtx`` and ``q.mtx``.
+        """Return a problem written by :meth:`save`, or a folder or prefix with ``M.mtx`` and ``q.mtx``.
 
         A bound of 1e20 or more in absolute value means ∞. Pickled content is never read.
+
+        Parameters
+        ----------
+        path : str or PathLike
 
         Raises
         ------

@@ -88,7 +88,7 @@ class Sample:
     work : float
         Matrix entries touched so far, divided by the nonzeros of M.
     seconds : float
-        Time of the algorithm so far, set-up included; the clock stands still while a sample is measured.
+        Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
     residual : float or None
         In the measure of the run; None in a callback at a step where nobody measured it.
     label : str
@@ -121,10 +121,14 @@ class Result:
         What ran; for ``auto`` the chain of what it chose.
     iterations, work, seconds, setup_seconds
         Of the whole run; see :class:`Sample` for the units.
+    tolerance, tolerance_on, measure
+        As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
     error_bound : ErrorBound or None
-        Only where asked for, and where M allows one; `no_error_bound` holds the reason where it does not.
+        Only where asked for, and where M allows one.
+    no_error_bound : str
+        The reason where it was asked for and there is none.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
     infeasibility : object or None

@@ -69,6 +69,13 @@ def test_picture_shows_every_room() -> None:
     assert set(rooms_by_line()) == {room_of(file) for file in FILES}
 
 
+def test_table_below_the_picture_explains_every_room() -> None:
+    """The table explains each room of the picture once."""
+    section = (ROOT / "README.md").read_text(encoding="utf-8").split("| room | what is in it |")[1].split("\n\n")[0]
+    explained = [room for row in section.splitlines()[2:] for room in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(explained) == sorted(rooms_by_line())
+
+
 def test_modules_stay_short() -> None:
     """No module exceeds 400 lines."""
     long = {file.name: n for file in FILES if (n := len(file.read_text(encoding="utf-8").splitlines())) > 400}

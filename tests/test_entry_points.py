@@ -63,14 +63,27 @@ def test_an_installed_algorithm_is_found_by_name(install: Install) -> None:
 
 
 def test_the_command_knows_it(install: Install) -> None:
-    """`list` shows it with what it says about itself, and `solve -a` runs it."""
+    """`list` shows it with what it says about itself, `analyze` judges it, and `solve -a` runs it."""
     install(EXAMPLE, "extragradient", "Extragradient")
     listed = CliRunner().invoke(app, ["list"])
     assert listed.exit_code == 0
-    assert re.search(r"extragradient.*monotone M.*Korpelevich 1976", listed.stdout)
+    number = re.search(r"extragradient .*monotone M.*(\[\d+\])", listed.stdout)
+    assert number is not None
+    assert re.search(rf"^{re.escape(number[1])} Korpelevich 1976", listed.stdout, re.M)
     assert "left out" not in listed.stdout
     ran = CliRunner().invoke(app, ["solve", "murty:n=3", "-a", "extragradient", "-o", "step=0.5"])
     assert ran.exit_code == 0, ran.output
+    analyzed = CliRunner().invoke(app, ["analyze", "murty:n=3"])
+    assert re.search(r"^extragradient +not covered +no theorem here is about extragradient", analyzed.stdout, re.M)
+
+
+def test_an_option_without_default_is_asked_for(install: Install) -> None:
+    """Where an algorithm has an option without default the error names it, and `analyze` leaves the algorithm out."""
+    install(NEEDY, "needy", "Kind")
+    with pytest.raises(InvalidOption, match=r"^needy needs a value for step, which has no default; give one$"):
+        solve(PROBLEM, "needy")
+    assert solve(PROBLEM, "needy", step=0.5, max_iterations=1).algorithm == "needy"
+    assert "needy" not in CliRunner().invoke(app, ["analyze", "murty:n=3"]).stdout
 
 
 def test_a_misspelt_name_is_guessed(install: Install) -> None:
@@ -102,6 +115,8 @@ WORKING = f"""{BASE}class Kind(Algorithm):
     def iterates(self, problem, z0):
         yield Step(z0)
 """
+NEEDY = WORKING.format(name="needy").replace("class Kind", "@dataclass(frozen=True, kw_only=True)\nclass Kind")
+NEEDY = f"from dataclasses import dataclass\n{NEEDY}    step: float\n"
 BROKEN = [
     ("module missing", "", "Kind", r"cannot be loaded .*AttributeError.*repair or uninstall"),
     ("import fails", "import no_such_module_at_all", "Kind", r"cannot be loaded.*ModuleNotFoundError: No module named"),

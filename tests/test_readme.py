@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from lcp_plugin.algorithms import ENTRY_POINT_GROUP
 from lcp_plugin.cli import app
 
 README = Path(__file__).parent.parent.joinpath("README.md").read_text(encoding="utf-8")
@@ -52,6 +54,13 @@ def test_first_two_shell_blocks_install_and_test() -> None:
     assert "pytest" in second
 
 
+@pytest.mark.parametrize("block", blocks("toml"))
+def test_toml_blocks_can_be_read(block: str) -> None:
+    """A TOML block is what the text around it says: the entry point of an algorithm."""
+    groups = tomllib.loads(block)["project"]["entry-points"]
+    assert list(groups) == [ENTRY_POINT_GROUP]
+
+
 def test_every_kind_of_block_is_known() -> None:
     """No block has a language that none of these tests runs."""
-    assert set(re.findall(r"^```(\w+)$", README, re.M)) <= {"bash", "sh", "python", "text"}
+    assert set(re.findall(r"^```(\w+)$", README, re.M)) <= {"bash", "sh", "python", "text", "toml"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import fields
+from dataclasses import MISSING, Field, fields
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -42,6 +42,11 @@ REGISTRY = {
 
 def algorithm_class(name: str) -> type[Algorithm]:
     """Return the class registered under the name, here or by an installed package.
+
+    Parameters
+    ----------
+    name : str
+        One that ``lcp-plugin list`` shows.
 
     Raises
     ------
@@ -134,14 +139,28 @@ def _package(entry: EntryPoint) -> str:
 def create(name: str, options: dict[str, Any]) -> Algorithm:
     """Return the named algorithm with these options.
 
+    Parameters
+    ----------
+    name : str
+        One that ``lcp-plugin list`` shows.
+    options : dict
+        Values of the options by name; those not given take their defaults.
+
     Raises
     ------
     UnknownAlgorithm, InvalidOption
-        With the right names and a guess.
+        With the right names and a guess, or the names of options that have no default.
     """
     kind = algorithm_class(name)
     known = [field.name for field in fields(kind)]
     for option in options:
         if option not in known:
             raise InvalidOption(f"{name} has no option {option!r}{did_you_mean(option, known)}")
+    missing = [field.name for field in fields(kind) if _has_no_default(field) and field.name not in options]
+    if missing:
+        raise InvalidOption(f"{name} needs a value for {' and '.join(missing)}, which has no default; give one")
     return kind(**options)
+
+
+def _has_no_default(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING

@@ -54,17 +54,17 @@ class Step:
 class Algorithm(ABC):
     """A frozen dataclass of its own options that can iterate.
 
-    Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs),
-    `converges_on` (matrix classes with a proof), `cost` (of one iteration), `reference`; `is_compiled` asks the
-    driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual are legal, and that the
-    iterator ends by itself where nothing more can be done.
+    Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
+    (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
+    `is_compiled` asks the driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual
+    are legal, and that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
-    assumption: ClassVar[str]
-    converges_on: ClassVar[str]
-    cost: ClassVar[str]
-    reference: ClassVar[str]
+    assumption: ClassVar[str] = "–"
+    converges_on: ClassVar[str] = "–"
+    cost: ClassVar[str] = "–"
+    reference: ClassVar[str] = "–"
     is_compiled: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 

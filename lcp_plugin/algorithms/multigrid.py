@@ -65,7 +65,9 @@ class Multigrid(Algorithm):
     assumption: ClassVar[str] = "positive diagonal"
     converges_on: ClassVar[str] = "–"
     cost: ClassVar[str] = "about 10 passes"
-    reference: ClassVar[str] = "Gräser, Kornhuber: Multigrid methods for obstacle problems"
+    reference: ClassVar[str] = (
+        "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
+    )
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 

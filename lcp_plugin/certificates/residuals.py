@@ -26,6 +26,12 @@ class Certificate:
 
     Attributes
     ----------
+    problem : LCP
+        The problem that z was judged on.
+    z, w : ndarray, shape (n,)
+        The point and its slack M z + q.
+    scaled_residual : float
+        ‖r(z)‖∞, the numerator of the relative residual, in the unit of z.
     relative_residual : float
         ‖r(z)‖∞ / ‖r(z°)‖∞ with r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of
         [lower, upper] nearest to 0. Invariant under row scaling and under the unit of z.

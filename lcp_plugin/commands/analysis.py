@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
-from ..algorithms import REGISTRY
+from ..algorithms import REGISTRY, create, from_other_packages
 from ..certificates.convergence import Guarantee
 from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
+from ..errors import LCPError
 from ..guarantees import convergence_guarantee
 from ..matrix_classes import analyze
-from ..matrix_classes.report import wrapped
 from ..problem import LCP
 
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
+WIDEST = 100
+EVIDENCE = 41  # where the evidence begins in a line of the matrix report
 PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("npj", {"scaling": None}),
     ("npgs", {"scaling": None}),
@@ -27,8 +33,8 @@ PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 
 def guarantees(problem: LCP) -> Iterator[tuple[str, Guarantee]]:
-    """Yield (title, guarantee) of auto, of every registered algorithm at its defaults, and of the paper's variants."""
-    for name in ("auto", *REGISTRY):
+    """Yield (title, guarantee) of auto, of every algorithm at its defaults, and of the paper's variants."""
+    for name in ("auto", *REGISTRY, *_usable_from_outside()):
         yield name, convergence_guarantee(problem, name)
     for name, options in PAPER_VARIANTS:
         shown = ", ".join(f"{option}={_short(value)}" for option, value in options.items())
@@ -43,7 +49,8 @@ def story(problem: LCP) -> str:
     >>> print(story(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
     matrix of size 2, 4 nonzeros
     """
-    lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
+    lines = [part for line in str(analyze(problem)).splitlines() for part in _wrapped(line[:EVIDENCE], line[EVIDENCE:])]
+    lines += ["", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     said: dict[str, list[str]] = {}
     first: dict[str, str] = {}
     for title, guarantee in guarantees(problem):
@@ -51,16 +58,16 @@ def story(problem: LCP) -> str:
         because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
         named = f"as {first[because]}" if because in first else _with_numbers(because)
         first.setdefault(because, title)
-        lines += wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
+        lines += _wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
         if guarantee.paper:
             said.setdefault(guarantee.paper, []).append(title.partition(",")[0])
     lines.append("")
     for k, source in SOURCES.items():
         if any(source in text for text in first):
-            lines += wrapped(f"[{k}] ", f"{source}, {PAPER_TITLE}" if source == PAPER else source)
+            lines += _wrapped(f"[{k}] ", f"{source}, {PAPER_TITLE}" if source == PAPER else source)
     if said:
         lines += ["", "The paper's Theorem 4.2, for its methods without row scaling:"]
-        lines += [line for text, names in said.items() for line in wrapped(f"{', '.join(names)}: ", text)]
+        lines += [line for text, names in said.items() for line in _wrapped(f"{', '.join(names)}: ", text)]
     return "\n".join(lines).rstrip()
 
 
@@ -76,6 +83,20 @@ def content(problem: LCP) -> dict[str, Any]:
     ]
     told: dict[str, Any] = _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
     return told
+
+
+def _wrapped(title: str, text: str) -> list[str]:
+    """Return the text beside its title, in lines that fit the terminal."""
+    columns = min(WIDEST, shutil.get_terminal_size().columns) if sys.stdout.isatty() else WIDEST
+    return textwrap.wrap(text, columns, initial_indent=title, subsequent_indent=" " * len(title)) or [title.rstrip()]
+
+
+def _usable_from_outside() -> Iterator[str]:
+    """Yield the names of other packages' algorithms that can be made without an option."""
+    for name in from_other_packages():
+        with suppress(LCPError):  # `lcp-plugin list` says what is wrong with it
+            create(name, {})
+            yield name
 
 
 def _with_numbers(text: str) -> str:

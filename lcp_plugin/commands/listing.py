@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from ..errors import LCPError
 
 
 def list_everything() -> None:
-    """Print the algorithms with what they need, and the scenes with their parameters."""
+    """Print the algorithms with what they need and their sources, and the scenes with their parameters."""
     from rich.console import Console
-    from rich.table import Table
 
     from ..algorithms import REGISTRY, algorithm_class, from_other_packages
     from ..evidence.gallery import describe
 
-    algorithms = Table(title="Algorithms", title_justify="left", show_lines=False)
-    for heading in ("name", "needs", "proved to converge on", "an iteration costs", "source"):
-        algorithms.add_column(heading)
     foreign = from_other_packages()
-    for name, kind in [*((name, algorithm_class(name)) for name in REGISTRY), *foreign.items()]:
-        if not isinstance(kind, LCPError):
-            facts = (getattr(kind, fact, "–") for fact in ("assumption", "converges_on", "cost", "reference"))
-            algorithms.add_row(name, *facts)
-    scenes = Table(title="Scenes", title_justify="left")
-    for heading in ("name", "what", "parameters"):
-        scenes.add_column(heading)
+    offers = {**{name: algorithm_class(name) for name in REGISTRY}, **foreign}
+    kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
+    sources = {source: k for k, source in enumerate(dict.fromkeys(kind.reference for kind in kinds.values()), start=1)}
+    algorithms = _table("Algorithms", "name", "needs", "proved to converge on", "an iteration costs", "source")
+    for name, kind in kinds.items():
+        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, f"[{sources[kind.reference]}]")
+    scenes = _table("Scenes", "name", "what", "parameters")
     for name, summary, parameters in describe():
         scenes.add_row(name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = Console(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False)
     console.print(algorithms)
+    for source, k in sources.items():
+        console.print(f"[{k}] {source}")
     for error in (one for one in foreign.values() if isinstance(one, LCPError)):
-        console.print(f"left out: {error}\n", markup=False, highlight=False)
+        console.print(f"left out: {error}")
+    console.print()
     console.print(scenes)
+
+
+def _table(title: str, *headings: str) -> Any:
+    """Return an empty table that breaks long words rather than cutting them, and names never."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, overflow="fold", no_wrap=heading in {"name", "source"})
+    return table

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import sys
 
+HEADINGS = (
+    "algorithm", "n", "paper\nIT", "\nIT", "paper\nRes", "\nRes", "paper\nCPU", "\nCPU", "same\nIT", "same\nRes",
+)
+
 
 def print_tables() -> bool:
     """Print both tables, computed; return whether every iteration count is the paper's."""
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
@@ -15,9 +20,12 @@ def print_tables() -> bool:
     computed = list(cells())
     console = Console(width=None if sys.stdout.isatty() else 120)
     for example in (1, 2):
-        table = Table(title=f"Table {example}: Example {example}, δ = 4", title_justify="left")
-        for heading in ("algorithm", "n", "paper IT", "IT", "paper Res", "Res", "paper CPU", "CPU", "IT", "Res"):
-            table.add_column(heading, justify="left" if heading == "algorithm" else "right")
+        table = Table(
+            title=f"Table {example}: Example {example}, δ = 4", title_justify="left", box=SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+        )
+        for heading in HEADINGS:
+            table.add_column(heading, justify="left" if heading == "algorithm" else "right", no_wrap=True)
         for cell in (cell for cell in computed if cell.example == example):
             table.add_row(
                 f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n),

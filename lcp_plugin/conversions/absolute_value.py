@@ -21,7 +21,14 @@ SINGULAR_BELOW = 1e-14  # reciprocal condition number
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteValueSolution:
-    """A point x and how far it is from A x + B |x| = b."""
+    """A point x and how far it is from A x + B |x| = b.
+
+    Attributes
+    ----------
+    origin : AbsoluteValueOrigin
+        Holds A, B and b.
+    x : ndarray, shape (n,)
+    """
 
     origin: AbsoluteValueOrigin = field(repr=False)
     x: FloatVector

@@ -22,6 +22,8 @@ class Equilibrium:
 
     Attributes
     ----------
+    A, B : ndarray, shape (m, k)
+        Payoffs of the row and of the column player.
     row_strategy : ndarray, shape (m,)
         Probabilities of the row player's actions.
     column_strategy : ndarray, shape (k,)

@@ -226,6 +226,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
         form="direct", but rows are left.
     UnsuitableMatrix
         form="dual", but P could not be proven positive definite.
+    InvalidProblem
+        `program` is no QuadraticProgram.
     InvalidOption
         An unknown form.
 
@@ -298,6 +300,8 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
 
     Raises
     ------
+    InvalidProblem
+        `problem` is no LCP.
     UnsuitableProblem
         M is not symmetric and a row has two finite bounds: the sign of its w is not known, so there is no such program.
     UnsuitableMatrix

@@ -62,7 +62,7 @@ class CrossCheck:
     ours, theirs : Certificate or None
         Measured here, on the caller's data; `theirs` also where it was too inaccurate to count.
     seconds, reference_seconds : float
-        Wall-clock time of each; the reference's with cvxpy's part.
+        Wall-clock seconds of each; the reference's with cvxpy's part.
     tried : tuple of Attempt
         Every reference that was asked, in order.
     """
@@ -117,8 +117,8 @@ def cross_validate(
     tolerance : float
         Of that run, and of a second opinion: relative residual.
     max_seconds : float
-        Limit for our run and for each reference, as far as the solver obeys one; the factorisation that decides
-        whether there is a convex program is not interrupted.
+        Limit in seconds for our run and for each reference, as far as the solver obeys one; the factorisation that
+        decides whether there is a convex program is not interrupted.
 
     Returns
     -------

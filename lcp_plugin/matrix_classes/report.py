@@ -46,6 +46,11 @@ class MatrixReport:
     A verdict is computed when it is first asked for, from cheap to costly, and kept. ``evidence[name]`` says in words
     what it stands on.
 
+    Parameters
+    ----------
+    problem : LCP
+        The one whose M is examined; :func:`analyze` makes the report.
+
     Attributes
     ----------
     v, margin : arrays, shape (n,), or None

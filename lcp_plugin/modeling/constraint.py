@@ -40,7 +40,14 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """lower ≤ expression ≤ upper, as one side of :func:`complements`."""
+    """lower ≤ expression ≤ upper, as one side of :func:`complements`.
+
+    Attributes
+    ----------
+    expression : cvxpy expression
+    lower, upper : scalar, array or parameter
+        Bounds of the shape of the expression, or scalars; ±∞ for none.
+    """
 
     expression: Any
     lower: Any
@@ -137,6 +144,13 @@ class Complements(Constraint):  # type: ignore[misc]
 
     ``dual_value`` is the value of the side that is no variable (w); after a solve the inequality that bounds
     the variable carries the same, and the other inequality carries the variable, as after a quadratic program.
+
+    Parameters
+    ----------
+    first, second : Side
+        Made by :func:`complements`.
+    constr_id : int, optional
+        cvxpy's number of the constraint; a new one by default.
     """
 
     def __init__(self, first: Side, second: Side, constr_id: int | None = None) -> None:

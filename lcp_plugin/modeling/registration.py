@@ -39,6 +39,10 @@ def register() -> None:
 def is_complementarity_problem(problem: Any) -> bool:
     """Return whether a cvxpy problem has a complementarity among its constraints.
 
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+
     Examples
     --------
     >>> import cvxpy as cp
@@ -95,6 +99,8 @@ def solve_model(
         Begin with the present values of the variables where all have one.
     verbose : bool
         Tell the story of the run through cvxpy's logger.
+    solver : None
+        There because cvxpy passes it; there is no other solver to choose.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 

@@ -52,7 +52,10 @@ class Newton(Algorithm):
     assumption: ClassVar[str] = "none"
     converges_on: ClassVar[str] = "M, bounds on one side, n ≤ 250"
     cost: ClassVar[str] = "1 factorisation of the free block"
-    reference: ClassVar[str] = "[6, 7]"
+    reference: ClassVar[str] = (
+        "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
+        "doi:10.1007/BF02592192"
+    )
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

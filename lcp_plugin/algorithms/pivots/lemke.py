@@ -77,8 +77,7 @@ class Lemke(Algorithm):
     converges_on: ClassVar[str] = "P, copositive-plus (PSD) if feasible, finite boxes"
     cost: ClassVar[str] = "O(n²) a pivot, a block of pivots a step"
     reference: ClassVar[str] = (
-        "C. E. Lemke, Management Science 11 (1965), doi:10.1287/mnsc.11.7.681; M. Cao, M. C. Ferris, "
-        "Mathematics of Operations Research 21 (1996), doi:10.1287/moor.21.2.484"
+        "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
     )
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False

@@ -156,6 +156,10 @@ class MAOR(ModulusBased):
         α > 0.
     acceleration : float
         β.
+    omega : float or array, shape (n,)
+        Ω: a positive multiple of the diagonal of M, or the positive diagonal of Ω itself.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
     """
 
     name: ClassVar[str] = "maor"
@@ -180,6 +184,10 @@ class MSOR(ModulusBased):
     ----------
     relaxation : float
         α > 0.
+    omega : float or array, shape (n,)
+        Ω: a positive multiple of the diagonal of M, or the positive diagonal of Ω itself.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
 
     Notes
     -----
@@ -200,7 +208,15 @@ class MSOR(ModulusBased):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MGS(ModulusBased):
-    """MGS, modulus-based Gauss–Seidel: MAOR with α = β = 1."""
+    """MGS, modulus-based Gauss–Seidel: MAOR with α = β = 1.
+
+    Parameters
+    ----------
+    omega : float or array, shape (n,)
+        Ω: a positive multiple of the diagonal of M, or the positive diagonal of Ω itself.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
 
     name: ClassVar[str] = "mgs"
 
@@ -211,7 +227,15 @@ class MGS(ModulusBased):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MJ(ModulusBased):
-    """MJ, modulus-based Jacobi: MAOR with α = 1, β = 0."""
+    """MJ, modulus-based Jacobi: MAOR with α = 1, β = 0.
+
+    Parameters
+    ----------
+    omega : float or array, shape (n,)
+        Ω: a positive multiple of the diagonal of M, or the positive diagonal of Ω itself.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
 
     name: ClassVar[str] = "mj"
 

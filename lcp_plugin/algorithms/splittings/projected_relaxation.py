@@ -216,7 +216,13 @@ class PAOR(_Simultaneous):
 
 @dataclass(frozen=True, kw_only=True)
 class PJ(_Simultaneous):
-    """PJ, projected Jacobi: z⁺ = mid(lower, upper, z − D⁻¹ w)."""
+    """PJ, projected Jacobi: z⁺ = mid(lower, upper, z − D⁻¹ w).
+
+    Parameters
+    ----------
+    sweep : {"forward", "backward", "symmetric"}
+        Symmetric does two Jacobi steps in one iteration; otherwise the order does not matter.
+    """
 
     name: ClassVar[str] = "pj"
     converges_on: ClassVar[str] = "H₊"

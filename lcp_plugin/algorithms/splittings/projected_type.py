@@ -177,6 +177,12 @@ class NPAOR(ProjectedType):
         α > 0.
     acceleration : float
         β; convergence is proved for 0 ≤ β ≤ α.
+    scaling : {"auto", "diagonal", None}
+        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper).
+    scaling_factor : float
+        θ of the diagonal scaling, > 0.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
 
     Notes
     -----
@@ -214,6 +220,10 @@ class NPSOR(ProjectedType):
     ----------
     relaxation : float
         α > 0; 1.7 is the paper's choice.
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
 
     Notes
     -----
@@ -235,7 +245,15 @@ class NPSOR(ProjectedType):
 
 @dataclass(frozen=True, kw_only=True)
 class NPGS(ProjectedType):
-    """NPGS, new projected-type Gauss–Seidel: NPAOR with α = β = 1."""
+    """NPGS, new projected-type Gauss–Seidel: NPAOR with α = β = 1.
+
+    Parameters
+    ----------
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
 
     name: ClassVar[str] = "npgs"
 
@@ -247,6 +265,13 @@ class NPGS(ProjectedType):
 @dataclass(frozen=True, kw_only=True)
 class NPJ(ProjectedType):
     """NPJ, new projected-type Jacobi: z⁺ = z − min(z, w)/(d + 1), NPAOR with α = 1, β = 0.
+
+    Parameters
+    ----------
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
 
     Notes
     -----

@@ -23,6 +23,7 @@ import numpy as np
 from ...algorithms import REGISTRY
 from ...batch import prepare
 from ...driver import solve
+from ...errors import InvalidProblem
 from ...problem import LCP, FloatVector
 from ...result import Result
 from ..gallery import Scene, build, parse
@@ -203,16 +204,17 @@ def growth(sizes: tuple[int, ...]) -> Iterator[str]:
 def american_put(size: int, steps: int) -> str:
     """Return what a march costs with a prepared problem and warm starts; corrections are V-cycles on the finest."""
     scene = build("american_put_march", size=size, steps=steps)
-    assert scene.advance is not None
+    advance = scene.advance
+    if advance is None:
+        raise InvalidProblem(f"{scene!r} is no march: nothing tells the q of the next step; give it `advance`")
 
     def march() -> tuple[int, int]:
-        assert scene.advance is not None
         problem = prepare(LCP(scene.problem.csr, scene.problem.q, lower=scene.problem.lower))
         z, cycles, solved = np.array(problem.lower), 0, 0
         for _ in range(steps):
             result = solve(problem, "multigrid", z0=z, tolerance=TOLERANCE)
             z, cycles, solved = result.z, cycles + result.iterations - 1, solved + result.is_solved
-            problem = problem.with_q(scene.advance(z))
+            problem = problem.with_q(advance(z))
         return cycles, solved
 
     one = timed(march)

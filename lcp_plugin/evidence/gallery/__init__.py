@@ -1,7 +1,8 @@
 """Named, parametrised scenes: problems that know what is known about them.
 
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
-same :class:`Scene`; ``describe()`` lists them all.
+same :class:`Scene`; ``describe()`` lists them all. Write ``from lcp_plugin import gallery`` and ``gallery.Scene``:
+``lcp_plugin.gallery`` is a name of the front door, not a module.
 """
 
 from .bearing import journal_bearing

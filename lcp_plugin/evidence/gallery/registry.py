@@ -39,6 +39,11 @@ def scene_builder(builder: Builder) -> Builder:
     The signature declares the parameters (keyword only, each with a default and, where it needs one, a range
     from :mod:`.parameters`); the first docstring line is the description. The returned function checks every
     value before the builder sees it, then completes the scene with name, description and parameters.
+
+    Parameters
+    ----------
+    builder : callable
+        Returns a :class:`Scene`.
     """
     name = builder.__name__
     parameters = parameters_of(builder)
@@ -101,7 +106,10 @@ def build(name: str, /, **parameters: Any) -> Scene:
 def parse(text: str) -> Scene:
     """Return the scene written as ``name`` or ``name:parameter=value,parameter=value``.
 
-    Each value is read as the kind its parameter has: integer, number, word, or true/false.
+    Parameters
+    ----------
+    text : str
+        Each value is read as the kind its parameter has: integer, number, word, or true/false.
 
     Raises
     ------

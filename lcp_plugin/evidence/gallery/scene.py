@@ -48,7 +48,7 @@ class Scene:
     steps : int, at least 1
         Length of the march in time; 1 for a single problem.
     advance : callable, optional
-        From the solution z of one step the q of the next: the march is
+        From the solution z of one step the q of the next, shapes (n,): the march is
         ``problem, problem.with_q(advance(z)), …``, `steps` problems in all.
 
     Raises

@@ -25,7 +25,17 @@ Progress = Callable[[int, int, str], object]
 
 @dataclass
 class Collected:
-    """Contents by (kind, name) in the order of the plan, how many of them were found on disk, and what is missing."""
+    """What the parts of a report hold.
+
+    Attributes
+    ----------
+    contents : dict
+        The content of each part by (kind, name), in the order of the plan.
+    found : int
+        How many of them were found on disk, from a former run.
+    missing : list of str
+        The names of parts that are not there yet.
+    """
 
     contents: Contents = field(default_factory=dict)
     found: int = 0

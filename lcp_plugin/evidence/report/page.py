@@ -28,6 +28,15 @@ WIDEST = 6  # scenes in one table: what a telephone can show
 def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
     """Write the page and the tables into the folder; return the path of the page.
 
+    Parameters
+    ----------
+    collected : Collected
+        What there is; the page says what is missing.
+    folder : Path
+        Where ``index.html``, ``report.json`` and the CSV files go.
+    is_quick : bool
+        Whether the problems are the small ones, which the page says.
+
     Raises
     ------
     LCPError

@@ -91,7 +91,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Atlas:
-    """All cells, and what was left out with its reason; see `Cell`."""
+    """How each algorithm fared under each stress.
+
+    Attributes
+    ----------
+    cells : tuple of Cell
+        One for each algorithm and stress.
+    skipped : tuple of (str, str)
+        What was left out, and why.
+    """
 
     cells: tuple[Cell, ...]
     skipped: tuple[tuple[str, str], ...] = ()

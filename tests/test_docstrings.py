@@ -1,0 +1,111 @@
+"""What ``help()`` tells about a public name: each parameter with shape or unit, what comes back, what is raised."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from dataclasses import is_dataclass
+from importlib import import_module
+from typing import Any
+
+import pytest
+
+import lcp_plugin
+from lcp_plugin import gallery, strategies
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+
+ELSEWHERE = {
+    "algorithms": "Algorithm Step algorithm_class create from_other_packages",
+    "conversions.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
+    "conversions.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
+    "conversions.linear_program": "lcp_from_lp",
+    "conversions.qp_solution": "QPSolution",
+    "conversions.quadratic_program": "lcp_from_qp qp_from_lcp",
+    "evidence.curves": "Curve Point Report",
+    "evidence.performance_profile": "Profile performance_profile",
+    "evidence.pictures": "draw",
+    "evidence.report.collect": "Collected collect",
+    "evidence.report.page": "write_report",
+    "evidence.report.plan": "plan",
+    "evidence.stability": "Atlas Cell",
+    "modeling.constraint": "Box Complements",
+    "modeling.registration": "solve_model",
+    "search": "Solution",
+}
+PUBLIC: dict[str, Any] = {
+    **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},
+    **{f"LCP.{name}": getattr(lcp_plugin.LCP, name) for name in vars(lcp_plugin.LCP) if name[0] != "_"},
+    **{f"Result.{name}": getattr(lcp_plugin.Result, name) for name in vars(lcp_plugin.Result) if name[0] != "_"},
+    **{f"gallery.{name}": getattr(gallery, name) for name in gallery.__all__},
+    **{f"strategies.{name}": getattr(strategies, name) for name in strategies.__all__},
+    **{name: algorithm_class(name) for name in REGISTRY},
+    **{
+        name: getattr(import_module(f"lcp_plugin.{home}"), name)
+        for home, names in ELSEWHERE.items() for name in names.split()
+    },
+}
+
+
+def is_function(thing: Any) -> bool:
+    return inspect.isfunction(thing) or inspect.ismethod(thing)
+
+
+DESCRIBED = {name: thing for name, thing in PUBLIC.items() if inspect.isclass(thing) or is_function(thing)}
+
+
+def sections(thing: Any) -> dict[str, str]:
+    """The parts of a numpydoc docstring by title; the summary has the empty title."""
+    parts = re.split(r"^(\w+)\n-{3,}\n", inspect.getdoc(thing) or "", flags=re.M)
+    return dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+
+
+def entries(thing: Any) -> dict[str, str]:
+    """What is said about each parameter or attribute: ``a, b : type`` and the indented lines below it."""
+    told = sections(thing)
+    text = told.get("Parameters", "") + "\n" + told.get("Attributes", "")
+    found = re.findall(r"^(\S.*)\n?((?:^[ ]+.*\n?|^\n)*)", text, re.M)
+    return {name.strip(" *"): f"{head}\n{body}" for head, body in found for name in head.partition(" : ")[0].split(",")}
+
+
+def parameters(thing: Any) -> dict[str, str]:
+    """The parameters that a caller may give, with their annotations."""
+    if inspect.isclass(thing) and not (is_dataclass(thing) or "__init__" in vars(thing)):
+        return {}
+    given = inspect.signature(inspect.unwrap(thing)).parameters
+    return {name: str(p.annotation) for name, p in given.items() if name not in ("self", "cls", "_")}
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_help_tells_what_goes_in_and_what_comes_out(name: str) -> None:
+    """A summary; an entry for each parameter, with shape or unit where it has one; what is returned."""
+    thing = DESCRIBED[name]
+    told, said = sections(thing), entries(thing)
+    assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0])
+    for parameter, annotation in parameters(thing).items():
+        assert parameter in said, f"{parameter} is not described"
+        if re.search("FloatVector|ArrayLike|NDArray", annotation):
+            assert re.search(r"shape|length|As in", said[parameter]), f"{parameter}: which shape?"
+        if "seconds" in parameter:
+            assert re.search(r"[Ss]econd|units", said[parameter].partition("\n")[2]), f"{parameter}: which unit?"
+    returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
+    if returns and returns not in ("None", "Scene"):  # the first line of a scene says what the scene is
+        is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {"Returns", "Yields"} & set(told)
+        assert is_told, "what comes back?"
+
+
+@pytest.mark.parametrize("name", [name for name, thing in DESCRIBED.items() if is_function(thing)])
+def test_help_tells_what_is_raised(name: str) -> None:
+    """Every error that the function's own lines raise stands in its Raises section."""
+    thing = inspect.unwrap(DESCRIBED[name])
+    tree = ast.parse(textwrap.dedent(inspect.getsource(thing)))
+    raised = {node.exc.func.id for node in ast.walk(tree)
+              if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name)}
+    assert not {error for error in raised if error not in sections(thing).get("Raises", "")}
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_an_algorithm_names_its_source(name: str) -> None:
+    """The class says where the method comes from, with a doi unless it is the paper that has none."""
+    assert re.search(r"doi:10\.|More on projected type iteration method", algorithm_class(name).reference)

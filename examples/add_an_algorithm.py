@@ -8,14 +8,15 @@ For τ < 1/‖M‖ it converges on every monotone problem, M symmetric or not. W
 game below circle for ever; with it they spiral into the equilibrium.
 
 An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. To
-offer it under its name from a package of your own, put three lines into that package's pyproject.toml,
+offer it under its name from a package of your own, put this into that package's pyproject.toml,
 
     [project.entry-points."lcp_plugin.algorithms"]
     extragradient = "my_package.add_an_algorithm:Extragradient"
 
 and everybody who installs it can write solve(problem, "extragradient"), or see it in `lcp-plugin list`.
 
-Source: Korpelevich, The extragradient method for finding saddle points and other problems, Matecon 12, 1976.
+Source: Korpelevich, The extragradient method for finding saddle points and other problems, Ekonomika i
+Matematicheskie Metody 12, 1976; in English in Matecon 13, 1977.
 """
 
 from collections.abc import Iterator

@@ -9,8 +9,8 @@ scale factor, the solutions of an LCP:
 
 `solve` finds one of them, `all_solutions` every one, in exact arithmetic.
 
-The check tries all pairs of supports with the same number of actions and makes the other player indifferent between the
-actions of his own. It is the classical way and uses linear equations only.
+The check tries all pairs of supports (the actions that a player uses) of the same size, and makes each player
+indifferent between his own. It is the classical way and uses linear equations only.
 
 Sources: Nash, Annals of Mathematics 54, 1951, doi:10.2307/1969529; Lemke, Howson, J. SIAM 12, 1964,
 doi:10.1137/0112033.

@@ -5,6 +5,8 @@ jumps between neighbours (D u holds all differences between neighbouring pixels)
 
     min ½ ‖u − f‖² + λ ‖D u‖₁.
 
+(This is the anisotropic kind: it adds up jumps between rows and jumps between columns.)
+
 Its dual has one number p for each pair of neighbours, −λ ≤ p ≤ λ, and minimises ½ ‖Dᵀp − f‖²: an LCP with bounds on
 both sides, M = D Dᵀ and q = −D f. Then u = f − Dᵀp, and w = −D u: where two neighbours differ, p rests on a bound.
 

@@ -8,8 +8,8 @@ Here: a heated plate that loses heat to its surroundings and is carried through 
 
     T ≤ T_max,   −Δ T + v ∂T/∂x + c T ≤ f,   and at every point one of the two is an equation:
 
-a thermostat takes the heat away where the plate would become hotter than T_max. There is no quadratic program with this
-answer, so the check at the end is a linear solve: with the set of the hottest points known, T solves a linear system.
+a thermostat takes the heat away where the plate would become hotter than T_max. As M is not symmetric, T is not
+the least of an energy. The check at the end is a linear solve: with the hottest points known, T solves a linear system.
 
 Source: Duvaut, Lions, Inequalities in Mechanics and Physics, Springer 1976, doi:10.1007/978-3-642-66165-5.
 """

@@ -1,4 +1,4 @@
-"""Hundreds of problems with one matrix: a bar is twisted until it yields.
+"""A hundred problems with one matrix: a bar is twisted until it yields.
 
 Twist a square steel bar. Its stress function u vanishes on the edge, and −Δu = 2α inside, α the twist per length. The
 stress |∇u| cannot exceed the yield stress 1, which means that u stays below the distance to the edge:

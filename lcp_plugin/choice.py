@@ -309,10 +309,15 @@ def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:
                 f"options {sorted(options)} were given beside an algorithm object; "
                 f"set them in {type(algorithm).__name__}(…)"
             )
+        if not getattr(algorithm, "name", ""):
+            raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
         return Single(algorithm)
     if algorithm == "auto":
         if options:
-            raise InvalidOption(f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well')
+            raise InvalidOption(
+                f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well, or see '
+                "help(lcp_plugin.solve) for what solve itself takes"
+            )
         return Auto()
     if isinstance(algorithm, type):
         name = algorithm.__name__

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .algorithms import Algorithm, Step
+from .algorithms.base import require_step
 from .algorithms.rehearsal import rehearse
 from .certificates.residuals import GAINED, Certificate, ratio, reference_residual, scaled_residual
 from .checks import FloatVector
@@ -188,6 +189,8 @@ class _Run:
         self.progress.restart(max(self.iteration, 0), self.best)
         is_first_step = True
         for step in steps:
+            if is_first_step:
+                require_step(stage.algorithm.name, step)
             self._now = time.perf_counter()
             self.seconds = self._now - self._began - self._stopped
             self._unmeasured = step.z

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,15 @@ from typer.testing import CliRunner
 
 import lcp_plugin
 from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve, solve_many
-from lcp_plugin.algorithms import REGISTRY, _class_from_outside, algorithm_class, create, from_other_packages
+from lcp_plugin.algorithms import (
+    REGISTRY,
+    Algorithm,
+    Step,
+    _class_from_outside,
+    algorithm_class,
+    create,
+    from_other_packages,
+)
 from lcp_plugin.cli import app
 
 ROOT = Path(__file__).parent.parent
@@ -165,6 +174,33 @@ def test_two_packages_with_one_name_are_both_refused(install: Install) -> None:
     install(WORKING.format(name="offered"), "offered", package="second-package")
     with pytest.raises(UnknownAlgorithm, match=r"package first-package 1.2 and package second-package 1.2.*uninstall"):
         solve(PROBLEM, "offered")
+
+
+def test_first_mistakes_of_an_author_are_named() -> None:
+    """An algorithm that yields z itself, returns it, or has no name is refused in words."""
+
+    class Bare(Algorithm):
+        name = "bare"
+
+        def iterates(self, problem: LCP, z0: Any) -> Any:
+            yield z0
+
+    class Returned(Bare):
+        def iterates(self, problem: LCP, z0: Any) -> Any:
+            return z0
+
+    class Nameless(Algorithm):
+        def iterates(self, problem: LCP, z0: Any) -> Any:
+            yield Step(z0)
+
+    problem = LCP([[2.0]], [-1.0])
+    for algorithm, words in (
+        (Bare(), r"bare\.iterates must yield Step\(z\), got ndarray; write `yield Step\(z\)`"),
+        (Returned(), r"bare\.iterates must yield Step\(z\), got float64"),
+        (Nameless(), 'Nameless has no name; write name = "…" in the class'),
+    ):
+        with pytest.raises(InvalidOption, match=words):
+            solve(problem, algorithm)
 
 
 def test_python_dash_m_is_the_command() -> None:

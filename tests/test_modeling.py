@@ -240,6 +240,23 @@ def test_divergence_is_a_solver_error_with_advice() -> None:
         problem.solve(method="LCP", algorithm="npgs")
 
 
+def test_a_proved_lack_of_solutions_is_a_status_with_its_proof() -> None:
+    """A model without solution is infeasible for cvxpy and has a proof but no values; then q may change."""
+    x, q = cp.Variable(2), cp.Parameter(2, value=[-1.0, -1.0])
+    inner = x >= 0
+    pair = complements(inner, np.array([[0.0, 1.0], [0.0, 0.0]]) @ x + q >= 0)
+    problem = cp.Problem(cp.Minimize(0), [pair])
+    assert problem.solve(method="LCP") == np.inf
+    assert problem.status == cp.INFEASIBLE
+    assert x.value is None
+    assert pair.dual_value is None
+    assert inner.dual_value is None
+    assert problem.solver_stats.extra_stats.infeasibility.verify()
+    q.value = [1.0, 1.0]
+    problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+
+
 def test_plain_solve_names_the_method() -> None:
     """problem.solve() without the method is refused by cvxpy with a message that names the method."""
     x = cp.Variable(3)

@@ -161,6 +161,12 @@ def is_number(value: Any) -> bool:
     return True
 
 
+def require_step(name: str, step: Any) -> None:
+    """Refuse what is no step, as an algorithm of somebody else's may yield."""
+    if not isinstance(step, Step):
+        raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
+
+
 def has_positive_diagonal(problem: LCP) -> NDArray[np.bool_]:
     """Return where the diagonal is positive and not too small to invert, shape (n,)."""
     with np.errstate(over="ignore", divide="ignore"):

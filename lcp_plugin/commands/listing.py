@@ -12,23 +12,25 @@ def list_everything() -> None:
     """Print the algorithms with what they need and their sources, and the scenes with their parameters."""
     from rich.console import Console
 
-    from ..algorithms import REGISTRY, algorithm_class, from_other_packages
+    from ..algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
     from ..evidence.gallery import describe
 
     foreign = from_other_packages()
     offers = {**{name: algorithm_class(name) for name in REGISTRY}, **foreign}
     kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
-    sources = {source: k for k, source in enumerate(dict.fromkeys(kind.reference for kind in kinds.values()), start=1)}
+    references = dict.fromkeys(kind.reference for kind in kinds.values() if kind.reference != Algorithm.reference)
+    sources = {reference: k for k, reference in enumerate(references, start=1)}
     algorithms = _table("Algorithms", "name", "needs", "proved to converge on", "an iteration costs", "source")
     for name, kind in kinds.items():
-        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, f"[{sources[kind.reference]}]")
+        source = f"[{sources[kind.reference]}]" if kind.reference in sources else kind.reference
+        algorithms.add_row(name, kind.assumption, kind.converges_on, kind.cost, source)
     scenes = _table("Scenes", "name", "what", "parameters")
     for name, summary, parameters in describe():
         scenes.add_row(name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
     console = Console(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False)
     console.print(algorithms)
-    for source, k in sources.items():
-        console.print(f"[{k}] {source}")
+    for reference, k in sources.items():
+        console.print(f"[{k}] {reference}")
     for error in (one for one in foreign.values() if isinstance(one, LCPError)):
         console.print(f"left out: {error}")
     console.print()

@@ -27,6 +27,8 @@ CVXPY_STATUS = {
     Status.MAX_SECONDS: settings.USER_LIMIT,
     Status.STALLED: settings.USER_LIMIT,
     Status.INTERRUPTED: settings.USER_LIMIT,
+    Status.INFEASIBLE: settings.INFEASIBLE,
+    Status.NO_SOLUTION: settings.INFEASIBLE,
 }
 
 
@@ -107,7 +109,7 @@ def solve_model(
     Returns
     -------
     float
-        The value of the objective: 0 for a complementarity problem.
+        The value of the objective: 0 for a complementarity problem, ∞ where it is proved to have no solution.
 
     Raises
     ------
@@ -149,13 +151,16 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
         settings.NUM_ITERS: result.iterations,
         settings.EXTRA_STATS: result,
     }
-    values = model.values(result.z)
     duals = model.duals(result.z, result.w)
     own = {constraint.id for constraint in problem.constraints}
-    problem.unpack(Solution(status, 0.0, values, {c.id: value for c, value in duals if c.id in own}, attributes))
+    if status == settings.INFEASIBLE:
+        problem.unpack(Solution(status, np.inf, {}, {}, attributes))
+    else:
+        known = {constraint.id: value for constraint, value in duals if constraint.id in own}
+        problem.unpack(Solution(status, 0.0, model.values(result.z), known, attributes))
     for constraint, value in duals:
         if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
-            constraint.save_dual_value(value)
+            constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
     if status in settings.INACCURATE:
         warnings.warn(

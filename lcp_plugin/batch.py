@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from .driver import solve
 from .errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
 from .problem import LCP
 from .result import Result, Status
+from .settings import CallersOwn
 
 
 def prepare(problem: LCP) -> LCP:
@@ -86,9 +87,9 @@ def solve_many(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve_many needs an LCP, got {type(problem).__name__}; write solve_many(LCP(M, q), Q)")
-    raised: list[BaseException] = []
-    if callable(callback := options.get("callback")):
-        options["callback"] = _remembering(callback, raised)
+    own = CallersOwn(options["callback"]) if callable(options.get("callback")) else None
+    if own is not None:
+        options["callback"] = own
     answers: list[Result | LCPError] = []
     for q in _columns(Q):
         try:
@@ -96,26 +97,13 @@ def solve_many(
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
-            if any(error is each for each in raised):
+            if own is not None and error is own.raised:
                 raise
             answer = error
         answers.append(answer)
         if isinstance(answer, Result) and answer.status is Status.INTERRUPTED:
             break
     return answers
-
-
-def _remembering(callback: Callable[..., Any], raised: list[BaseException]) -> Callable[..., bool]:
-    """Return the callback, which notes what it raises: an error of the caller's is none of a column."""
-
-    def remembering(*seen: Any) -> bool:
-        try:
-            return bool(callback(*seen))
-        except BaseException as error:
-            raised.append(error)
-            raise
-
-    return remembering
 
 
 def _columns(Q: Any) -> list[Any]:

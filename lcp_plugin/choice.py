@@ -237,7 +237,7 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
         left_out += [newton, interior]
     if contradictory_row(problem) is not None:
         yield replace(check, because="one row contradicts its bounds by itself")
-    elif newton not in left_out and not left.is_dense and _is_z_matrix(left):
+    elif newton not in left_out and not left.is_dense and _suits_newton(left):
         yield newton
         left_out.append(newton)
     if _seems_monotone(left, problem.origin):
@@ -256,9 +256,10 @@ def last_resort(problem: LCP) -> Algorithm:
     return create("lemke" if problem.n <= LARGEST_PIVOTED else "psor", {})
 
 
-def _is_z_matrix(problem: LCP) -> bool:
-    """Return whether the diagonal is positive and nothing else is."""
-    return bool(has_positive_diagonal(problem).all()) and np.count_nonzero(problem.csr.data > 0.0) == problem.n
+def _suits_newton(problem: LCP) -> bool:
+    from .matrix_classes import analyze
+
+    return bool(has_positive_diagonal(problem).all()) and bool(analyze(problem).is_z_matrix)
 
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:

@@ -42,7 +42,7 @@ def _kept(decorate: Callable[[bool], Any]) -> Any:
     try:
         with _kept_in(cache_folder()):
             return decorate(True)
-    except RuntimeError:  # numba found no place for its cache
+    except Exception:  # numba found no place for its cache, the disk is full, or what lies there is damaged
         return decorate(False)
 
 

@@ -22,7 +22,7 @@ from .guarantees import warn_where_uncovered
 from .pacing import CheckSchedule, ErrorWatch, Progress
 from .problem import LCP
 from .result import Result, Sample, StageRecord, Status, status_of
-from .settings import Settings, checked_start
+from .settings import CallersOwn, Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
 
@@ -126,7 +126,8 @@ class _Run:
     def __init__(self, problem: LCP, policy: Policy, settings: Settings, callback: Callback | None) -> None:
         self._began = self._now = time.perf_counter()
         self._stopped = self._compiling = 0.0
-        self.problem, self.policy, self.settings, self.callback = problem, policy, settings, callback
+        self.problem, self.policy, self.settings = problem, policy, settings
+        self.callback = None if callback is None else CallersOwn(callback)
         if callback is not None and not callable(callback):
             raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
         self.reference = reference_residual(problem)
@@ -144,7 +145,6 @@ class _Run:
         self.progress = Progress(problem.n, settings.max_iterations)
         self._last_certificate: Certificate | None = None
         self._unmeasured: FloatVector | None = None
-        self._is_with_the_caller = False  # what is raised meanwhile is his
         self._next_sample = 0
         self.proof: Any = None  # that there is no solution
 
@@ -170,8 +170,9 @@ class _Run:
         """Run one algorithm; return the next one, or why the run is over."""
         try:
             following, reason = self._follow(steps)
-        except (UnsuitableMatrix, UnsuitableProblem):
-            if len(self.stages) == 1 or self.stages[-1].iterations > 0 or self._is_with_the_caller:
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            is_the_caller_s = self.callback is not None and error is self.callback.raised
+            if len(self.stages) == 1 or self.stages[-1].iterations > 0 or is_the_caller_s:
                 raise
             following, reason = None, Status.STALLED  # auto tried what does not take this problem
         if following is not None:
@@ -329,9 +330,7 @@ class _Run:
                 view = step.z.view()
                 view.flags.writeable = False
                 sample = Sample(self.iteration, self.work, self.seconds, residual, name)
-                self._is_with_the_caller = True
-                wants_to_stop = bool(self.callback(sample, view))
-                self._is_with_the_caller = False
+                wants_to_stop = self.callback(sample, view)
             if due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self._measure(step.z) if residual is None else residual

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,3 +117,24 @@ def _flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
     return bool(value)
+
+
+class CallersOwn:
+    """The caller's function, which remembers what it raised: that is no refusal of ours.
+
+    Parameters
+    ----------
+    function : callable
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.raised: BaseException | None = None
+
+    def __call__(self, *arguments: Any) -> bool:
+        """Return the truth of what the function returns."""
+        try:
+            return bool(self._function(*arguments))
+        except BaseException as error:
+            self.raised = error
+            raise

@@ -14,7 +14,16 @@ from .base import Algorithm, Step
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["ENTRY_POINT_GROUP", "REGISTRY", "Algorithm", "Step", "algorithm_class", "create", "from_other_packages"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "REGISTRY",
+    "Algorithm",
+    "Step",
+    "algorithm_class",
+    "create",
+    "from_other_packages",
+    "module_of",
+]
 
 ENTRY_POINT_GROUP = "lcp_plugin.algorithms"
 
@@ -73,6 +82,17 @@ def algorithm_class(name: str) -> type[Algorithm]:
     module, _, class_name = REGISTRY[name].partition(":")
     found: type[Algorithm] = getattr(import_module(f"{__name__}.{module}"), class_name)
     return found
+
+
+def module_of(name: str) -> str:
+    """Return the module of a registered algorithm, which is its family; of any other name the name itself.
+
+    Examples
+    --------
+    >>> module_of("psor"), module_of("gfp"), module_of("auto")
+    ('projected_relaxation', 'projected_relaxation', 'auto')
+    """
+    return REGISTRY.get(name, name).partition(":")[0].rpartition(".")[2]
 
 
 def from_other_packages() -> dict[str, type[Algorithm] | UnknownAlgorithm]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..algorithms import REGISTRY, Algorithm, create
+from ..algorithms import REGISTRY, Algorithm, create, module_of
 from ..driver import solve
 from ..errors import ConvergenceWarning, InvalidOption, LCPError
 from ..problem import LCP, FloatVector
@@ -48,8 +48,7 @@ def family_of(algorithm: str | Algorithm) -> str:
         return "general fixed point (GFP)"
     if name not in REGISTRY and name != "auto":
         return "other"
-    module = REGISTRY.get(name, name).partition(":")[0]
-    return FAMILIES.get(module.rpartition(".")[2], OTHER)
+    return FAMILIES.get(module_of(name), OTHER)
 
 
 def contestants(algorithms: Any) -> list[Contestant]:

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..algorithms import REGISTRY
+from ..algorithms import module_of
 from ..certificates.residuals import Certificate, scaled_residual
 from ..driver import solve
 from ..errors import InvalidOption, LCPError
@@ -164,10 +164,10 @@ def _second_opinion(
     formulation: Formulation, result: Result, ours: Certificate, tolerance: float, max_seconds: float
 ) -> CrossCheck:
     """Return the check against algorithms of other families than those that made the result."""
-    used = {_family(stage.name) for stage in result.stages} or {_family(result.algorithm)}
+    used = {module_of(stage.name) for stage in result.stages} or {module_of(result.algorithm)}
     tried = []
     for name, options in SECOND_OPINIONS.items():
-        if _family(name) in used:
+        if module_of(name) in used:
             continue
         began = time.perf_counter()
         try:
@@ -186,10 +186,6 @@ def _second_opinion(
 def _best(tried: list[Attempt]) -> Attempt:
     """Return the most accurate; of those without an answer the last, which is the least likely to be just absent."""
     return min(reversed(tried), key=lambda one: one.residual)
-
-
-def _family(algorithm: str) -> str:
-    return REGISTRY.get(algorithm, algorithm).partition(":")[0]
 
 
 # --- Comparing ----------------------------------------------------------------------------------------------

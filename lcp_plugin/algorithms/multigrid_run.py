@@ -277,7 +277,8 @@ class MultigridRun:
         for k in range(most):
             if not correction.step():
                 break
-            np.clip(correction.applied_to(origin), fine.lower, fine.upper, out=z)
+            correction.apply_to(origin, z)
+            np.clip(z, fine.lower, fine.upper, out=z)
             left = correction.largest()
             if left <= enough or k == most - 1:
                 break

@@ -17,6 +17,7 @@ from ..rounding import compensated_product
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 MEASURES = ("relative", "euclidean")
+BLOCK = 2**14  # rows
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 
 
@@ -78,7 +79,8 @@ class Certificate:
         with np.errstate(all="ignore"):
             w = problem.slack(z)
             w.flags.writeable = False
-            residual = np.abs(scaled_residual(problem, z, w))
+            residual = scaled_residual(problem, z, w)
+            np.abs(residual, out=residual)
         worst = int(np.argmax(residual)) if problem.n else -1  # argmax stops at the first NaN
         largest = float(residual[worst]) if problem.n else 0.0
         return cls(problem, z, w, largest, worst)
@@ -119,7 +121,7 @@ class Certificate:
     def _natural(self) -> FloatVector:
         problem, w = self.problem, self._sure_slack
         with np.errstate(all="ignore"):
-            return _mid_residual(problem, self.z, w, w)
+            return _mid_residual(problem, self.z, w, None)
 
     @cached_property
     def natural_residual(self) -> float:
@@ -206,16 +208,22 @@ class Certificate:
 
 def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite."""
-    return _mid_residual(problem, z, w, w / problem.residual_scale)
+    return _mid_residual(problem, z, w, problem.residual_scale)
 
 
-def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, step: FloatVector) -> FloatVector:
-    """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,).
+def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None) -> FloatVector:
+    """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,), for step = w / scale.
 
     The same number, but a small step is not lost beside a large z. A w that overflowed on the way could have
     either sign, and says nothing.
     """
-    residual: FloatVector = np.minimum(np.maximum(step, z - problem.upper), z - problem.lower)
+    residual = np.empty(z.size)
+    for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
+        rows = slice(first, first + BLOCK)
+        step = w[rows] if scale is None else w[rows] / scale[rows]
+        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
+        np.maximum(step, own, out=own)
+        np.minimum(own, z[rows] - problem.lower[rows], out=own)
     if not np.isfinite(w.sum()):
         residual[np.isinf(w)] = np.inf
     return residual
@@ -226,7 +234,8 @@ def reference_residual(problem: LCP) -> float:
     z = problem.nearest_to_zero
     with np.errstate(all="ignore"):
         w = problem.slack(z) if z.any() else problem.q
-        return _largest(np.abs(scaled_residual(problem, z, w)))
+        residual = scaled_residual(problem, z, w)
+        return _largest(np.abs(residual, out=residual))
 
 
 def ratio(numerator: float, denominator: float) -> float:

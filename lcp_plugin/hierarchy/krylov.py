@@ -27,16 +27,18 @@ class KrylovCorrection:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         self.unit = power_of_two(residual)  # squares of very large or small numbers leave the range of a double
         self.residual /= self.unit
-        self._sum = np.zeros_like(residual)
+        self._sum = np.zeros(residual.size)
+        self._scratch = np.empty(residual.size)
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
 
-    def applied_to(self, origin: FloatVector) -> FloatVector:
-        """Return origin + c."""
-        return origin + self.unit * self._sum
+    def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
+        """Overwrite z by origin + c."""
+        np.multiply(self._sum, self.unit, out=z)
+        z += origin
 
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
-        scaled = self.residual * self.truncation.grids[0].inverse
+        scaled = np.multiply(self.residual, self.truncation.grids[0].inverse, out=self._scratch)
         return self.unit * float(max(scaled.max(initial=0.0), -scaled.min(initial=0.0)))
 
     @np.errstate(all="ignore")
@@ -47,24 +49,28 @@ class KrylovCorrection:
         np.copyto(top.b, self.residual)
         self.truncation.correct(0)
         p = top.x.copy()
-        product = np.empty_like(p)
+        product = np.empty(p.size)
         sweeps.free_product(*matrix.arrays, top.is_free, p, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = float(self._against(old_p, old_product) @ product) / old_scale
-            p -= share * old_p
-            product -= share * old_product
+            self._add(-share, old_p, p)
+            self._add(-share, old_product, product)
         against = self._against(p, product)
         scale = float(against @ product)
         length = float(against @ self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
-        self._sum += length * p
-        self.residual -= length * product
+        self._add(length, p, self._sum)
+        self._add(-length, product, self.residual)
         if self.is_symmetric:
             self.directions.clear()
         self.directions.append((p, product, scale))
         return True
+
+    def _add(self, factor: float, vector: FloatVector, to: FloatVector) -> None:
+        np.multiply(vector, factor, out=self._scratch)
+        to += self._scratch
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         return p if self.is_symmetric else product

@@ -226,8 +226,7 @@ class Result:
                 return []
             further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
             return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
-        scale = self.certificate.problem.residual_scale
-        spread = float(scale.max() / scale.min()) if scale.size else 1.0
+        spread = self.certificate.scale_spread
         if not spread > STIFF_SPREAD or not self.is_solved:
             return []
         return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "

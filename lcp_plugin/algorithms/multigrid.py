@@ -90,7 +90,7 @@ class Multigrid(Algorithm):
         require_positive_diagonal(problem, self.name)
         from .multigrid_run import MultigridRun
 
-        yield from MultigridRun(self, problem).iterates(z0)
+        yield from MultigridRun.of(self, problem).iterates(z0)
 
     def rehearsal(self) -> Multigrid:
         """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import diags_array
 
-from .. import kernels
 from ..hierarchy import sweeps
-from ..hierarchy.krylov import KrylovCorrection, power_of_two
-from ..hierarchy.levels import Grid, Hierarchy, build_hierarchy
+from ..hierarchy.krylov import KrylovCorrection, power_of_two, span
+from ..hierarchy.levels import Hierarchy, build_hierarchy
 from ..hierarchy.truncation import Truncation
 from ..matrix_classes.symmetry import is_symmetric_entrywise
 from ..problem import LCP, FloatVector
 from .base import Step
+from .multigrid_problems import GridProblem, Stated
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
@@ -38,75 +38,54 @@ NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on 
 HALVINGS = 4
 
 
-class GridProblem:
-    """The complementarity problem of one grid, with its projected sweep."""
-
-    def __init__(
-        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
-    ) -> None:
-        self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
-        self.arrays = grid.matrix.arrays
-        self.entries = grid.matrix.data.size
-        self.rows = kernels.packed(q, lower, upper, grid.inverse)
-        # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
-        self.splits = {False: grid.split, True: _behind(grid.split)}
-        self.residual = np.empty(q.size)
-        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
-        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
-        if self.is_projected_type:
-            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
-            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
-            self.new = np.empty(q.size)
-
-    def sweep(self, z: FloatVector, backward: bool) -> None:
-        """Overwrite z by one projected sweep."""
-        if not self.is_projected_type:
-            self._relax(z, self.relaxation, backward)
-            return
-        indptr, indices, data = self.arrays
-        kernels.splitting_sweep(
-            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
-        )
-        np.copyto(z, self.new)
-
-    def gauss_seidel(self, z: FloatVector) -> float:
-        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
-        return self._relax(z, 1.0, backward=False)
-
-    def _relax(self, z: FloatVector, relaxation: float, backward: bool) -> float:
-        indptr, indices, data = self.arrays
-        largest, _ = kernels.relaxation_sweep(
-            indptr, self.splits[backward], indices, data, self.rows, relaxation, backward, z
-        )
-        return float(largest)
-
-
 class MultigridRun:
     """The state of one run on one problem."""
 
-    def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
-        self.algorithm, self.problem = algorithm, problem
-        self.is_symmetric, self.work = symmetry_of(problem)
-        self.hierarchy, work = hierarchy_of(problem, algorithm.coarsest)
-        self.work += work
+    def __init__(self, algorithm: Multigrid, problem: Stated, hierarchy: Hierarchy, *, is_symmetric: bool) -> None:
+        self.algorithm, self.problem, self.hierarchy = algorithm, problem, hierarchy
+        self.is_symmetric, self.work = is_symmetric, 0.0
+        finest = hierarchy.grids[0]
+        self.peers = finest.peers
         # What snaps to a bound is measured before it does.
         is_measured = algorithm.smoother in ("pgs", "psor")
-        self.tells_residual = is_measured and np.array_equal(problem.residual_scale, problem.diagonal)
-        self.truncation = Truncation(self.hierarchy)
-        finest = self.hierarchy.grids[0]
+        self.tells_residual = is_measured and self._all(np.array_equal(problem.residual_scale, problem.diagonal))
+        self.truncation = Truncation(hierarchy)
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
-        self.entries = float(max(problem.csr.nnz, 1))
+        self.size = self.peers.total(finest.n)
+        self.entries = max(self.peers.total(finest.matrix.data.size), 1.0)
 
-    def iterates(self, z: FloatVector) -> Iterator[Step]:
+    @classmethod
+    def of(cls, algorithm: Multigrid, problem: LCP) -> MultigridRun:
+        """Return the run on a problem of one process, with the hierarchy that its matrix may have already."""
+        is_symmetric, work = symmetry_of(problem)
+        hierarchy, more = hierarchy_of(problem, algorithm.coarsest)
+        run = cls(algorithm, problem, hierarchy, is_symmetric=is_symmetric)
+        run.work = work + more
+        return run
+
+    def _all(self, is_so: bool) -> bool:
+        return self.peers.total(not is_so) == 0
+
+    def iterates(self, start: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
-        is_cold = np.array_equal(z, self.problem.nearest_to_zero)
+        n = start.size
+        z = start
+        if self.peers.foreign:
+            z = np.zeros(self.hierarchy.grids[0].width)
+            z[:n] = start
+        for step in self._whole_iterates(z, self._all(np.array_equal(start, self.problem.nearest_to_zero))):
+            yield step if z is start else replace(step, z=step.z[:n])
+
+    def _whole_iterates(self, z: FloatVector, is_cold: bool) -> Iterator[Step]:
         yield Step(z, work=self._spent())
         if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
             return
         begun, start = self._residual(z), z.copy()
         if not is_cold:  # the start may be much better than what the first cycle makes of it
-            begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
+            nearest = np.zeros(z.size)
+            nearest[: self.problem.q.size] = self.problem.nearest_to_zero
+            begun = max(begun, self._residual(nearest))
         if self.algorithm.nested and len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
         yield from self._cycles(z, begun, start)
@@ -115,9 +94,10 @@ class MultigridRun:
         """Return the largest scaled residual of z, and leave everything as it is."""
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
+        self.peers.fetch(z)
         largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, fine.residual)
         self.work += fine.entries
-        return float(largest)
+        return self.peers.largest(float(largest))
 
     # --- nested iteration -------------------------------------------------------------------------------
 
@@ -128,21 +108,23 @@ class MultigridRun:
         would move it, and what the start has got right stays as it is.
         """
         fine = self.problems[0]
+        own = z[: fine.q.size]
         if is_cold:
             z[:] = 0.0
             self._add_coarse_problems(fine.q, fine.lower, fine.upper)
         else:
             fine.sweep(z, backward=False)
             fine.sweep(z, backward=True)
-            self._add_coarse_problems(self.problem.slack(z), fine.lower - z, fine.upper - z)
+            self._add_coarse_problems(self.problem.slack(own), fine.lower - own, fine.upper - own)
             self.work += 3.0 * fine.entries
         coarsest, last = self.problems[-1], len(self.problems) - 1
-        answer: FloatVector = np.clip(0.0, coarsest.lower, coarsest.upper)
+        answer = np.zeros(coarsest.grid.width)
+        np.clip(0.0, coarsest.lower, coarsest.upper, out=answer[: coarsest.q.size])
         for k in range(COARSEST_SWEEPS):
             coarsest.sweep(answer, backward=k % 2 == 1)
         self.work += COARSEST_SWEEPS * coarsest.entries
         for k in range(last - 1, 0, -1):
-            answer = self._interpolated(k, answer, np.zeros(self.problems[k].q.size))
+            answer = self._interpolated(k, answer, np.zeros(self.problems[k].grid.width))
             self._cycle_on(k, answer)
         self._interpolated(0, answer, z)
         del self.problems[1:]
@@ -181,7 +163,7 @@ class MultigridRun:
         fine = self.problems[0]
         best_of_round = previous = np.inf
         since = cycles = failed_rounds = 0
-        changed_before = crept = 0
+        changed_before, crept = 0.0, 0
         may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
         nested_at = np.inf
         while True:
@@ -213,21 +195,23 @@ class MultigridRun:
             if is_slow and changed and crept > CREPT_LONG and may_nest:
                 self._nested_start(z, is_cold=False)
                 self.truncation.start_at(0)
-                changed_before, crept, nested_at = z.size, 0, largest
-            elif is_slow and changed <= max(SETTLED * z.size, 1):
+                changed_before, crept, nested_at = self.size, 0, largest
+            elif is_slow and changed <= max(SETTLED * self.size, 1):
                 yield from self._krylov(z, SHORT_KRYLOV if changed else LONG_KRYLOV)
             else:
                 self._correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
 
-    def _look(self, k: int, z: FloatVector) -> tuple[float, int]:
+    def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, own = self.truncation.grids[k], self.problems[k]
-        largest, changed = sweeps.free_rows(
+        own.peers.fetch(z)
+        own_largest, own_changed = sweeps.free_rows(
             *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual
         )
         self.work += own.entries
+        largest, changed = own.peers.largest(own_largest), own.peers.total(own_changed)
         if changed:
             self.truncation.update()
         return largest, changed
@@ -238,7 +222,8 @@ class MultigridRun:
         if k == len(self.hierarchy.transfers):
             np.copyto(top.b, own.residual)
             self.truncation.correct(k)
-            np.clip(z + top.x, own.lower, own.upper, out=z)
+            part = z[: own.q.size]
+            np.clip(part + top.x[: own.q.size], own.lower, own.upper, out=part)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
@@ -246,17 +231,22 @@ class MultigridRun:
         before = z.copy() if k == 0 and self.is_symmetric else None
         cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, own.lower, own.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
-        if before is not None and cut > NOTEWORTHY_CUT * z.size:
+        if before is not None and self.peers.total(cut) > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)
 
     @np.errstate(all="ignore")
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
-        residual = self.problems[0].residual
-        unit = power_of_two(z - before)
-        step = (z - before) / unit
-        slope = -float(step @ (residual / unit))  # w = −residual on the free rows; the others did not move
-        curvature = float(step @ (self.problem.csr @ step))
+        fine = self.problems[0]
+        n, product = fine.q.size, np.empty(fine.q.size)
+        step = z - before
+        unit = power_of_two(self.peers.largest(span(step[:n])))
+        step /= unit
+        self.peers.fetch(step)
+        sweeps.free_product(*fine.arrays, np.ones(n, np.bool_), step, product)
+        # w = −residual on the free rows; the others did not move
+        slope = -self.peers.total(float(step[:n] @ (fine.residual / unit)))
+        curvature = self.peers.total(float(step[:n] @ product))
         self.work += self.entries
         size = 1.0
         for _ in range(HALVINGS):
@@ -273,12 +263,13 @@ class MultigridRun:
         fine = self.problems[0]
         correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
         enough = KRYLOV_GAIN * correction.largest()
-        origin = z.copy()
+        part = z[: fine.q.size]
+        origin = part.copy()
         for k in range(most):
             if not correction.step():
                 break
-            correction.apply_to(origin, z)
-            np.clip(z, fine.lower, fine.upper, out=z)
+            correction.apply_to(origin, part)
+            np.clip(part, fine.lower, fine.upper, out=part)
             left = correction.largest()
             if left <= enough or k == most - 1:
                 break
@@ -305,7 +296,7 @@ class MultigridRun:
 
     def _spent(self) -> float:
         """Return the passes over M since the last step."""
-        work = self.work + self.truncation.take_work()
+        work = self.peers.total(self.work + self.truncation.take_work())
         self.work = 0.0
         return work / self.entries
 
@@ -340,15 +331,9 @@ def symmetry_of(problem: LCP) -> tuple[bool, float]:
 def rehearse(algorithm: Multigrid) -> None:
     """Run every kernel once, on a chain of 16 unknowns."""
     M = diags_array([-np.ones(15), np.full(16, 2.0), -np.ones(15)], offsets=[-1, 0, 1], format="csr")
-    run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
+    run = MultigridRun.of(algorithm, LCP(M, -np.ones(16)))
     steps = run.iterates(np.zeros(16))
     for _ in range(3):
         next(steps)
     KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric).step()
     run.problems[0].gauss_seidel(np.zeros(16))
-
-
-def _behind(split: NDArray[Any]) -> NDArray[Any]:
-    after: NDArray[Any] = split + 1
-    after.flags.writeable = False
-    return after

@@ -89,15 +89,18 @@ class Certificate:
     def relative_residual(self) -> float:
         """‖r(z)‖∞ / ‖r(z°)‖∞; 0 for 0/0."""
         reference = reference_residual(self.problem)
-        if not self._is_out_of_proportion:
-            return ratio(self.scaled_residual, reference)
-        with np.errstate(all="ignore"):
-            return ratio(_largest(np.abs(scaled_residual(self.problem, self.z, self._sure_slack))), reference)
+        return ratio(self.sure_residual(reference), reference)
 
-    @cached_property
-    def _is_out_of_proportion(self) -> bool:
-        """Whether rounding could hide a residual as large as the problem itself from a w in double precision."""
-        problem, reference = self.problem, reference_residual(self.problem)
+    def sure_residual(self, reference: float) -> float:
+        """Return ‖r(z)‖∞, of a proved enclosure of w where rounding could hide a residual as large as `reference`."""
+        if not self._may_hide(reference):
+            return self.scaled_residual
+        with np.errstate(all="ignore"):
+            return _largest(np.abs(scaled_residual(self.problem, self.z, self._enclosed_slack)))
+
+    def _may_hide(self, reference: float) -> bool:
+        """Return whether rounding could hide a residual as large as `reference` from a w in double precision."""
+        problem = self.problem
         if not problem.n or not 0.0 < reference < np.inf or not self.scaled_residual <= GAINED * reference:
             return False
         with np.errstate(all="ignore"):
@@ -110,12 +113,15 @@ class Certificate:
             return bool(self.rounding_floor.max() > GAINED * reference)
 
     @cached_property
-    def _sure_slack(self) -> FloatVector:
-        """The slack w, or the end farther from 0 of a proved enclosure of it where that of doubles says nothing."""
-        if not self._is_out_of_proportion:
-            return self.w
+    def _enclosed_slack(self) -> FloatVector:
+        """The end farther from 0 of a proved enclosure of w."""
         value, radius = compensated_product(self.problem.csr, self.z, self.problem.q)
         return value + np.copysign(radius, value)
+
+    @cached_property
+    def _sure_slack(self) -> FloatVector:
+        """The slack w, or its enclosure where that of doubles says nothing."""
+        return self._enclosed_slack if self._may_hide(reference_residual(self.problem)) else self.w
 
     @cached_property
     def _natural(self) -> FloatVector:
@@ -179,6 +185,12 @@ class Certificate:
             rounding = MACHINE_EPSILON * _magnitude(problem, self.z) + SMALLEST
             floor: FloatVector = terms * rounding / problem.residual_scale
         return floor
+
+    @property
+    def scale_spread(self) -> float:
+        """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
+        scale = self.problem.residual_scale
+        return float(scale.max() / scale.min()) if scale.size else 1.0
 
     @property
     def is_at_rounding_level(self) -> bool:

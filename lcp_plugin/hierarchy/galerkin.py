@@ -79,14 +79,16 @@ def count_products(indptr, indices, p_indptr):  # type: ignore[no-untyped-def]
     return total
 
 
-def galerkin_product(matrix: Arrays, prolongation: Arrays, restriction: Arrays) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored."""
+def galerkin_product(
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int | None = None
+) -> Arrays:
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; P may have more columns than R rows."""
     indptr, indices, _ = matrix
     n = restriction[0].size - 1
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
     c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
-    after = np.zeros(n, indptr.dtype)
+    after = np.zeros(n if columns is None else columns, indptr.dtype)
     rows = _product_rows(*matrix, *prolongation, *restriction, longest, 0, after, c_indptr, c_indices, c_data)
     while rows < n:  # the room did not suffice
         size, room = int(c_indptr[rows]), room + room // 2 + n
@@ -121,7 +123,7 @@ def _product_rows(  # type: ignore[no-untyped-def]
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             i = uintp(r_indices[a])
             needed += uintp(longest) * uintp(indptr[i + one] - indptr[i])
-        if room - size < min(needed, n):
+        if room - size < min(needed, uintp(after.size)):
             return row
         c_indices[size] = row
         c_data[size] = 0.0
@@ -165,14 +167,14 @@ def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched):  # typ
 def update_product(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     c_indptr, c_indices, c_data, c_diagonal, c_inverse, c_is_free, c_free_changed, c_row_changed,
-):
+):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
     one = uintp(1)
     n = uintp(r_indptr.size - 1)
-    where = np.empty(n, indptr.dtype)
+    where = np.empty(c_is_free.size, indptr.dtype)
     products = 0.0
     changed_rows = 0
     for row in range(n):

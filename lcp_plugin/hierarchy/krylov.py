@@ -25,7 +25,9 @@ class KrylovCorrection:
 
     def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
-        self.unit = power_of_two(residual)  # squares of very large or small numbers leave the range of a double
+        self.peers = truncation.grids[0].grid.peers
+        # Squares of very large or small numbers leave the range of a double.
+        self.unit = power_of_two(self.peers.largest(span(residual)))
         self.residual /= self.unit
         self._sum = np.zeros(residual.size)
         self._scratch = np.empty(residual.size)
@@ -39,7 +41,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
         scaled = np.multiply(self.residual, self.truncation.grids[0].inverse, out=self._scratch)
-        return self.unit * float(max(scaled.max(initial=0.0), -scaled.min(initial=0.0)))
+        return self.unit * self.peers.largest(span(scaled))
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
@@ -48,17 +50,18 @@ class KrylovCorrection:
         matrix = top.grid.matrix
         np.copyto(top.b, self.residual)
         self.truncation.correct(0)
-        p = top.x.copy()
+        p = top.x[: top.grid.n].copy()
         product = np.empty(p.size)
-        sweeps.free_product(*matrix.arrays, top.is_free, p, product)
+        self.peers.fetch(top.x)
+        sweeps.free_product(*matrix.arrays, top.is_free, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
-            share = float(self._against(old_p, old_product) @ product) / old_scale
+            share = self._dot(self._against(old_p, old_product), product) / old_scale
             self._add(-share, old_p, p)
             self._add(-share, old_product, product)
         against = self._against(p, product)
-        scale = float(against @ product)
-        length = float(against @ self.residual) / scale if scale > 0.0 else np.nan
+        scale = self._dot(against, product)
+        length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
         self._add(length, p, self._sum)
@@ -68,6 +71,9 @@ class KrylovCorrection:
         self.directions.append((p, product, scale))
         return True
 
+    def _dot(self, one: FloatVector, other: FloatVector) -> float:
+        return self.peers.total(float(one @ other))
+
     def _add(self, factor: float, vector: FloatVector, to: FloatVector) -> None:
         np.multiply(vector, factor, out=self._scratch)
         to += self._scratch
@@ -76,9 +82,13 @@ class KrylovCorrection:
         return p if self.is_symmetric else product
 
 
-def power_of_two(vector: FloatVector) -> float:
-    """Return the power of two just above the largest entry in absolute value; 1 where that is 0 or not finite."""
-    largest = float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+def span(vector: FloatVector) -> float:
+    """Return the largest entry in absolute value; 0 of no entry."""
+    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+
+
+def power_of_two(largest: float) -> float:
+    """Return the power of two just above a number ≥ 0; 1 where that is 0 or not finite."""
     if not 0.0 < largest < np.inf:
         return 1.0
     return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))

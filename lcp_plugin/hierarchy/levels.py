@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .. import kernels
 from ..problem import FloatVector
 from . import coarsening, galerkin
+from .peers import ALONE, Peers
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
@@ -50,7 +51,10 @@ class Operator:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both."""
+    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
+
+    P has a row for each foreign unknown as well; only the Galerkin product needs those.
+    """
 
     prolongation: Operator
     restriction: Operator
@@ -64,11 +68,17 @@ class Grid:
     matrix: Operator
     split: NDArray[Any]
     inverse: FloatVector
+    peers: Peers = ALONE
 
     @property
     def n(self) -> int:
-        """Number of unknowns."""
+        """Number of own unknowns."""
         return self.inverse.size
+
+    @property
+    def width(self) -> int:
+        """Number of unknowns that the own rows meet."""
+        return self.inverse.size + self.peers.foreign
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +135,7 @@ def build_hierarchy(
     indptr, indices = matrix.indptr, matrix.indices
     if matrix.data.size > LARGEST_NARROW:
         indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
-    finest = _grid(Operator(indptr, indices, matrix.data))
+    finest = grid_of(Operator(indptr, indices, matrix.data))
     entries = max(matrix.data.size, 1)
     work = 0.0
     if strength is None:
@@ -153,14 +163,15 @@ def build_hierarchy(
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 
-def _grid(matrix: Operator) -> Grid:
+def grid_of(matrix: Operator, peers: Peers = ALONE) -> Grid:
+    """Return the grid of a matrix; without peers it is square."""
     split = np.empty(matrix.indptr.size - 1, matrix.indptr.dtype)
     kernels.split_rows(matrix.indptr, matrix.indices, False, split)
     diagonal = matrix.data[split]
     inverse = np.zeros(diagonal.size)
     np.divide(1.0, diagonal, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
-    return Grid(matrix, split, inverse)
+    return Grid(matrix, split, inverse, peers)
 
 
 def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:
@@ -204,4 +215,4 @@ def _coarser(grid: Grid, transfer: Transfer) -> Grid:
     arrays = galerkin.galerkin_product(
         grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays
     )
-    return _grid(Operator(*arrays))
+    return grid_of(Operator(*arrays))

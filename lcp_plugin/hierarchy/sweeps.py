@@ -30,7 +30,7 @@ def first_sweep(indptr, split, indices, data, inverse, b, x):  # type: ignore[no
 def residual_after_first_sweep(indptr, split, indices, data, inverse, x, residual):  # type: ignore[no-untyped-def]
     """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed."""
     one = uintp(1)
-    for i in range(uintp(x.size)):
+    for i in range(uintp(residual.size)):
         excess = 0.0
         if inverse[i] != 0.0:
             excess = _plus_products(0.0, uintp(split[i]) + one, uintp(indptr[i + one]), indices, data, x)
@@ -72,7 +72,7 @@ def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # t
     """Overwrite z by mid(lower, upper, z + P coarse) on the free rows; return how many were cut off at a bound."""
     one = uintp(1)
     cut = 0
-    for i in range(uintp(z.size)):
+    for i in range(uintp(lower.size)):
         if is_free[i]:
             value = _plus_products(z[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
             if value < lower[i]:
@@ -89,7 +89,7 @@ def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # t
 def add_prolonged(p_indptr, p_indices, p_data, coarse, inverse, x):  # type: ignore[no-untyped-def]
     """Add P coarse to x on the free rows."""
     one = uintp(1)
-    for i in range(uintp(x.size)):
+    for i in range(uintp(inverse.size)):
         if inverse[i] != 0.0:
             x[i] = _plus_products(x[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
 
@@ -105,7 +105,7 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
     one = uintp(1)
     largest = 0.0
     changed = 0
-    for i in range(uintp(z.size)):
+    for i in range(uintp(residual.size)):
         w = _plus_products(rows[i, 0], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)
         above = z[i] - rows[i, 1]
         below = z[i] - rows[i, 2]
@@ -132,7 +132,7 @@ def free_rows(indptr, indices, data, rows, z, snaps, is_free, is_changed, residu
 def free_product(indptr, indices, data, is_free, p, product):  # type: ignore[no-untyped-def]
     """Product ← M p on the free rows, 0 elsewhere."""
     one = uintp(1)
-    for i in range(uintp(p.size)):
+    for i in range(uintp(product.size)):
         total = 0.0
         if is_free[i]:
             total = _plus_products(0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, p)

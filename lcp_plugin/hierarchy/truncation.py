@@ -20,12 +20,12 @@ class TruncatedGrid:
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(n, np.bool_)
-        self.free_changed = np.zeros(n, np.bool_)
+        self.is_free = np.ones(grid.width, np.bool_)
+        self.free_changed = np.zeros(grid.width, np.bool_)
         self.row_changed = np.zeros(n, np.bool_)
         self.touched = np.zeros(n, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
-        self.x, self.b, self.residual = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(n)
 
     def release(self) -> float:
         """Make all unknowns free; return the matrix entries touched."""
@@ -65,11 +65,13 @@ class Truncation:
         """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
         top = self.grids[self.top]
         top.is_whole = False
-        np.multiply(top.grid.inverse, top.is_free, out=top.inverse)
+        np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
         top.row_changed[:] = False
         for k in range(self.top, len(self.transfers)):
             level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
             matrix = level.grid.matrix
+            level.grid.peers.fetch_flags(level.is_free)
+            level.grid.peers.fetch_flags(level.free_changed)
             galerkin.mark_rows(matrix.indptr, matrix.indices, level.free_changed, level.row_changed, level.touched)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
@@ -79,7 +81,7 @@ class Truncation:
             )
             below.is_whole = False
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
-            if changed == 0:
+            if level.grid.peers.total(changed) == 0:
                 break
 
     def correct(self, k: int) -> None:
@@ -92,6 +94,7 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
+        grid.peers.fetch(level.x)
         sweeps.residual_after_first_sweep(
             indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual
         )
@@ -99,14 +102,19 @@ class Truncation:
         sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
         self.correct(k + 1)
         sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
+        grid.peers.fetch(level.x)
         sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)
         self.work += 1.5 * indices.size + 2.0 * transfer.prolongation.data.size
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         indptr, indices, _ = level.grid.matrix.arrays
         rest = indptr, indices, level.values, level.inverse, level.b, level.x
+        fetch = level.grid.peers.fetch
+        fetch(level.x)
         sweeps.backward_sweep(*rest)
         for _ in range(COARSEST_SWEEPS):
+            fetch(level.x)
             sweeps.forward_sweep(*rest)
+            fetch(level.x)
             sweeps.backward_sweep(*rest)
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * indices.size

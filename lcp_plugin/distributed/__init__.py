@@ -1,0 +1,29 @@
+"""The same problem with its rows spread over the ranks of an MPI job, on PETSc; the extra ``lcp_plugin[petsc]``."""
+
+from __future__ import annotations
+
+from ..errors import InvalidOption
+
+try:
+    import mpi4py  # noqa: F401
+    import petsc4py  # noqa: F401
+except ImportError as error:
+    raise InvalidOption(
+        f"several ranks need mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]' as the "
+        "README's section on several machines describes"
+    ) from None
+
+from .certificate import DistributedCertificate
+from .guarantees import HPlusCertificate, error_bound, h_plus_certificate
+from .problem import DistributedLCP
+from .solving import DistributedResult, solve
+
+__all__ = [
+    "DistributedCertificate",
+    "DistributedLCP",
+    "DistributedResult",
+    "HPlusCertificate",
+    "error_bound",
+    "h_plus_certificate",
+    "solve",
+]

@@ -56,7 +56,13 @@ def run() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?', not a traceback
-    app()
+    if "petsc" in sys.argv or "--backend=petsc" in sys.argv:  # before typer complains once a rank
+        from .commands.distributed import on_all_ranks
+
+        with on_all_ranks():
+            app()
+    else:
+        app()
 
 
 def _speaks_plainly(command: F) -> F:
@@ -98,7 +104,7 @@ def main(
     epilog=_ending(
         "0 solved, 1 ran but not solved, 2 bad input",
         "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-        "solve folder_with_M_and_q/ --json",
+        "solve folder_with_M_and_q/ --json", "solve obstacle-2d --size 500 --backend petsc --out answer",
     )
 )
 @_speaks_plainly
@@ -120,25 +126,45 @@ def solve(
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
-    out: Annotated[Path | None, typer.Option(help="Save z and w (.npz).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    size: Annotated[int | None, typer.Option(help="Size of a scene, as name:size=… says it.")] = None,
+    backend: Annotated[
+        str, typer.Option(help="serial, or petsc: the rows spread over the ranks of mpiexec.")
+    ] = "serial",
 ) -> None:
     """Solve a file or a scene; print status, residuals and counts."""
+    from .commands import distributed, solving
+
+    distributed.check_backend(backend)
+    options = solving.options(relaxation, option or [])
+    settings: dict[str, Any] = dict(
+        tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
+        max_iterations=max_iterations, max_seconds=max_seconds,
+    )
+    if backend == "petsc":
+        is_solved = distributed.solve(target, size, algorithm, options, settings, plot, out, as_json=json)
+    else:
+        settings |= {"algorithm": solving.chosen(algorithm, options), "record": plot is not None}
+        is_solved = _solve_here(target, size, settings, plot, out, as_json=json)
+    if not is_solved:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+def _solve_here(
+    target: str, size: int | None, settings: dict[str, Any], plot: Path | None, out: Path | None, *, as_json: bool
+) -> bool:
+    """Solve in this process, print and save; return whether it is solved."""
     from .commands import solving
     from .commands.target import read_target
     from .commands.terminal import RunLine
 
     solving.check_outputs(target, plot, out)
-    problem, scene = read_target(target)
-    settings = dict(
-        algorithm=solving.chosen(algorithm, solving.options(relaxation, option or [])), tolerance=tolerance,
-        tolerance_on=tolerance_on, error_bound=error_bound, measure=measure, max_iterations=max_iterations,
-        max_seconds=max_seconds, record=plot is not None,
-    )
+    problem, scene = read_target(target, size)
     with RunLine() as progress:
         results = solving.solve_all(problem, scene, settings, progress)
     result = results[-1]
-    typer.echo(solving.as_json(results) if json else solving.story(results, scene))
+    typer.echo(solving.as_json(results) if as_json else solving.story(results, scene))
     if out is not None:
         solving.save_answer(result, out)
     if plot is not None:
@@ -146,9 +172,8 @@ def solve(
 
         draw(result, plot, scene, results)
     for path in filter(None, (plot, out)):
-        typer.echo(f"saved {path}", err=json)
-    if not result.is_solved:
-        raise typer.Exit(EXIT_UNSOLVED)
+        typer.echo(f"saved {path}", err=as_json)
+    return result.is_solved
 
 
 @app.command(

@@ -52,7 +52,7 @@ def solve(
     Parameters
     ----------
     problem : LCP
-        Never modified.
+        Never modified. A DistributedLCP is solved on all its ranks.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), optional
@@ -64,16 +64,15 @@ def solve(
     measure : {"relative", "euclidean"}
         The residual to stop on: ``Certificate.relative_residual`` (without unit) or the paper's
         ``Certificate.euclidean_residual``.
-    max_iterations : int, optional
-        100 000 by default.
+    max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
         the iteration under way.
     record : bool
         Keep samples of the run at geometric intervals in ``Result.history``.
     callback : callable, optional
-        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value
-        ends the run with status INTERRUPTED. What it raises is passed on.
+        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
+        run with status INTERRUPTED. What it raises is passed on.
     error_bound : bool
         Bound |z − z*| in the result (and, with ``record=True``, along the run), the clock stopped. None where
         nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
@@ -89,8 +88,7 @@ def solve(
     Raises
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and nothing about M
-        allows an error bound.
+        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
 
     Examples
     --------
@@ -99,6 +97,12 @@ def solve(
     >>> result.status.name, result.z.round(6)
     ('SOLVED', array([0.75, 0.  ]))
     """
+    if hasattr(problem, "solve_with"):  # its rows are not all here
+        return problem.solve_with(  # type: ignore[no-any-return]
+            algorithm=algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, measure=measure, record=record,
+            max_iterations=max_iterations, max_seconds=max_seconds, callback=callback, error_bound=error_bound,
+            **options,
+        )
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
     with np.errstate():  # Ctrl-C that hits one further down while it ends leaves its settings behind

@@ -127,7 +127,7 @@ class LCP:
 
         d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return self.shared("residual_scale", lambda: read_only(_residual_scale(self.M, self.diagonal)))
+        return self.shared("residual_scale", lambda: read_only(residual_scale_of(self.M, self.diagonal)))
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
@@ -322,7 +322,7 @@ def _compressed(dense: Any) -> sp.csr_array:
     return compressed
 
 
-def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
+def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
     entries = M.data if sp.issparse(M) else M
     if entries.size == 0:
         return np.ones(M.shape[0])

@@ -50,7 +50,7 @@ class GridProblem:
         self.rows = kernels.packed(q, lower, upper, grid.inverse)
         # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
         self.splits = {False: grid.split, True: _behind(grid.split)}
-        self.residual = np.empty(q.size)
+        self.residual = np.zeros(grid.width)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
         self.peers = grid.peers

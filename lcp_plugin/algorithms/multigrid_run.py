@@ -21,7 +21,8 @@ from .multigrid_problems import GridProblem, Stated
 if TYPE_CHECKING:
     from .multigrid import Multigrid
 
-COARSE_CYCLES = 3
+COARSE_CYCLES, MOST_COARSE_CYCLES = 3, 10
+COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
 COARSEST_SWEEPS = 50
 CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
 CREPT_LONG = 2  # such cycles in a row
@@ -95,7 +96,8 @@ class MultigridRun:
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         self.peers.fetch(z)
-        largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, fine.residual)
+        residual = fine.residual[: fine.q.size]
+        largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, residual)
         self.work += fine.entries
         return self.peers.largest(float(largest))
 
@@ -131,16 +133,28 @@ class MultigridRun:
 
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
-            fine_q, q = q, np.empty(coarser.n)
-            sweeps.restrict(*transfer.restriction.arrays, fine_q, q)
+            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
+            sweeps.restrict(*transfer.restriction.arrays, finer, q)
             self.work += transfer.restriction.data.size
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
+
+    def _whole(self, k: int, own: FloatVector) -> FloatVector:
+        """Return the values on grid k with the foreign ones behind them."""
+        grid = self.hierarchy.grids[k]
+        if not grid.peers.foreign:
+            grid.peers.fetch(own)
+            return own
+        whole = np.zeros(grid.width)
+        whole[: own.size] = own
+        grid.peers.fetch(whole)
+        return whole
 
     def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
+        self.hierarchy.grids[k + 1].peers.fetch(coarse)
         sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
         return z
@@ -148,12 +162,15 @@ class MultigridRun:
     def _cycle_on(self, k: int, z: FloatVector) -> None:
         own = self.problems[k]
         self.truncation.start_at(k)
-        for _ in range(COARSE_CYCLES):
+        few = COARSE_CHANGES * self.peers.total(own.q.size)
+        for cycle in range(1, MOST_COARSE_CYCLES + 1):
             own.sweep(z, backward=False)
-            self._look(k, z)
+            _, changed = self._look(k, z)
             self._correct(k, z)
             own.sweep(z, backward=True)
-        self.work += 2.0 * COARSE_CYCLES * own.entries
+            self.work += 2.0 * own.entries
+            if cycle >= COARSE_CYCLES and changed <= few:  # what is left to move is dearer one grid up
+                break
 
     # --- the finest grid --------------------------------------------------------------------------------
 
@@ -208,7 +225,7 @@ class MultigridRun:
         top, own = self.truncation.grids[k], self.problems[k]
         own.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual
+            *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual[: own.q.size]
         )
         self.work += own.entries
         largest, changed = own.peers.largest(own_largest), own.peers.total(own_changed)
@@ -220,14 +237,16 @@ class MultigridRun:
         """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
         own, top = self.problems[k], self.truncation.grids[k]
         if k == len(self.hierarchy.transfers):
-            np.copyto(top.b, own.residual)
+            np.copyto(top.b, own.residual[: own.q.size])
             self.truncation.correct(k)
             part = z[: own.q.size]
             np.clip(part + top.x[: own.q.size], own.lower, own.upper, out=part)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
+        own.peers.fetch(own.residual)
         sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
         self.truncation.correct(k + 1)
+        below.grid.peers.fetch(below.x)
         before = z.copy() if k == 0 and self.is_symmetric else None
         cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, own.lower, own.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
@@ -245,7 +264,7 @@ class MultigridRun:
         self.peers.fetch(step)
         sweeps.free_product(*fine.arrays, np.ones(n, np.bool_), step, product)
         # w = −residual on the free rows; the others did not move
-        slope = -self.peers.total(float(step[:n] @ (fine.residual / unit)))
+        slope = -self.peers.total(float(step[:n] @ (fine.residual[:n] / unit)))
         curvature = self.peers.total(float(step[:n] @ product))
         self.work += self.entries
         size = 1.0
@@ -261,7 +280,7 @@ class MultigridRun:
     def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
         """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""
         fine = self.problems[0]
-        correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
+        correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
         enough = KRYLOV_GAIN * correction.largest()
         part = z[: fine.q.size]
         origin = part.copy()

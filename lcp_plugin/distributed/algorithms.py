@@ -2,9 +2,8 @@
 
 A sweep uses what its own rank has already updated and what the others had before the sweep. Such a splitting
 M = 𝓜 − 𝓝 has fewer entries of L in 𝓜 than the sweep over all rows. The proof for the projected-type methods holds
-for every such choice (0 ≤ β ≤ α; row scaling 1/d). The in-place methods add Σ |m_ij| over the columns of other ranks
-to the pivot of row i: then they converge for every H₊-matrix, and for every symmetric positive definite one because
-each rank lowers an upper bound of the energy.
+for every such choice (0 ≤ β ≤ α; row scaling 1/d). The in-place methods add to the pivots what makes them converge
+for symmetric positive definite matrices, see `pivot_weight`, and for H₊-matrices with a relaxation ≤ 1.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from ..algorithms.multigrid_run import MultigridRun
 from ..errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix, did_you_mean
 from ..problem import FloatVector
 from .collective import together, total
-from . import kernels
 from .hierarchy import build_hierarchy
 from .problem import DistributedLCP
 from .rows import Rows
@@ -31,6 +29,7 @@ PROJECTED_TYPE = ("npj", "npgs", "npsor", "npaor")
 IN_PLACE = ("pgs", "psor")
 NAMES = ("multigrid", *PROJECTED_TYPE, *IN_PLACE)
 OPTIONS = ("relaxation", "acceleration", "nested", "smoother", "coarsest")
+SYMMETRIC = 1e-10
 MULTIGRID_FAILED = "multigrid came to an end: projected sweeps, which converge on every H₊-matrix"
 
 
@@ -57,7 +56,7 @@ def chosen(algorithm: Any, options: dict[str, Any]) -> Algorithm:
         options = {"relaxation": 1.0, **options}
     made = algorithm if isinstance(algorithm, Algorithm) else create(name, options)
     default = type(made)()
-    for option in fields(made):  # type: ignore[arg-type]
+    for option in fields(made):
         if option.name not in OPTIONS and getattr(made, option.name) != getattr(default, option.name):
             raise InvalidOption(f"{name}: {option.name} cannot be chosen on several ranks; leave it as it is")
     if name == "psor" and isinstance(made.relaxation, str):  # type: ignore[attr-defined]
@@ -106,9 +105,8 @@ def _projected_type(problem: DistributedLCP, algorithm: Any, start: FloatVector)
 def _in_place(problem: DistributedLCP, algorithm: Any, start: FloatVector) -> Iterator[Step]:
     relaxation = float(algorithm.fixed_relaxation())
     rows, own = problem.rows, problem.layout.own
-    weight = np.empty(own)
-    kernels.foreign_weight(*rows.arrays, own, weight)
-    packed = sweep_kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / (problem.diagonal + weight))
+    pivot = problem.diagonal + pivot_weight(problem, relaxation)
+    packed = sweep_kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivot)
     split = _splits(rows)
     z = rows.new_vector()
     z[:own] = start
@@ -121,6 +119,22 @@ def _in_place(problem: DistributedLCP, algorithm: Any, start: FloatVector) -> It
         yield Step(z[:own], increment=rows.halo.largest(float(change)), work=1.0)
 
 
+def pivot_weight(problem: DistributedLCP, relaxation: float) -> FloatVector:
+    """Return what is added to the pivots d_i of a sweep on all ranks at once, shape (last − first,).
+
+    With r the relaxation and σ_i = Σ |m_ij| √(d_i/d_j) over the columns j of other ranks it is
+    ω_i = max(0, (r σ_i − (1 − r/2) d_i)/2), which no scaling of rows and columns alike changes. For M symmetric
+    positive definite the splitting 𝓜 has 𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the foreign part of M), and that is
+    positive definite, because 2 |m_ij x_i x_j| ≤ |m_ij| (s x_i² + x_j²/s) with s = √(d_i/d_j). For an H₊-matrix and
+    r ≤ 1 any ω ≥ 0 does.
+    """
+    rows, own = problem.rows, problem.layout.own
+    diagonal = rows.filled(problem.diagonal)
+    coupling = np.sqrt(problem.diagonal) * (abs(rows.as_csr()[:, own:]) @ (1.0 / np.sqrt(diagonal[own:])))
+    weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * problem.diagonal)
+    return weight
+
+
 def _splits(rows: Rows) -> Any:
     split = np.empty(rows.count, rows.indptr.dtype)
     sweep_kernels.split_rows(rows.indptr, rows.indices, False, split)
@@ -129,27 +143,27 @@ def _splits(rows: Rows) -> Any:
 
 
 def is_symmetric_matrix(problem: DistributedLCP) -> bool:
-    """Return whether M is symmetric up to rounding, by products with two vectors of random signs.
+    """Return whether M is symmetric up to rounding, by products with two arbitrary vectors.
 
-    xᵀ M y = yᵀ M x for random x and y almost surely says so; a wrong yes costs speed, not correctness: every answer is
-    judged by its residual.
+    For such x and y, xᵀ M y = yᵀ M x happens by chance with probability 0. A wrong yes would cost speed, not
+    correctness: every answer is judged by its residual.
     """
-    generator = np.random.default_rng(1)
-    first = problem.first
-    matrix = problem.rows.as_csr()
+    matrix, rows = problem.rows.as_csr(), problem.rows
+    x, y = _arbitrary(problem.first, problem.last, 1), _arbitrary(problem.first, problem.last, 2)
+    x_product = matrix @ rows.filled(x)
+    y_product = matrix @ rows.filled(y)
+    forward, backward, size = total(
+        problem.comm, float(y @ x_product), float(x @ y_product), float(x_product @ x_product)
+    )
+    return bool(abs(forward - backward) <= SYMMETRIC * np.sqrt(size * problem.n))
 
-    def signs() -> FloatVector:
-        return np.where(generator.integers(0, 2, problem.n)[first : problem.last] > 0, 1.0, -1.0)
 
-    for _ in range(2):
-        x, y = signs(), signs()
-        x_product = matrix @ problem.rows.filled(x)
-        y_product = matrix @ problem.rows.filled(y)
-        forward, backward = total(problem.comm, float(y @ x_product), float(x @ y_product))
-        size, = total(problem.comm, float(np.linalg.norm(x_product) ** 2))
-        if abs(forward - backward) > 1e-10 * np.sqrt(size * problem.n):
-            return False
-    return True
+def _arbitrary(first: int, last: int, seed: int) -> FloatVector:
+    """Return numbers in (−1, 1) that depend on the index and the seed only, shape (last − first,)."""
+    bits = np.arange(first, last, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed << 32)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # the mixing steps of SplitMix64
+        bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0
 
 
 def _require_positive_diagonal(problem: DistributedLCP, name: str) -> None:

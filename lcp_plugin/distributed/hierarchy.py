@@ -1,11 +1,13 @@
 """The algebraic hierarchy of a matrix whose rows lie on several ranks.
 
-Each rank coarsens its own unknowns and interpolates them from its own coarse ones; couplings to other ranks count in
-the weights, and the coarse matrices keep them. So prolongation and restriction send nothing, and taking unknowns out
-needs but the neighbours' flags. A hierarchy of PETSc's GAMG in its place was measured and is slower: see the README.
+Each rank chooses the coarse ones among its own unknowns. Interpolation and Galerkin product then are those of a single
+process: behind its own rows a rank holds those of the foreign unknowns next to them. A hierarchy of PETSc's GAMG in
+its place was measured, and is slower: see the README.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +15,6 @@ from ..hierarchy import coarsening, galerkin
 from ..hierarchy.levels import (
     LARGEST_COMPLEXITY,
     LARGEST_GRID_SHARE,
-    LARGEST_GROWTH,
     MOST_PRODUCTS,
     NOTEWORTHY_POSITIVE,
     PASSES_TO_COARSEN,
@@ -25,9 +26,23 @@ from ..hierarchy.levels import (
     Transfer,
     grid_of,
 )
+from ..problem import FloatVector
 from . import kernels
+from .overlap import Integers, foreign_rows, overlapped, renumbered
 from .problem import DistributedLCP
 from .rows import Halo, Layout
+
+LARGEST_GROWTH = 2.0  # of the entries from one grid to the next: thin slabs whose coarse unknowns do not match need 1.7
+NOBODY = np.empty(0, np.int64)
+
+
+class Interpolation(NamedTuple):
+    """Rows of P in CSR with global columns, and which of the own unknowns are coarse."""
+
+    indptr: Integers
+    columns: Integers
+    data: FloatVector
+    is_coarse: Any
 
 
 def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: bool) -> Hierarchy:
@@ -42,73 +57,99 @@ def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: boo
     is_symmetric : bool
         Otherwise the restriction divides each row by its diagonal entry.
     """
-    rows, total = problem.rows, problem.rows.halo.total
-    grid = grid_of(Operator(*rows.arrays), rows.halo)
-    layout = problem.layout
-    entries = max(total(grid.matrix.data.size), 1.0)
-    share = total(coarsening.positive_share(*grid.matrix.arrays) * grid.matrix.data.size) / entries
+    rows, layout = problem.rows, problem.layout
+    operator, halo = Operator(*rows.arrays), rows.halo
+    if not halo.is_empty:
+        operator, halo = overlapped(layout, operator, rows.ghosts, NOBODY)
+    grid = grid_of(operator, halo, layout.own)
+    entries = max(halo.total(_own_entries(grid)), 1.0)
+    share = halo.total(coarsening.positive_share(*_own_arrays(grid)) * _own_entries(grid)) / entries
     strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
     alone = Hierarchy((grid,), (), 0.0, is_helpful=False)
     grids, transfers = [grid], list[Transfer]()
     work = stored = products = 0.0
     while layout.n > coarsest:
-        work += PASSES_TO_COARSEN * grid.matrix.data.size
-        step = _transfer(grid, layout, strength, scales_rows=not is_symmetric)
-        if step is None:
+        work += PASSES_TO_COARSEN * _own_entries(grid)
+        interpolation = _interpolation(grid, layout, strength)
+        below = Layout(layout.comm, int(np.count_nonzero(interpolation.is_coarse)))
+        if below.n == 0:
             break
-        transfer, below, halo = step
-        size = total(grid.matrix.data.size)
+        size = halo.total(_own_entries(grid))
         stored += size
-        here = galerkin.count_products(grid.matrix.indptr, grid.matrix.indices, transfer.prolongation.indptr)
+        here = galerkin.count_products(*_own_arrays(grid)[:2], interpolation.indptr)
         work += here
-        products += total(here)
+        products += halo.total(here)
         is_too_large = below.n > LARGEST_GRID_SHARE * layout.n
         if is_too_large or products > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
             return alone
-        arrays = galerkin.galerkin_product(
-            grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays, below.own + halo.foreign
-        )
-        grid, layout = grid_of(Operator(*arrays), halo), below
-        if total(grid.matrix.data.size) > LARGEST_GROWTH * size:
+        step = _coarser(grid, layout, below, interpolation, scales_rows=not is_symmetric)
+        if step is None:
+            break
+        transfer, grid = step
+        layout = below
+        if halo.total(_own_entries(grid)) > LARGEST_GROWTH * size:
             return alone
         grids.append(grid)
         transfers.append(transfer)
     return Hierarchy(tuple(grids), tuple(transfers), work, is_helpful=True)
 
 
-def _transfer(
-    grid: Grid, layout: Layout, strength: float, *, scales_rows: bool
-) -> tuple[Transfer, Layout, Halo] | None:
-    """Return the way to the next coarser grid, who owns what there, and its halo; None where nothing is coupled."""
-    comm = layout.comm
-    p_indptr, p_indices, p_data, is_coarse = _own_interpolation(grid, strength)
-    below = Layout(comm, int(np.count_nonzero(is_coarse)))
-    if below.n == 0:
-        return None
-    r_indptr, r_indices, r_data = galerkin.transposed(below.own, p_indptr, p_indices, p_data)
-    is_finite = True
-    if scales_rows:
-        with np.errstate(over="ignore"):
-            r_data *= grid.inverse[r_indices]
-        is_finite = bool(np.isfinite(r_data).all())
-    if not all(comm.allgather(is_finite)):
-        return None
-    counts, columns, values = _foreign_interpolation(grid, below, p_indptr, p_indices, p_data)
-    ghosts, place = np.unique(columns, return_inverse=True)
-    prolongation = Operator(
-        np.concatenate([p_indptr, p_indptr[-1] + np.cumsum(counts, dtype=p_indptr.dtype)]),
-        np.concatenate([p_indices, (below.own + place).astype(p_indices.dtype)]),
-        np.concatenate([p_data, values]),
-    ) if counts.size else Operator(p_indptr, p_indices, p_data)
-    transfer = Transfer(prolongation, Operator(r_indptr, r_indices, r_data), is_coarse)
-    return transfer, below, Halo(below, ghosts)
+def _own_entries(grid: Grid) -> int:
+    return int(grid.matrix.indptr[grid.n])
 
 
-def _own_interpolation(grid: Grid, strength: float):  # type: ignore[no-untyped-def]
-    """Return the interpolation of the own unknowns in CSR, and which of them are coarse."""
-    indptr, indices, data = grid.matrix.arrays
-    n = grid.n
+def _own_arrays(grid: Grid) -> tuple[Integers, Integers, FloatVector]:
+    matrix = grid.matrix
+    if matrix.indptr.size == grid.n + 1:
+        return matrix.arrays
+    return Operator(matrix.indptr[: grid.n + 1], matrix.indices, matrix.data).arrays
+
+
+def _interpolation(grid: Grid, layout: Layout, strength: float) -> Interpolation:
+    """Return the interpolation of all unknowns that the own rows meet, the foreign ones as their owners do it."""
+    own = _own_interpolation(grid, layout, strength)
+    halo = _halo(grid)
+    if halo.is_empty:
+        return own
+    found = foreign_rows(layout, halo.ghosts, own.indptr, own.data, lambda places: own.columns[places])
+    return Interpolation(
+        np.concatenate([own.indptr, own.indptr[-1] + np.cumsum(found.counts, dtype=own.indptr.dtype)]),
+        np.concatenate([own.columns, found.columns.astype(own.columns.dtype)]),
+        np.concatenate([own.data, found.values]), own.is_coarse,
+    )
+
+
+def _own_interpolation(grid: Grid, layout: Layout, strength: float) -> Interpolation:
+    """Return the interpolation of the own unknowns, from coarse ones of any rank."""
+    indptr, indices, data = _own_arrays(grid)
+    n, halo = grid.n, _halo(grid)
     is_strong = np.empty(data.size, np.bool_)
+    kind = _chosen(grid, strength, is_strong)
+    is_coarse = kind == coarsening.COARSE
+    is_coarse.flags.writeable = False
+    number = np.cumsum(is_coarse, dtype=indices.dtype) - indices.dtype.type(1)
+    number += Layout(layout.comm, int(np.count_nonzero(is_coarse))).first
+    if halo.foreign:
+        coarsening.strong_couplings(indptr, indices, data, strength, is_strong, np.zeros(grid.width + 1, indptr.dtype))
+    if not halo.is_empty:
+        numbers, flags = np.zeros(grid.width), np.zeros(grid.width, np.bool_)
+        numbers[:n], flags[:n] = number, is_coarse
+        halo.fetch(numbers)
+        halo.fetch_flags(flags)
+        number = numbers.astype(indices.dtype)
+        kind = np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
+    p_indptr = np.empty(n + 1, indptr.dtype)
+    p_indices, p_data = np.empty(data.size, indices.dtype), np.empty(data.size)
+    size = coarsening.direct_interpolation(
+        indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+    )
+    return Interpolation(p_indptr, p_indices[:size], p_data[:size], is_coarse)
+
+
+def _chosen(grid: Grid, strength: float, is_strong: Any) -> Any:
+    """Return which own unknowns are coarse, decided among the own ones; leave the strong couplings in `is_strong`."""
+    indptr, indices, data = _own_arrays(grid)
+    n = grid.n
     first = np.zeros(n + 1, indptr.dtype)
     if grid.peers.foreign:
         kernels.own_strong_couplings(indptr, indices, data, strength, n, is_strong, first)
@@ -120,32 +161,54 @@ def _own_interpolation(grid: Grid, strength: float):  # type: ignore[no-untyped-
     kind = np.zeros(n, np.uint8)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
     coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after)
-    del dependents, entry, after
-    is_coarse = kind == coarsening.COARSE
-    number = np.cumsum(is_coarse, dtype=indices.dtype) - indices.dtype.type(1)
-    p_indptr = np.empty(n + 1, indptr.dtype)
-    p_indices, p_data = np.empty(data.size, indices.dtype), np.empty(data.size)
-    size = coarsening.direct_interpolation(
-        indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+    return kind
+
+
+def _halo(grid: Grid) -> Halo:
+    assert isinstance(grid.peers, Halo)
+    return grid.peers
+
+
+def _coarser(
+    grid: Grid, layout: Layout, below: Layout, interpolation: Interpolation, *, scales_rows: bool
+) -> tuple[Transfer, Grid] | None:
+    """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
+    halo = _halo(grid)
+    p_indptr, columns, p_data, is_coarse = interpolation
+    foreign = columns[(columns < below.first) | (columns >= below.last)]
+    others = np.unique(foreign).astype(np.int64)
+    p_indices = renumbered(columns, below, others)
+    restriction = _restriction(grid, below, p_indptr, p_indices, p_data)
+    if scales_rows:
+        inverse = np.zeros(grid.width)
+        inverse[: grid.n] = grid.inverse
+        halo.fetch(inverse)
+        with np.errstate(over="ignore"):
+            scaled = restriction.data * inverse[restriction.indices]
+        if not all(layout.comm.allgather(bool(np.isfinite(scaled).all()))):
+            return None
+        restriction = Operator(restriction.indptr, restriction.indices, scaled)
+    arrays = galerkin.galerkin_product(
+        grid.matrix.arrays, Operator(p_indptr, p_indices, p_data).arrays, restriction.arrays, below.own + others.size
     )
-    is_coarse.flags.writeable = False
-    return p_indptr, p_indices[:size], p_data[:size], is_coarse
-
-
-def _foreign_interpolation(grid: Grid, below: Layout, p_indptr, p_indices, p_data):  # type: ignore[no-untyped-def]
-    """Return the interpolation of the foreign unknowns: entries a row, global coarse columns, weights."""
-    halo: Halo = grid.peers  # type: ignore[assignment]
-    comm = below.comm
     if halo.is_empty:
-        return np.empty(0, p_indptr.dtype), np.empty(0, np.int64), np.empty(0)
-    owners = halo.layout.owners(halo.ghosts)
-    wanted = [halo.ghosts[owners == rank] - halo.layout.starts[rank] for rank in range(comm.size)]
-    replies = []
-    for rows in comm.alltoall(wanted):
-        counts = np.diff(p_indptr)[rows]
-        places = np.repeat(p_indptr[rows] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-        places = (places + np.arange(places.size)).astype(np.int64)
-        replies.append((counts, p_indices[places].astype(np.int64) + below.first, p_data[places]))
-    # The ghosts ascend, and so do their owners: the answers stand in the right order.
-    counts, columns, values = (np.concatenate(parts) for parts in zip(*comm.alltoall(replies), strict=True))
-    return counts, columns, values
+        operator, new_halo = Operator(*arrays), Halo(below, NOBODY)
+    else:
+        own_part = p_indices[: int(p_indptr[grid.n])]
+        further = others[np.unique(own_part[own_part >= below.own]) - below.own]
+        operator, new_halo = overlapped(below, Operator(*arrays), others, further)
+        p_indices = renumbered(columns, below, new_halo.ghosts)  # rows of P far away need no right number
+    transfer = Transfer(Operator(p_indptr, p_indices, p_data), restriction, is_coarse)
+    return transfer, grid_of(operator, new_halo, below.own)
+
+
+def _restriction(grid: Grid, below: Layout, p_indptr: Integers, p_indices: Integers, p_data: FloatVector) -> Operator:
+    """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
+    rows = grid.matrix.indptr.size - 1
+    if rows == grid.n:
+        return Operator(*galerkin.transposed(below.own, *Operator(p_indptr, p_indices, p_data).arrays))
+    end = int(p_indptr[rows])
+    is_own = p_indices[:end] < below.own
+    counts = np.concatenate([[0], np.cumsum(is_own)])
+    kept = Operator(counts[p_indptr[: rows + 1]].astype(p_indptr.dtype), p_indices[:end][is_own], p_data[:end][is_own])
+    return Operator(*galerkin.transposed(below.own, *kept.arrays))

@@ -8,18 +8,6 @@ from ..compilation import compiled
 
 
 @compiled
-def foreign_weight(indptr, indices, data, own, weight):  # type: ignore[no-untyped-def]
-    """Write into weight[i] the sum of |m_ij| over the foreign columns j ≥ own of row i."""
-    one = uintp(1)
-    for i in range(uintp(weight.size)):
-        total = 0.0
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            if uintp(indices[k]) >= uintp(own):
-                total += abs(data[k])
-        weight[i] = total
-
-
-@compiled
 def own_strong_couplings(indptr, indices, data, strength, own, is_strong, first):  # type: ignore[no-untyped-def]
     """Mark the entries i → j, j < own, where i depends strongly on j; count the dependents of j in first[j + 1].
 

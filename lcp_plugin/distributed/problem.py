@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from os import PathLike
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import finite_vector, read_only
+from ..checks import check_kind, check_order, checked_bound, finite_vector, read_only
 from ..errors import InvalidProblem
-from ..problem import LCP, FloatVector
+from ..problem import LCP, FloatVector, residual_scale_of
 from .collective import as_mpi, require_same, together, total
 from .rows import Layout, Rows
 
@@ -38,34 +40,35 @@ class DistributedLCP:
     """
 
     def __init__(self, rows: Rows, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+        """Take checked parts as they are; all ranks call."""
         self.rows, self.layout = rows, rows.columns
         self.comm, self.n = self.layout.comm, self.layout.n
         self.first, self.last = self.layout.first, self.layout.last
-        ghosts = rows.ghosts.size
+        self.q, self.lower, self.upper = map(read_only, (q, lower, upper))
         matrix = rows.as_csr()
-        if ghosts:
-            ends = rows.indptr[-1] + np.arange(1, ghosts + 1, dtype=rows.indptr.dtype)
-            matrix = sp.csr_array(
-                (
-                    np.concatenate([rows.data, np.ones(ghosts)]),
-                    np.concatenate([rows.indices, np.arange(self.layout.own, rows.width, dtype=rows.indices.dtype)]),
-                    np.concatenate([rows.indptr, ends]),
-                ),
-                shape=(rows.width, rows.width),
-            )
-        everywhere = np.full(ghosts, np.inf)
-        self.local = LCP(
-            matrix, np.concatenate([q, np.zeros(ghosts)]),
-            lower=np.concatenate([lower, -everywhere]), upper=np.concatenate([upper, everywhere]),
-        )
-        own = slice(self.layout.own)
-        self.q, self.lower, self.upper = (
-            read_only(vector[own]) for vector in (self.local.q, self.local.lower, self.local.upper)
-        )
-        self.diagonal = read_only(self.local.diagonal[own])
-        self.residual_scale = read_only(self.local.residual_scale[own])
+        self.diagonal = read_only(np.array(matrix.diagonal(), dtype=np.float64))
+        self.residual_scale = read_only(residual_scale_of(matrix, self.diagonal))
         self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
         self.nonzeros = int(total(self.comm, float(rows.data.size))[0])
+
+    @cached_property
+    def local(self) -> LCP:
+        """The own rows as a square problem of this rank alone, made when first asked for."""
+        rows, foreign = self.rows, self.rows.ghosts.size
+        ends = rows.indptr[-1] + np.arange(1, foreign + 1, dtype=rows.indptr.dtype)
+        matrix = sp.csr_array(
+            (
+                np.concatenate([rows.data, np.ones(foreign)]),
+                np.concatenate([rows.indices, np.arange(self.layout.own, rows.width, dtype=rows.indices.dtype)]),
+                np.concatenate([rows.indptr, ends]),
+            ),
+            shape=(rows.width, rows.width),
+        )
+        no_bound = np.full(foreign, np.inf)
+        return LCP(
+            matrix, np.concatenate([self.q, np.zeros(foreign)]),
+            lower=np.concatenate([self.lower, -no_bound]), upper=np.concatenate([self.upper, no_bound]),
+        )
 
     # --- where it comes from ----------------------------------------------------------------------------
 
@@ -97,23 +100,13 @@ class DistributedLCP:
         own, n = matrix.shape
         require_same(mpi, "the number of columns", n, "every rank gives its rows at full width")
         layout = Layout(mpi, own)
-        if layout.n != n:
-            what = "missing" if layout.n < n else "given twice"
-            counts = ", ".join(map(str, np.diff(layout.starts)))
-            raise InvalidProblem(
-                f"M has {n} columns, but the ranks give {layout.n} rows ({counts}): {abs(n - layout.n)} are {what}"
-            )
+        _require_all_rows(layout, n)
         together(mpi, lambda: _check_first_row(first_row, layout))
+        vectors = together(mpi, lambda: _checked_vectors(q, lower, upper, own))
         for name, bound in (("lower", lower), ("upper", upper)):
-            is_number = np.ndim(bound) == 0
-            require_same(mpi, f"the kind of {name}", "number" if is_number else "array", "give one kind everywhere")
-            if is_number:
-                require_same(mpi, name, str(bound), "a number holds for all rows; give arrays where rows differ")
-        vectors = together(mpi, lambda: (
-            finite_vector(q, "q", own), _checked_bound(lower, "lower", own), _checked_bound(upper, "upper", own)
-        ))
-        local = Rows(layout, matrix.indptr, matrix.indices, matrix.data)
-        return together(mpi, lambda: cls(local, *vectors))
+            number = float(np.asarray(bound)) if np.ndim(bound) == 0 else "an array"
+            require_same(mpi, name, number, "a number holds for all rows; give arrays where rows differ")
+        return cls(Rows(layout, matrix.indptr, matrix.indices, matrix.data), *vectors)
 
     @classmethod
     def from_problem(cls, problem: LCP, comm: Any = None) -> DistributedLCP:
@@ -122,14 +115,16 @@ class DistributedLCP:
         Raises
         ------
         InvalidProblem
-            Where the ranks give different problems, as far as a check of sums tells.
+            Where the ranks give different problems.
         """
         mpi = as_mpi(comm)
         together(mpi, lambda: _check_whole(problem))
         M = problem.csr
-        sums = [float(np.sum(part)) for part in (M.data, M.indices, problem.q, problem.lower, problem.upper)]
-        require_same(mpi, "the problem", (problem.n, M.nnz, repr(sums)), "build the same one on every rank")
-        first, last = problem.n * mpi.rank // mpi.size, problem.n * (mpi.rank + 1) // mpi.size
+        parts = (M.indptr, M.indices, M.data, problem.q, problem.lower, problem.upper)
+        sums = tuple(crc32(np.ascontiguousarray(part).data) for part in parts)
+        facts = (problem.n, M.nnz, *sums)
+        require_same(mpi, "the problem (n, nonzeros, checksums)", facts, "build the same one on every rank")
+        first, last = equal_share(problem.n, mpi.size, mpi.rank)
         own = slice(first, last)
         return cls.from_rows(mpi, M[first:last], problem.q[own], problem.lower[own], problem.upper[own])
 
@@ -171,14 +166,19 @@ class DistributedLCP:
         return w
 
     def at(self, z: FloatVector) -> tuple[LCP, FloatVector]:
-        """Return the local problem and z with the foreign values at hand: what holds row by row can be asked there."""
+        """Return the local problem and z with the foreign values at hand: what holds row by row can be asked there.
+
+        z must be finite on all ranks.
+        """
         whole = self.rows.filled(z).copy()
         return self.local.with_q(np.concatenate([self.q, -whole[self.layout.own:]])), whole
 
     def gathered(self, own: FloatVector) -> FloatVector | None:
         """Return the parts of all ranks one after the other on rank 0, None on the others."""
-        parts = self.comm.gather(own, root=0)
-        return None if parts is None else np.concatenate(parts)
+        counts = np.diff(self.layout.starts)
+        whole = np.empty(self.n) if self.comm.rank == 0 else None
+        self.comm.Gatherv(np.ascontiguousarray(own), (whole, counts), root=0)
+        return whole
 
     def solve_with(self, **asked: Any) -> Any:
         """Do what ``lcp_plugin.solve(problem, …)`` promises."""
@@ -187,46 +187,71 @@ class DistributedLCP:
         return solve(self, **asked)
 
 
+def equal_share(n: int, ranks: int, rank: int) -> tuple[int, int]:
+    """Return first and last of a rank's part where n rows are cut into parts of equal length.
+
+    Examples
+    --------
+    >>> [equal_share(5, 3, rank) for rank in range(3)]
+    [(0, 1), (1, 3), (3, 5)]
+    """
+    return n * rank // ranks, n * (rank + 1) // ranks
+
+
 def _checked_rows(rows: Any) -> sp.csr_array:
-    """Return the rows as canonical CSR with 64-bit checks of everything a foreign rank could stumble over."""
+    """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
     if not (sp.issparse(rows) and rows.ndim == 2):
         raise InvalidProblem(f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}")
-    if np.iscomplexobj(rows):
-        raise InvalidProblem("the own rows hold complex numbers; M must be real")
-    own, n = rows.shape
-    if n > WIDEST:
-        raise InvalidProblem(f"M has {n} columns; PETSc with 32-bit indices takes {WIDEST}")
-    matrix = sp.csr_array(rows)
-    if matrix.indices.size and not (0 <= matrix.indices.min() and matrix.indices.max() < n):
-        bad = int(matrix.indices.min() if matrix.indices.min() < 0 else matrix.indices.max())
-        raise InvalidProblem(f"a column index is {bad}; it must be in 0 … {n - 1}: columns are counted globally")
-    steps = np.diff(matrix.indptr)
-    if steps.size and (steps.min() < 0 or matrix.indptr[-1] > matrix.indices.size):
-        raise InvalidProblem("indptr of the own rows is not ascending or too long; build them with scipy.sparse")
+    check_kind(rows.dtype, "M must hold real numbers")
+    if rows.shape[1] > WIDEST:
+        raise InvalidProblem(f"M has {rows.shape[1]} columns; PETSc with 32-bit indices takes {WIDEST}")
+    try:
+        rows = rows.tocsr()
+        # A fresh array: scipy's flags may be older than the entries.
+        matrix = sp.csr_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
+        matrix.check_format(full_check=True)
+    except (ValueError, IndexError, TypeError) as error:
+        raise InvalidProblem(
+            f"the own rows are a damaged sparse array: {error}; columns count over all ranks, 0 … {rows.shape[1] - 1}"
+        ) from error
+    if matrix.dtype != np.float64:
+        with np.errstate(over="ignore"):
+            matrix = matrix.astype(np.float64)
     if not matrix.has_canonical_format or not matrix.data.all():
         matrix = matrix.copy()
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
-    data = matrix.data.astype(np.float64, copy=False)
-    if not np.isfinite(data).all():
-        k = int(np.flatnonzero(~np.isfinite(data))[0])
+    wrong = np.flatnonzero(~np.isfinite(matrix.data))
+    if wrong.size:
+        k = int(wrong[0])
         row = int(np.searchsorted(matrix.indptr, k, side="right")) - 1
-        raise InvalidProblem(f"row {row} of the own rows, column {matrix.indices[k]}, is {data[k]}; M must be finite")
-    return sp.csr_array((data, matrix.indices, matrix.indptr), shape=(own, n))
+        raise InvalidProblem(
+            f"M must be finite, but row {row} of the own rows has {matrix.data[k]} in column {matrix.indices[k]}"
+        )
+    return matrix
+
+
+def _require_all_rows(layout: Layout, n: int) -> None:
+    if layout.n != n:
+        what = "missing" if layout.n < n else "too many; is one given twice?"
+        counts = ", ".join(map(str, np.diff(layout.starts)))
+        raise InvalidProblem(
+            f"M has {n} columns, but the ranks give {layout.n} rows ({counts}): {abs(n - layout.n)} are {what}"
+        )
+
+
+def _checked_vectors(q: ArrayLike, lower: ArrayLike, upper: ArrayLike, own: int) -> tuple[FloatVector, ...]:
+    vectors = (finite_vector(q, "q", own), checked_bound(lower, "lower", own), checked_bound(upper, "upper", own))
+    check_order(*vectors[1:])
+    return vectors
 
 
 def _check_first_row(first_row: int | None, layout: Layout) -> None:
     if first_row is not None and first_row != layout.first:
         raise InvalidProblem(
-            f"first_row is {first_row}, but the ranks before this one give {layout.first} rows: rows are missing, given "
-            "twice, or in another order than the ranks"
+            f"first_row is {first_row}, but the ranks before this one give {layout.first} rows: rows are missing, "
+            "given twice, or in another order than the ranks"
         )
-
-
-def _checked_bound(bound: ArrayLike, name: str, own: int) -> FloatVector:
-    from ..checks import checked_bound
-
-    return checked_bound(bound, name, own)
 
 
 def _check_whole(problem: Any) -> None:

@@ -46,26 +46,31 @@ class Halo:
     ----------
     layout : Layout
     ghosts : array of int
-        Foreign indices, ascending, none twice.
+        Foreign indices, none twice.
+    own_entries : int, optional
+        Entries of the own rows, where rows of foreign unknowns stand behind them.
+    entries : array of int, shape (k, 2), optional
+        Rank and place there of each entry of those rows.
 
     Attributes
     ----------
     foreign : int
-        How many there are.
+        How many foreign indices there are.
     is_empty : bool
         True where no rank needs a foreign value; then nothing is ever sent.
     """
 
-    def __init__(self, layout: Layout, ghosts: NDArray[Any]) -> None:
+    def __init__(
+        self, layout: Layout, ghosts: NDArray[Any], own_entries: int = 0, entries: NDArray[Any] | None = None
+    ) -> None:
         self.layout, self.ghosts, self.foreign = layout, ghosts, int(ghosts.size)
         self.is_empty = not any(layout.comm.allgather(self.foreign))
         if self.is_empty:
             return
         owners = layout.owners(ghosts)
-        places = np.stack([owners, ghosts - layout.starts[owners]], axis=1)
-        self._forest = PETSc.SF().create(comm=layout.comm)
-        self._forest.setGraph(layout.own, None, places.astype(PETSc.IntType).ravel())
-        self._forest.setUp()
+        self._forest = _forest(layout, layout.own, np.stack([owners, ghosts - layout.starts[owners]], axis=1))
+        self._own_entries = own_entries
+        self._entry_forest = None if entries is None else _forest(layout, own_entries, entries)
         self._flags = np.empty(layout.own + self.foreign)
 
     def fetch(self, x: FloatVector) -> None:
@@ -74,6 +79,13 @@ class Halo:
             own, foreign = x[: self.layout.own], x[self.layout.own :]
             self._forest.bcastBegin(MPI.DOUBLE, own, foreign, MPI.REPLACE)
             self._forest.bcastEnd(MPI.DOUBLE, own, foreign, MPI.REPLACE)
+
+    def fetch_entries(self, data: FloatVector) -> None:
+        """Overwrite the entries of the foreign rows, which stand behind those of the own rows."""
+        if not self.is_empty and self._entry_forest is not None:
+            own, foreign = data[: self._own_entries], data[self._own_entries :]
+            self._entry_forest.bcastBegin(MPI.DOUBLE, own, foreign, MPI.REPLACE)
+            self._entry_forest.bcastEnd(MPI.DOUBLE, own, foreign, MPI.REPLACE)
 
     def fetch_flags(self, flags: NDArray[Any]) -> None:
         """Do the same with flags."""
@@ -89,6 +101,13 @@ class Halo:
     def total(self, value: float) -> float:
         """Return the sum of all ranks' values."""
         return total(self.layout.comm, value)[0]
+
+
+def _forest(layout: Layout, roots: int, places: NDArray[Any]) -> PETSc.SF:
+    forest = PETSc.SF().create(comm=layout.comm)
+    forest.setGraph(roots, None, places.astype(PETSc.IntType).ravel())
+    forest.setUp()
+    return forest
 
 
 class Rows:
@@ -143,6 +162,12 @@ class Rows:
         self._buffer[: own.size] = own
         self.halo.fetch(self._buffer)
         return self._buffer
+
+    def global_columns(self) -> NDArray[Any]:
+        """Return the column indices as the caller counts them."""
+        numbers = np.concatenate([np.arange(self.columns.first, self.columns.last), self.ghosts])
+        columns: NDArray[Any] = numbers[self.indices]
+        return columns
 
     def as_csr(self) -> sp.csr_array:
         """Return the rows as a scipy array that shares the data."""

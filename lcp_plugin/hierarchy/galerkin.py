@@ -154,7 +154,7 @@ def _product_rows(  # type: ignore[no-untyped-def]
 def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched):  # type: ignore[no-untyped-def]
     """Mark the rows whose contribution to the coarse matrix changed."""
     one = uintp(1)
-    for i in range(uintp(indptr.size - 1)):
+    for i in range(uintp(is_row_changed.size)):
         touched[i] = is_free_changed[i] or is_row_changed[i]
         if not touched[i]:
             for k in range(uintp(indptr[i]), uintp(indptr[i + one])):

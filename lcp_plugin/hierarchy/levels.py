@@ -53,7 +53,7 @@ class Operator:
 class Transfer:
     """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
 
-    P has a row for each foreign unknown as well; only the Galerkin product needs those.
+    P has a row for each foreign unknown as well, which the Galerkin product needs.
     """
 
     prolongation: Operator
@@ -163,9 +163,9 @@ def build_hierarchy(
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 
-def grid_of(matrix: Operator, peers: Peers = ALONE) -> Grid:
-    """Return the grid of a matrix; without peers it is square."""
-    split = np.empty(matrix.indptr.size - 1, matrix.indptr.dtype)
+def grid_of(matrix: Operator, peers: Peers = ALONE, own: int | None = None) -> Grid:
+    """Return the grid of a matrix, whose first rows (all by default) are the own ones."""
+    split = np.empty(matrix.indptr.size - 1 if own is None else own, matrix.indptr.dtype)
     kernels.split_rows(matrix.indptr, matrix.indices, False, split)
     diagonal = matrix.data[split]
     inverse = np.zeros(diagonal.size)

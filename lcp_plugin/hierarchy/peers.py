@@ -1,6 +1,7 @@
 """What a grid asks of the processes that hold its other rows; here there are none.
 
-A vector of a grid holds its own values first and behind them those of foreign unknowns that its rows meet. What is
+A vector of a grid holds its own values first and behind them those of foreign unknowns that its rows meet. A matrix
+holds the own rows and behind them, where it is coarsened, those of foreign unknowns next to the own ones. What is
 computed from all values is asked of everybody, so that every process takes the same decisions.
 """
 
@@ -26,6 +27,9 @@ class Peers(Protocol):
     def fetch_flags(self, flags: NDArray[np.bool_]) -> None:
         """Overwrite the foreign flags, shape (own + foreign,)."""
 
+    def fetch_entries(self, data: FloatVector) -> None:
+        """Overwrite the entries of the foreign rows behind those of the own rows."""
+
     def largest(self, value: float) -> float:
         """Return the largest of everybody's values; a NaN stays."""
 
@@ -42,6 +46,9 @@ class Alone:
         """Nothing is foreign."""
 
     def fetch_flags(self, flags: NDArray[Any]) -> None:
+        """Nothing is foreign."""
+
+    def fetch_entries(self, data: FloatVector) -> None:
         """Nothing is foreign."""
 
     def largest(self, value: float) -> float:

@@ -23,9 +23,9 @@ class TruncatedGrid:
         self.is_free = np.ones(grid.width, np.bool_)
         self.free_changed = np.zeros(grid.width, np.bool_)
         self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(n, np.bool_)
+        self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
-        self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(n)
+        self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(grid.width)
 
     def release(self) -> float:
         """Make all unknowns free; return the matrix entries touched."""
@@ -73,6 +73,9 @@ class Truncation:
             level.grid.peers.fetch_flags(level.is_free)
             level.grid.peers.fetch_flags(level.free_changed)
             galerkin.mark_rows(matrix.indptr, matrix.indices, level.free_changed, level.row_changed, level.touched)
+            level.grid.peers.fetch_flags(level.touched)
+            if level.new_values is not None:
+                level.grid.peers.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
                 *transfer.prolongation.arrays, *transfer.restriction.arrays,
@@ -96,11 +99,13 @@ class Truncation:
             return
         grid.peers.fetch(level.x)
         sweeps.residual_after_first_sweep(
-            indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual
+            indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual[: grid.n]
         )
+        grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
         sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
         self.correct(k + 1)
+        below.grid.peers.fetch(below.x)
         sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
         grid.peers.fetch(level.x)
         sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)

@@ -1,0 +1,168 @@
+"""What ranks gain: ``python -m lcp_plugin.distributed.benchmark`` runs this file under mpiexec and prints ratios.
+
+Every time is wall-clock from (M, q) on the ranks to the verified result, the least of some runs in turn; the first run
+of each process compiles and is not counted. Memory is the most that a rank held at any time.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+TOLERANCE = 1e-8
+RUNS = 5
+SERIAL_RUNS = 5
+LARGE = 4000
+
+
+def main(arguments: list[str]) -> None:
+    """Measure one task on the present ranks, or without a task run all of them under mpiexec."""
+    if arguments:
+        task, size = arguments[0], int(arguments[1])
+        _report(TASKS[task](size))
+        return
+    for line in table():
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def table(size: int = 1000, small: int = 500, large: int = LARGE) -> Iterator[str]:
+    """Yield the lines of the benchmark."""
+    serial, one, two = (_run(ranks, task, size) for ranks, task in ((1, "serial"), (1, "multigrid"), (2, "multigrid")))
+    yield f"2-D obstacle, n = {size**2}: one process {serial['seconds']:.2f} s, {serial['iterations']} cycles"
+    for name, run in (("1 rank", one), ("2 ranks", two)):
+        yield (
+            f"2-D obstacle, n = {size**2}: {name} {run['seconds']:.2f} s, {run['iterations']} cycles, "
+            f"{run['megabytes']:.0f} MB a rank, {run['status']}"
+        )
+    yield f"1 rank ÷ one process {one['seconds'] / serial['seconds']:.2f}   target ≤ 2.5"
+    yield f"1 rank ÷ 2 ranks {one['seconds'] / two['seconds']:.2f}   target ≥ 1.5"
+    ours, theirs = _run(2, "multigrid", small), _run(2, "snesvi", small)
+    yield (
+        f"2-D obstacle, n = {small**2}, 2 ranks: ours {ours['seconds']:.2f} s, SNESVI with CG and GAMG from 0 "
+        f"{theirs['seconds']:.2f} s ({theirs['iterations']} Newton steps, {theirs['status']}): "
+        f"{theirs['seconds'] / ours['seconds']:.1f}   target ≥ 3"
+    )
+    run = _run(2, "once", large)
+    yield (
+        f"2-D obstacle, n = {large**2}, 2 ranks: {run['seconds']:.1f} s, {run['iterations']} cycles, {run['status']}, "
+        f"{run['megabytes'] / 1024:.1f} GB a rank at the peak   target 24 GB in all"
+    )
+
+
+def _run(ranks: int, task: str, size: int) -> dict[str, Any]:
+    module = "lcp_plugin.distributed.benchmark"
+    command = ["mpiexec", "-n", str(ranks), sys.executable, "-m", module, task, str(size)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    answer: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    return answer
+
+
+def _report(content: dict[str, Any]) -> None:
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    content["megabytes"] = max(comm.allgather(peak))
+    if comm.rank == 0:
+        sys.stdout.write(json.dumps(content) + "\n")
+
+
+def _least(call: Callable[[], Any], runs: int) -> tuple[float, Any]:
+    """Return the least of the seconds that all ranks need for the call, and what it gave last."""
+    from mpi4py import MPI
+
+    seconds, answer = [], None
+    for _ in range(runs):
+        answer = None  # what the run before held is free again
+        MPI.COMM_WORLD.Barrier()
+        began = time.perf_counter()
+        answer = call()
+        seconds.append(max(MPI.COMM_WORLD.allgather(time.perf_counter() - began)))
+    return min(seconds), answer
+
+
+def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
+    from mpi4py import MPI
+
+    from .scenes import build
+    from .solving import solve
+
+    solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}), "multigrid")
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
+    seconds, result = _least(lambda: solve(problem, "multigrid", tolerance=TOLERANCE), runs)
+    return {"seconds": seconds, "iterations": result.iterations, "status": result.status.name}
+
+
+def _serial(size: int) -> dict[str, Any]:
+    from ..evidence.benchmarks.multigrid import from_scratch
+    from ..evidence.gallery import build
+
+    from_scratch(build("obstacle_2d", size=60).problem)
+    problem = build("obstacle_2d", size=size).problem
+    seconds, result = _least(lambda: from_scratch(problem), SERIAL_RUNS)
+    return {"seconds": seconds, "iterations": result.iterations, "status": result.status.name}
+
+
+def _snesvi(size: int) -> dict[str, Any]:
+    """Solve by PETSc's reduced-space Newton method with conjugate gradients and GAMG, from z = 0 within the bounds."""
+    from mpi4py import MPI
+    from petsc4py import PETSc
+
+    from .certificate import reference_residual_of, residual_of
+    from .scenes import build
+
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
+    layout, rows = problem.layout, problem.rows
+    indptr, order = rows.indptr.astype(PETSc.IntType), rows.global_columns()
+    matrix = PETSc.Mat().create(comm=layout.comm)
+    matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
+    matrix.setType("aij")
+    matrix.setPreallocationNNZ((5, 2))
+    matrix.setValuesIJV(indptr, order.astype(PETSc.IntType), rows.data)
+    matrix.assemble()
+    q, lower, upper = (_petsc_vector(layout.comm, part) for part in (
+        problem.q, problem.lower, np.full(layout.own, PETSc.INFINITY)
+    ))
+
+    def run() -> Any:
+        z = q.duplicate()
+        z.set(0.0)
+        snes = PETSc.SNES().create(layout.comm)
+        snes.setType("vinewtonrsls")
+        residual = q.duplicate()
+        snes.setFunction(lambda _, x, f: (matrix.mult(x, f), f.axpy(1.0, q))[0], residual)
+        snes.setJacobian(lambda *_: True, matrix)
+        snes.setVariableBounds(lower, upper)
+        snes.setTolerances(rtol=TOLERANCE, atol=0.0, stol=0.0, max_it=1000)
+        snes.ksp.setType("cg")
+        snes.ksp.setTolerances(rtol=1e-5)
+        snes.ksp.pc.setType("gamg")
+        snes.setFromOptions()
+        snes.solve(None, z)
+        return snes.getIterationNumber(), snes.getConvergedReason(), z
+
+    seconds, (steps, reason, z) = _least(run, 1)
+    reached = residual_of(problem, z.getArray().copy()) / reference_residual_of(problem)
+    return {"seconds": seconds, "iterations": steps, "status": f"reason {reason}, relative residual {reached:.1e}"}
+
+
+def _petsc_vector(comm: Any, values: Any) -> Any:
+    from petsc4py import PETSc
+
+    return PETSc.Vec().createWithArray(np.array(values), size=(values.size, None), comm=comm)
+
+
+TASKS: dict[str, Callable[[int], dict[str, Any]]] = {
+    "multigrid": _multigrid, "once": lambda size: _multigrid(size, 1), "serial": _serial, "snesvi": _snesvi,
+}
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

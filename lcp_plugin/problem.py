@@ -323,6 +323,7 @@ def _compressed(dense: Any) -> sp.csr_array:
 
 
 def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
+    """Return D of the scaled residual for some rows of a matrix and their diagonal; see `LCP.residual_scale`."""
     entries = M.data if sp.issparse(M) else M
     if entries.size == 0:
         return np.ones(M.shape[0])

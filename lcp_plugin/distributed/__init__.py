@@ -5,9 +5,9 @@ from __future__ import annotations
 from ..errors import InvalidOption
 
 try:
-    import mpi4py  # noqa: F401
     import petsc4py  # noqa: F401
-except ImportError as error:
+    from mpi4py import MPI  # noqa: F401
+except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
     raise InvalidOption(
         f"several ranks need mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]' as the "
         "README's section on several machines describes"

@@ -22,6 +22,7 @@ from ..errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix, did_you_
 from ..problem import FloatVector
 from .collective import together, total
 from .hierarchy import build_hierarchy
+from .pivots import pivot_weight
 from .problem import DistributedLCP
 from .rows import Rows
 
@@ -105,7 +106,8 @@ def _projected_type(problem: DistributedLCP, algorithm: Any, start: FloatVector)
 def _in_place(problem: DistributedLCP, algorithm: Any, start: FloatVector) -> Iterator[Step]:
     relaxation = float(algorithm.fixed_relaxation())
     rows, own = problem.rows, problem.layout.own
-    pivot = problem.diagonal + pivot_weight(problem, relaxation)
+    diagonal = rows.filled(problem.diagonal)
+    pivot = problem.diagonal + pivot_weight(problem.diagonal, rows.as_csr()[:, own:], diagonal[own:], relaxation)
     packed = sweep_kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivot)
     split = _splits(rows)
     z = rows.new_vector()
@@ -117,22 +119,6 @@ def _in_place(problem: DistributedLCP, algorithm: Any, start: FloatVector) -> It
             rows.indptr, split, rows.indices, rows.data, packed, relaxation, False, z
         )
         yield Step(z[:own], increment=rows.halo.largest(float(change)), work=1.0)
-
-
-def pivot_weight(problem: DistributedLCP, relaxation: float) -> FloatVector:
-    """Return what is added to the pivots d_i of a sweep on all ranks at once, shape (last − first,).
-
-    With r the relaxation and σ_i = Σ |m_ij| √(d_i/d_j) over the columns j of other ranks it is
-    ω_i = max(0, (r σ_i − (1 − r/2) d_i)/2), which no scaling of rows and columns alike changes. For M symmetric
-    positive definite the splitting 𝓜 has 𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the foreign part of M), and that is
-    positive definite, because 2 |m_ij x_i x_j| ≤ |m_ij| (s x_i² + x_j²/s) with s = √(d_i/d_j). For an H₊-matrix and
-    r ≤ 1 any ω ≥ 0 does.
-    """
-    rows, own = problem.rows, problem.layout.own
-    diagonal = rows.filled(problem.diagonal)
-    coupling = np.sqrt(problem.diagonal) * (abs(rows.as_csr()[:, own:]) @ (1.0 / np.sqrt(diagonal[own:])))
-    weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * problem.diagonal)
-    return weight
 
 
 def _splits(rows: Rows) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..hierarchy import coarsening, galerkin
 from ..hierarchy.levels import (
@@ -29,6 +30,7 @@ from ..hierarchy.levels import (
 from ..problem import FloatVector
 from . import kernels
 from .overlap import Integers, foreign_rows, overlapped, renumbered
+from .pivots import pivot_weight
 from .problem import DistributedLCP
 from .rows import Halo, Layout
 
@@ -61,7 +63,7 @@ def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: boo
     operator, halo = Operator(*rows.arrays), rows.halo
     if not halo.is_empty:
         operator, halo = overlapped(layout, operator, rows.ghosts, NOBODY)
-    grid = grid_of(operator, halo, layout.own)
+    grid = _grid(operator, halo, layout.own)
     entries = max(halo.total(_own_entries(grid)), 1.0)
     share = halo.total(coarsening.positive_share(*_own_arrays(grid)) * _own_entries(grid)) / entries
     strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
@@ -94,6 +96,20 @@ def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: boo
     return Hierarchy(tuple(grids), tuple(transfers), work, is_helpful=True)
 
 
+def _grid(operator: Operator, halo: Halo, own: int) -> Grid:
+    """Return the grid with pivots that suit sweeps on all ranks at once."""
+    if halo.is_empty:
+        return grid_of(operator, halo, own)
+    indptr, indices, data = operator.arrays
+    rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, own + halo.foreign))[:own]
+    whole = np.ones(own + halo.foreign)
+    whole[:own] = rows.diagonal()
+    halo.fetch(whole)
+    weight = pivot_weight(whole[:own], rows[:, own:], whole[own:], 1.0)
+    weight.flags.writeable = False
+    return grid_of(operator, halo, own, weight)
+
+
 def _own_entries(grid: Grid) -> int:
     return int(grid.matrix.indptr[grid.n])
 
@@ -124,7 +140,7 @@ def _own_interpolation(grid: Grid, layout: Layout, strength: float) -> Interpola
     indptr, indices, data = _own_arrays(grid)
     n, halo = grid.n, _halo(grid)
     is_strong = np.empty(data.size, np.bool_)
-    kind = _chosen(grid, strength, is_strong)
+    kind = _mended(grid, strength, _chosen(grid, strength, is_strong))
     is_coarse = kind == coarsening.COARSE
     is_coarse.flags.writeable = False
     number = np.cumsum(is_coarse, dtype=indices.dtype) - indices.dtype.type(1)
@@ -164,6 +180,19 @@ def _chosen(grid: Grid, strength: float, is_strong: Any) -> Any:
     return kind
 
 
+def _mended(grid: Grid, strength: float, kind: Any) -> Any:
+    """Return the choice with further coarse unknowns where those of two ranks do not fit together."""
+    halo, n = _halo(grid), grid.n
+    if halo.is_empty:
+        return kind
+    flags = np.zeros(grid.width, np.bool_)
+    flags[:n] = kind == coarsening.COARSE
+    halo.fetch_flags(flags)
+    kinds = np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
+    kernels.mend_seams(*grid.matrix.arrays, strength, n, halo.ghosts >= halo.layout.last, kinds)
+    return kinds[:n]
+
+
 def _halo(grid: Grid) -> Halo:
     assert isinstance(grid.peers, Halo)
     return grid.peers
@@ -199,13 +228,13 @@ def _coarser(
         operator, new_halo = overlapped(below, Operator(*arrays), others, further)
         p_indices = renumbered(columns, below, new_halo.ghosts)  # rows of P far away need no right number
     transfer = Transfer(Operator(p_indptr, p_indices, p_data), restriction, is_coarse)
-    return transfer, grid_of(operator, new_halo, below.own)
+    return transfer, _grid(operator, new_halo, below.own)
 
 
 def _restriction(grid: Grid, below: Layout, p_indptr: Integers, p_indices: Integers, p_data: FloatVector) -> Operator:
     """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
     rows = grid.matrix.indptr.size - 1
-    if rows == grid.n:
+    if not grid.peers.foreign:
         return Operator(*galerkin.transposed(below.own, *Operator(p_indptr, p_indices, p_data).arrays))
     end = int(p_indptr[rows])
     is_own = p_indices[:end] < below.own

@@ -166,7 +166,7 @@ def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched):  # typ
 @compiled
 def update_product(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    c_indptr, c_indices, c_data, c_diagonal, c_inverse, c_is_free, c_free_changed, c_row_changed,
+    c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
 
@@ -205,7 +205,8 @@ def update_product(  # type: ignore[no-untyped-def]
                     c_data[uintp(where[uintp(p_indices[c])])] += value * p_data[c]
         pivot = c_data[uintp(c_diagonal[row])]
         free = pivot > SMALLEST_PIVOT
-        c_inverse[row] = 1.0 / pivot if free else 0.0
+        weight = c_weight[row] if c_weight.size > 0 else 0.0
+        c_inverse[row] = 1.0 / (pivot + weight) if free else 0.0
         c_free_changed[row] = free != c_is_free[row]
         c_is_free[row] = free
     return products, changed_rows

@@ -6,7 +6,7 @@ in P and as many in its transpose; a run adds 8 bytes for each coarse entry, its
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,10 @@ LARGEST_COMPLEXITY = 8.0
 MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
 LARGEST_NARROW = 2**30  # entries; a coarser matrix may have more of them, which 32 bits must still count
 PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
+
+
+NO_WEIGHT = np.zeros(0)
+NO_WEIGHT.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +67,16 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One grid: its matrix with every diagonal entry stored, where those stand, and their inverses."""
+    """One grid: its matrix with every diagonal entry stored, where those stand, and the inverses of the pivots.
+
+    A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
+    """
 
     matrix: Operator
     split: NDArray[Any]
     inverse: FloatVector
     peers: Peers = ALONE
+    weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
 
     @property
     def n(self) -> int:
@@ -163,15 +171,18 @@ def build_hierarchy(
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 
-def grid_of(matrix: Operator, peers: Peers = ALONE, own: int | None = None) -> Grid:
+def grid_of(
+    matrix: Operator, peers: Peers = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT
+) -> Grid:
     """Return the grid of a matrix, whose first rows (all by default) are the own ones."""
     split = np.empty(matrix.indptr.size - 1 if own is None else own, matrix.indptr.dtype)
     kernels.split_rows(matrix.indptr, matrix.indices, False, split)
     diagonal = matrix.data[split]
     inverse = np.zeros(diagonal.size)
-    np.divide(1.0, diagonal, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
+    pivot = diagonal + weight if weight.size else diagonal
+    np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
-    return Grid(matrix, split, inverse, peers)
+    return Grid(matrix, split, inverse, peers, weight)
 
 
 def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:

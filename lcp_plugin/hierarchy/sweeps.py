@@ -27,13 +27,20 @@ def first_sweep(indptr, split, indices, data, inverse, b, x):  # type: ignore[no
 
 
 @compiled
-def residual_after_first_sweep(indptr, split, indices, data, inverse, x, residual):  # type: ignore[no-untyped-def]
-    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed."""
+def residual_after_first_sweep(  # type: ignore[no-untyped-def]
+    indptr, split, indices, data, inverse, weight, x, residual
+):
+    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed.
+
+    It held with the pivot m_ii + weight_i, where there are weights.
+    """
     one = uintp(1)
     for i in range(uintp(residual.size)):
         excess = 0.0
         if inverse[i] != 0.0:
             excess = _plus_products(0.0, uintp(split[i]) + one, uintp(indptr[i + one]), indices, data, x)
+            if weight.size > 0:
+                excess -= weight[i] * x[i]
         residual[i] = -excess
 
 

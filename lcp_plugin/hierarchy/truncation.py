@@ -80,7 +80,7 @@ class Truncation:
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
                 *transfer.prolongation.arrays, *transfer.restriction.arrays,
                 below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
-                below.inverse, below.is_free, below.free_changed, below.row_changed,
+                below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
             )
             below.is_whole = False
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
@@ -99,7 +99,7 @@ class Truncation:
             return
         grid.peers.fetch(level.x)
         sweeps.residual_after_first_sweep(
-            indptr, grid.split, indices, level.values, level.inverse, level.x, level.residual[: grid.n]
+            indptr, grid.split, indices, level.values, level.inverse, grid.weight, level.x, level.residual[: grid.n]
         )
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]

@@ -1,4 +1,4 @@
-"""What ranks gain: ``python -m lcp_plugin.distributed.benchmark`` runs this file under mpiexec and prints ratios.
+"""What ranks gain: ``python tests/distributed/benchmark.py`` runs itself under mpiexec and prints ratios.
 
 Every time is wall-clock from (M, q) on the ranks to the verified result, the least of some runs in turn; the first run
 of each process compiles and is not counted. Memory is the most that a rank held at any time.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import resource
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from launch import run
 
 TOLERANCE = 1e-8
 RUNS = 5
@@ -37,10 +38,10 @@ def table(size: int = 1000, small: int = 500, large: int = LARGE) -> Iterator[st
     """Yield the lines of the benchmark."""
     serial, one, two = (_run(ranks, task, size) for ranks, task in ((1, "serial"), (1, "multigrid"), (2, "multigrid")))
     yield f"2-D obstacle, n = {size**2}: one process {serial['seconds']:.2f} s, {serial['iterations']} cycles"
-    for name, run in (("1 rank", one), ("2 ranks", two)):
+    for name, found in (("1 rank", one), ("2 ranks", two)):
         yield (
-            f"2-D obstacle, n = {size**2}: {name} {run['seconds']:.2f} s, {run['iterations']} cycles, "
-            f"{run['megabytes']:.0f} MB a rank, {run['status']}"
+            f"2-D obstacle, n = {size**2}: {name} {found['seconds']:.2f} s, {found['iterations']} cycles, "
+            f"{found['megabytes']:.0f} MB a rank, {found['status']}"
         )
     yield f"1 rank ÷ one process {one['seconds'] / serial['seconds']:.2f}   target ≤ 2.5"
     yield f"1 rank ÷ 2 ranks {one['seconds'] / two['seconds']:.2f}   target ≥ 1.5"
@@ -50,17 +51,17 @@ def table(size: int = 1000, small: int = 500, large: int = LARGE) -> Iterator[st
         f"{theirs['seconds']:.2f} s ({theirs['iterations']} Newton steps, {theirs['status']}): "
         f"{theirs['seconds'] / ours['seconds']:.1f}   target ≥ 3"
     )
-    run = _run(2, "once", large)
+    found = _run(2, "once", large)
     yield (
-        f"2-D obstacle, n = {large**2}, 2 ranks: {run['seconds']:.1f} s, {run['iterations']} cycles, {run['status']}, "
-        f"{run['megabytes'] / 1024:.1f} GB a rank at the peak   target 24 GB in all"
+        f"2-D obstacle, n = {large**2}, 2 ranks: {found['seconds']:.1f} s, {found['iterations']} cycles, "
+        f"{found['status']}, {found['megabytes'] / 1024:.1f} GB a rank at the peak   target 24 GB in all"
     )
 
 
 def _run(ranks: int, task: str, size: int) -> dict[str, Any]:
-    module = "lcp_plugin.distributed.benchmark"
-    command = ["mpiexec", "-n", str(ranks), sys.executable, "-m", module, task, str(size)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = run(ranks, str(Path(__file__)), task, str(size), timeout=900.0)
+    if done.returncode:
+        sys.exit(f"{task} on {ranks} ranks ended with {done.returncode}:\n{done.stderr}")
     answer: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
     return answer
 
@@ -92,8 +93,8 @@ def _least(call: Callable[[], Any], runs: int) -> tuple[float, Any]:
 def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
     from mpi4py import MPI
 
-    from .scenes import build
-    from .solving import solve
+    from lcp_plugin.distributed.scenes import build
+    from lcp_plugin.distributed.solving import solve
 
     solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}), "multigrid")
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
@@ -102,8 +103,8 @@ def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
 
 
 def _serial(size: int) -> dict[str, Any]:
-    from ..evidence.benchmarks.multigrid import from_scratch
-    from ..evidence.gallery import build
+    from lcp_plugin.evidence.benchmarks.multigrid import from_scratch
+    from lcp_plugin.evidence.gallery import build
 
     from_scratch(build("obstacle_2d", size=60).problem)
     problem = build("obstacle_2d", size=size).problem
@@ -116,8 +117,8 @@ def _snesvi(size: int) -> dict[str, Any]:
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from .certificate import reference_residual_of, residual_of
-    from .scenes import build
+    from lcp_plugin.distributed.certificate import reference_residual_of, residual_of
+    from lcp_plugin.distributed.scenes import build
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
     layout, rows = problem.layout, problem.rows
@@ -132,7 +133,7 @@ def _snesvi(size: int) -> dict[str, Any]:
         problem.q, problem.lower, np.full(layout.own, PETSc.INFINITY)
     ))
 
-    def run() -> Any:
+    def newton() -> Any:
         z = q.duplicate()
         z.set(0.0)
         snes = PETSc.SNES().create(layout.comm)
@@ -149,7 +150,7 @@ def _snesvi(size: int) -> dict[str, Any]:
         snes.solve(None, z)
         return snes.getIterationNumber(), snes.getConvergedReason(), z
 
-    seconds, (steps, reason, z) = _least(run, 1)
+    seconds, (steps, reason, z) = _least(newton, 1)
     reached = residual_of(problem, z.getArray().copy()) / reference_residual_of(problem)
     return {"seconds": seconds, "iterations": steps, "status": f"reason {reason}, relative residual {reached:.1e}"}
 

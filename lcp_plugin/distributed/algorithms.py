@@ -2,8 +2,9 @@
 
 A sweep uses what its own rank has already updated and what the others had before the sweep. Such a splitting
 M = 𝓜 − 𝓝 has fewer entries of L in 𝓜 than the sweep over all rows. The proof for the projected-type methods holds
-for every such choice (0 ≤ β ≤ α; row scaling 1/d). The in-place methods add to the pivots what makes them converge
-for symmetric positive definite matrices, see `pivot_weight`, and for H₊-matrices with a relaxation ≤ 1.
+for every such choice (0 ≤ β ≤ α; row scaling 1/d), and so does that for H₊-matrices and in-place methods with a
+relaxation ≤ 1. Where M is symmetric the latter add to the pivots what they need to converge for every positive definite
+one, see `pivot_weight`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ IN_PLACE = ("pgs", "psor")
 NAMES = ("multigrid", *PROJECTED_TYPE, *IN_PLACE)
 OPTIONS = ("relaxation", "acceleration", "nested", "smoother", "coarsest")
 SYMMETRIC = 1e-10
-MULTIGRID_FAILED = "multigrid came to an end: projected sweeps, which converge on every H₊-matrix"
+MULTIGRID_FAILED = "multigrid came to an end: projected sweeps"
 
 
 def chosen(algorithm: Any, options: dict[str, Any]) -> Algorithm:
@@ -106,8 +107,10 @@ def _projected_type(problem: DistributedLCP, algorithm: Any, start: FloatVector)
 def _in_place(problem: DistributedLCP, algorithm: Any, start: FloatVector) -> Iterator[Step]:
     relaxation = float(algorithm.fixed_relaxation())
     rows, own = problem.rows, problem.layout.own
-    diagonal = rows.filled(problem.diagonal)
-    pivot = problem.diagonal + pivot_weight(problem.diagonal, rows.as_csr()[:, own:], diagonal[own:], relaxation)
+    pivot = problem.diagonal
+    if is_symmetric_matrix(problem):
+        foreign_diagonal = rows.filled(pivot)[own:].copy()
+        pivot = pivot + pivot_weight(pivot, rows.as_csr()[:, own:], foreign_diagonal, relaxation)
     packed = sweep_kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivot)
     split = _splits(rows)
     z = rows.new_vector()
@@ -128,20 +131,22 @@ def _splits(rows: Rows) -> Any:
     return split
 
 
+@np.errstate(all="ignore")
 def is_symmetric_matrix(problem: DistributedLCP) -> bool:
-    """Return whether M is symmetric up to rounding, by products with two arbitrary vectors.
+    """Return whether M is symmetric up to rounding, by products of D^(−1/2) M D^(−1/2) with two arbitrary vectors.
 
-    For such x and y, xᵀ M y = yᵀ M x happens by chance with probability 0. A wrong yes would cost speed, not
-    correctness: every answer is judged by its residual.
+    For such x and y, xᵀ M y = yᵀ M x happens by chance with probability 0. A wrong answer would cost speed, not
+    correctness: every z is judged by its residual.
     """
     matrix, rows = problem.rows.as_csr(), problem.rows
-    x, y = _arbitrary(problem.first, problem.last, 1), _arbitrary(problem.first, problem.last, 2)
+    unit = 1.0 / np.sqrt(problem.diagonal)
+    x, y = (unit * _arbitrary(problem.first, problem.last, seed) for seed in (1, 2))
     x_product = matrix @ rows.filled(x)
     y_product = matrix @ rows.filled(y)
     forward, backward, size = total(
-        problem.comm, float(y @ x_product), float(x @ y_product), float(x_product @ x_product)
+        problem.comm, float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
     )
-    return bool(abs(forward - backward) <= SYMMETRIC * np.sqrt(size * problem.n))
+    return bool(abs(forward - backward) <= SYMMETRIC * np.sqrt(size * problem.n)) and bool(np.isfinite(size))
 
 
 def _arbitrary(first: int, last: int, seed: int) -> FloatVector:

@@ -63,6 +63,7 @@ class DistributedCertificate:
 
         NaN and infinities are measured, not refused.
         """
+        z = problem.own_part(z)
         reference = reference_residual_of(problem)
         scale = problem.residual_scale
         with np.errstate(all="ignore"):

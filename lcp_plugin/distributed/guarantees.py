@@ -140,6 +140,7 @@ def error_bound(
     UnsuitableMatrix
         On every rank, where M is not proved to be an H₊-matrix.
     """
+    z = problem.own_part(z)
     certificate = certificate or h_plus_certificate(problem)
     if certificate is None:
         raise UnsuitableMatrix(NO_PROOF)

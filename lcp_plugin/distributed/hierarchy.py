@@ -63,7 +63,7 @@ def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: boo
     operator, halo = Operator(*rows.arrays), rows.halo
     if not halo.is_empty:
         operator, halo = overlapped(layout, operator, rows.ghosts, NOBODY)
-    grid = _grid(operator, halo, layout.own)
+    grid = _grid(operator, halo, layout.own, is_symmetric=is_symmetric)
     entries = max(halo.total(_own_entries(grid)), 1.0)
     share = halo.total(coarsening.positive_share(*_own_arrays(grid)) * _own_entries(grid)) / entries
     strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
@@ -96,9 +96,9 @@ def build_hierarchy(problem: DistributedLCP, coarsest: int, *, is_symmetric: boo
     return Hierarchy(tuple(grids), tuple(transfers), work, is_helpful=True)
 
 
-def _grid(operator: Operator, halo: Halo, own: int) -> Grid:
-    """Return the grid with pivots that suit sweeps on all ranks at once."""
-    if halo.is_empty:
+def _grid(operator: Operator, halo: Halo, own: int, *, is_symmetric: bool) -> Grid:
+    """Return the grid, with larger pivots where M is symmetric: others need none, and have any unit in any row."""
+    if halo.is_empty or not is_symmetric:
         return grid_of(operator, halo, own)
     indptr, indices, data = operator.arrays
     rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, own + halo.foreign))[:own]
@@ -228,7 +228,7 @@ def _coarser(
         operator, new_halo = overlapped(below, Operator(*arrays), others, further)
         p_indices = renumbered(columns, below, new_halo.ghosts)  # rows of P far away need no right number
     transfer = Transfer(Operator(p_indptr, p_indices, p_data), restriction, is_coarse)
-    return transfer, _grid(operator, new_halo, below.own)
+    return transfer, _grid(operator, new_halo, below.own, is_symmetric=not scales_rows)
 
 
 def _restriction(grid: Grid, below: Layout, p_indptr: Integers, p_indices: Integers, p_data: FloatVector) -> Operator:

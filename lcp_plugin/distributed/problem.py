@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import check_kind, check_order, checked_bound, finite_vector, read_only
+from ..checks import check_kind, check_order, checked_bound, finite_vector, read_only, real_vector
 from ..errors import InvalidProblem
 from ..problem import LCP, FloatVector, residual_scale_of
 from .collective import as_mpi, require_same, together, total
@@ -159,9 +159,19 @@ class DistributedLCP:
     def __repr__(self) -> str:
         return f"DistributedLCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.comm.size})"
 
+    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
+        """Return the vector of which each rank gives its own part, shape (last − first,); NaN is allowed.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, where the length of one part is wrong.
+        """
+        return together(self.comm, lambda: real_vector(z, name, self.layout.own))
+
     def slack(self, z: FloatVector) -> FloatVector:
         """Return the own part of w = M z + q for the own part of z, each of shape (last − first,)."""
-        w: FloatVector = self.rows.as_csr() @ self.rows.filled(z)
+        w: FloatVector = self.rows.as_csr() @ self.rows.filled(self.own_part(z))
         w += self.q
         return w
 
@@ -175,6 +185,7 @@ class DistributedLCP:
 
     def gathered(self, own: FloatVector) -> FloatVector | None:
         """Return the parts of all ranks one after the other on rank 0, None on the others."""
+        own = self.own_part(own, "the vector")
         counts = np.diff(self.layout.starts)
         whole = np.empty(self.n) if self.comm.rank == 0 else None
         self.comm.Gatherv(np.ascontiguousarray(own), (whole, counts), root=0)

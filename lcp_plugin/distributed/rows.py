@@ -76,14 +76,14 @@ class Halo:
     def fetch(self, x: FloatVector) -> None:
         """Overwrite what stands behind the own values in x, shape (own + foreign,), by the owners' values."""
         if not self.is_empty:
-            own, foreign = x[: self.layout.own], x[self.layout.own :]
+            own, foreign = x[: self.layout.own], x[self.layout.own :] if self.foreign else np.empty(0)
             self._forest.bcastBegin(MPI.DOUBLE, own, foreign, MPI.REPLACE)
             self._forest.bcastEnd(MPI.DOUBLE, own, foreign, MPI.REPLACE)
 
     def fetch_entries(self, data: FloatVector) -> None:
         """Overwrite the entries of the foreign rows, which stand behind those of the own rows."""
         if not self.is_empty and self._entry_forest is not None:
-            own, foreign = data[: self._own_entries], data[self._own_entries :]
+            own, foreign = data[: self._own_entries], data[self._own_entries :] if self.foreign else np.empty(0)
             self._entry_forest.bcastBegin(MPI.DOUBLE, own, foreign, MPI.REPLACE)
             self._entry_forest.bcastEnd(MPI.DOUBLE, own, foreign, MPI.REPLACE)
 

@@ -16,7 +16,7 @@ from checks import check, run_checks
 from lcp_plugin import LCP, Status
 from lcp_plugin import solve as solve_alone
 from lcp_plugin.algorithms import create
-from lcp_plugin.distributed import DistributedCertificate, DistributedLCP, solve
+from lcp_plugin.distributed import DistributedCertificate, DistributedLCP, error_bound, solve
 from lcp_plugin.errors import InvalidOption, LCPError, NotConverged, UnknownAlgorithm, UnsuitableMatrix
 from lcp_plugin.evidence import gallery
 
@@ -293,6 +293,45 @@ def in_place_sweeps_converge_on_positive_definite_matrices_that_are_not_h(comm: 
         for algorithm, options in (("pgs", {}), ("psor", {"relaxation": 1.6})):
             result = solve(DistributedLCP.from_problem(problem, comm), algorithm, **options)
             assert result.is_solved, (seed, algorithm, str(result))
+
+
+@check(2, 3, 4)
+def ranks_that_meet_nobody_join_the_multigrid(comm: Any) -> None:
+    """A rank without rows, and one whose rows meet only its own, do not end a run of multigrid on the others."""
+    n = 300
+    chain = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    apart = sp.block_diag([chain[: n // 2, : n // 2], chain[n // 2 :, n // 2 :]], format="csr")
+    halves = np.array([0, n // 2, n])
+    for M, ends in ((chain, [0, *[n] * comm.size]), (apart, np.interp(np.arange(comm.size + 1), [0, 1, 2], halves))):
+        first, last = (int(end) for end in ends[comm.rank : comm.rank + 2])
+        problem = DistributedLCP.from_rows(comm, sp.csr_array(M[first:last]), np.full(last - first, -1.0))
+        assert solve(problem, "multigrid", coarsest=8).is_solved
+
+
+@check(2, 3)
+def the_unit_of_a_row_changes_nothing(comm: Any) -> None:
+    """Rows of M and q times 10^±4 leave z and, within a few, the number of cycles."""
+    whole = gallery.build("obstacle_2d", size=30).problem
+    factors = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, whole.n)
+    scaled = LCP(sp.csr_array(sp.diags_array(factors) @ whole.csr), factors * whole.q, lower=whole.lower)
+    one, other = (solve(DistributedLCP.from_problem(p, comm), "multigrid", tolerance=1e-12) for p in (whole, scaled))
+    assert one.is_solved
+    assert other.is_solved
+    assert other.iterations <= one.iterations + 5
+    np.testing.assert_allclose(other.z, one.z, rtol=1e-9, atol=1e-12)
+
+
+@check(2, 3)
+def a_part_of_wrong_length_is_refused_everywhere(comm: Any) -> None:
+    """Where one rank's z is too long or too short, all ranks are told."""
+    problem = DistributedLCP.from_problem(gallery.build("obstacle_2d", size=9).problem, comm)
+    own = problem.last - problem.first
+    for wrong in (own - 1, own + 1):
+        z = np.zeros(wrong if comm.rank == 1 else own)
+        for call in (problem.slack, problem.gathered, lambda z: DistributedCertificate.of(problem, z),
+                     lambda z: error_bound(problem, z)):
+            with pytest.raises(LCPError, match=r"rank 1: .* must be a finite vector of length"):
+                call(z)
 
 
 if __name__ == "__main__":

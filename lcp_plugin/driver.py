@@ -19,14 +19,13 @@ from .checks import FloatVector
 from .choice import Choice, Policy, Single, Stage, policy_for
 from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
-from .pacing import CheckSchedule, ErrorWatch, Progress
+from .pacing import CheckSchedule, Ending, ErrorWatch, Progress
 from .problem import LCP
 from .result import Result, Sample, StageRecord, Status, status_of
 from .settings import CallersOwn, Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-DIVERGED_BEYOND = 1e8
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 SAMPLE_GROWTH = 1.05
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
@@ -124,7 +123,7 @@ def solve(
         return result
 
 
-class _Run:
+class _Run(Ending):
     """The state of one run: its clock, its best iterate, its record."""
 
     def __init__(self, problem: LCP, policy: Policy, settings: Settings, callback: Callback | None) -> None:
@@ -183,7 +182,7 @@ class _Run:
             return following, None
         if reason not in (Status.STALLED, Status.DIVERGED):
             return None, reason
-        if self._is_at_floor():
+        if self.is_at_floor():
             return None, Status.PRECISION_LIMIT
         following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, True)
         return (following, None) if following is not None else (None, reason)
@@ -232,36 +231,16 @@ class _Run:
             self.stages[-1].note(residual)
             if self.iteration == 0:
                 self.start_residual = residual
-        reason = self._reason_to_end(step, residual)
+        reason = self.reason_to_end(step, residual, is_monotone=self.stages[-1].algorithm.is_monotone)
         wants_to_stop = self._report(step, residual, is_last=reason is not None)
         return reason or (Status.INTERRUPTED if wants_to_stop else None)
 
-    def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
-        is_monotone = self.stages[-1].algorithm.is_monotone
-        if residual is not None:
-            if self._passes(step.z, residual):
-                return Status.SOLVED
-            is_lost = (is_monotone and self.progress.is_rising(residual)) or not math.isfinite(residual)
-            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
-            if is_beyond and not residual <= DIVERGED_BEYOND * self._unit:
-                return Status.DIVERGED
-        elif step.increment is not None and not math.isfinite(step.increment):
-            return Status.DIVERGED
-        if self.iteration >= self.settings.max_iterations:
-            return Status.MAX_ITERATIONS
-        if self._now - self._began - self._compiling >= self.settings.max_seconds:
-            return Status.MAX_SECONDS
-        if step.is_settling:
-            self.progress.restart(self.iteration, self.best)
-        if residual is None:
-            return None
-        if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():
-            return Status.PRECISION_LIMIT
-        if not is_monotone:
-            return None
-        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
+    @property
+    def elapsed(self) -> float:
+        """Seconds by the clock of the wall, compilation taken off."""
+        return self._now - self._began - self._compiling
 
-    def _passes(self, z: FloatVector, residual: float) -> bool:
+    def passes(self, z: FloatVector, residual: float) -> bool:
         if self.settings.is_on_error:
             if self.settings.measure == "euclidean":  # another norm, in another unit
                 residual = Certificate.of(self.problem, z).relative_residual
@@ -295,14 +274,14 @@ class _Run:
         self._last_certificate = Certificate.of(self.problem, z)
         return self._last_certificate.measured(self.settings.measure)
 
-    def _is_at_floor(self) -> bool:
+    def is_at_floor(self) -> bool:
         if self.best_z is None:
             return False
         certificate = Certificate.of(self.problem, self.best_z)
         return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
 
     @cached_property
-    def _unit(self) -> float:
+    def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
         return 1.0 if self.settings.measure == "relative" else self._measure(self.problem.nearest_to_zero)
 

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .algorithms.base import Step
 from .certificates.contraction import unit_triangle_sums
 from .checks import FloatVector
 from .errors import UnsuitableMatrix
 from .problem import LCP
+from .result import Status
 from .settings import Settings
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
 OUT_OF_STEP = 2.0
 RISING = 10
+DIVERGED_BEYOND = 1e8
 
 
 class CheckSchedule:
@@ -98,6 +101,62 @@ class Progress:
         fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
         needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
         return needed > fall * (self.max_iterations - iteration)
+
+
+class Ending:
+    """When a run is over: one decision, whether its rows lie on one process or on many.
+
+    A run gives what is asked here; on many processes all of it is the same on each.
+    """
+
+    settings: Settings
+    progress: Progress
+    iteration: int
+    best: float
+    start_residual: float
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds that count against the limit."""
+        raise NotImplementedError
+
+    @property
+    def unit(self) -> float:
+        """The size of a residual that is nothing to worry about: that of z°."""
+        raise NotImplementedError
+
+    def passes(self, z: FloatVector, residual: float) -> bool:
+        """Return whether z is what was asked for."""
+        raise NotImplementedError
+
+    def is_at_floor(self) -> bool:
+        """Return whether the best residual is no larger than rounding explains."""
+        raise NotImplementedError
+
+    def reason_to_end(self, step: Step, residual: float | None, *, is_monotone: bool) -> Status | None:
+        """Return why the run ends with this step, or None."""
+        if residual is not None:
+            if self.passes(step.z, residual):
+                return Status.SOLVED
+            is_lost = (is_monotone and self.progress.is_rising(residual)) or not math.isfinite(residual)
+            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
+            if is_beyond and not residual <= DIVERGED_BEYOND * self.unit:
+                return Status.DIVERGED
+        elif step.increment is not None and not math.isfinite(step.increment):
+            return Status.DIVERGED
+        if self.iteration >= self.settings.max_iterations:
+            return Status.MAX_ITERATIONS
+        if self.elapsed >= self.settings.max_seconds:
+            return Status.MAX_SECONDS
+        if step.is_settling:
+            self.progress.restart(self.iteration, self.best)
+        if residual is None:
+            return None
+        if self.progress.is_flat(self.iteration, self.best) and self.is_at_floor():
+            return Status.PRECISION_LIMIT
+        if not is_monotone:
+            return None
+        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
 
 
 class ErrorWatch:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UnreadableFile
+from .target import scene_text
 from .terminal import PartsBar
 
 PARTS = "parts"
@@ -34,7 +35,7 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     if out.exists() and not out.is_dir():
         raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
     began = time.perf_counter()
-    parts = plan(scenes, quick=quick)
+    parts = plan([scene_text(scene) or scene for scene in scenes], quick=quick)
     with PartsBar(len(parts)) as bar:
         collected = collect(parts, out / PARTS, bar)
     try:

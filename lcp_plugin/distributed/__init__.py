@@ -16,12 +16,11 @@ except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library ra
 from .certificate import DistributedCertificate
 from .guarantees import HPlusCertificate, error_bound, h_plus_certificate
 from .problem import DistributedLCP
-from .solving import DistributedResult, solve
+from .solving import solve
 
 __all__ = [
     "DistributedCertificate",
     "DistributedLCP",
-    "DistributedResult",
     "HPlusCertificate",
     "error_bound",
     "h_plus_certificate",

@@ -1,13 +1,12 @@
 """The algebraic hierarchy of a matrix whose rows lie on several ranks.
 
 Each rank chooses the coarse ones among its own unknowns. Interpolation and Galerkin product then are those of a single
-process: behind its own rows a rank holds those of the foreign unknowns next to them. A hierarchy of PETSc's GAMG in
-its place was measured, and is slower: see the README.
+process: behind its own rows a rank holds those of the foreign unknowns next to them.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +24,7 @@ from ..hierarchy.levels import (
     Hierarchy,
     Operator,
     Transfer,
+    chosen_kinds,
     grid_of,
 )
 from ..problem import FloatVector
@@ -34,7 +34,7 @@ from .pivots import pivot_weight
 from .problem import DistributedLCP
 from .rows import Halo, Layout
 
-LARGEST_GROWTH = 2.0  # of the entries from one grid to the next: thin slabs whose coarse unknowns do not match need 1.7
+LARGEST_GROWTH = 2.0  # of the entries from one grid to the next; more where the coarse unknowns of slabs do not match
 NOBODY = np.empty(0, np.int64)
 
 
@@ -140,13 +140,16 @@ def _own_interpolation(grid: Grid, layout: Layout, strength: float) -> Interpola
     indptr, indices, data = _own_arrays(grid)
     n, halo = grid.n, _halo(grid)
     is_strong = np.empty(data.size, np.bool_)
-    kind = _mended(grid, strength, _chosen(grid, strength, is_strong))
+    kind = _mended(grid, strength, chosen_kinds(indptr, indices, data, strength, is_strong))
     is_coarse = kind == coarsening.COARSE
     is_coarse.flags.writeable = False
     number = np.cumsum(is_coarse, dtype=indices.dtype) - indices.dtype.type(1)
     number += Layout(layout.comm, int(np.count_nonzero(is_coarse))).first
     if halo.foreign:
-        coarsening.strong_couplings(indptr, indices, data, strength, is_strong, np.zeros(grid.width + 1, indptr.dtype))
+        everywhere = grid.width
+        coarsening.strong_couplings(
+            indptr, indices, data, strength, everywhere, is_strong, np.zeros(everywhere + 1, indptr.dtype)
+        )
     if not halo.is_empty:
         numbers, flags = np.zeros(grid.width), np.zeros(grid.width, np.bool_)
         numbers[:n], flags[:n] = number, is_coarse
@@ -160,24 +163,6 @@ def _own_interpolation(grid: Grid, layout: Layout, strength: float) -> Interpola
         indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
     )
     return Interpolation(p_indptr, p_indices[:size], p_data[:size], is_coarse)
-
-
-def _chosen(grid: Grid, strength: float, is_strong: Any) -> Any:
-    """Return which own unknowns are coarse, decided among the own ones; leave the strong couplings in `is_strong`."""
-    indptr, indices, data = _own_arrays(grid)
-    n = grid.n
-    first = np.zeros(n + 1, indptr.dtype)
-    if grid.peers.foreign:
-        kernels.own_strong_couplings(indptr, indices, data, strength, n, is_strong, first)
-    else:
-        coarsening.strong_couplings(indptr, indices, data, strength, is_strong, first)
-    np.cumsum(first, out=first)
-    dependents = np.empty(int(first[-1]), indices.dtype)
-    coarsening.list_dependents(indptr, indices, is_strong, first, dependents)
-    kind = np.zeros(n, np.uint8)
-    entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
-    coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after)
-    return kind
 
 
 def _mended(grid: Grid, strength: float, kind: Any) -> Any:
@@ -194,8 +179,7 @@ def _mended(grid: Grid, strength: float, kind: Any) -> Any:
 
 
 def _halo(grid: Grid) -> Halo:
-    assert isinstance(grid.peers, Halo)
-    return grid.peers
+    return cast(Halo, grid.peers)  # every grid of a hierarchy on ranks has one
 
 
 def _coarser(

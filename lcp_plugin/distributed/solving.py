@@ -19,7 +19,7 @@ from ..certificates.error_bounds import ErrorBound
 from ..certificates.residuals import Certificate, ratio
 from ..checks import finite_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..pacing import CheckSchedule, Progress
+from ..pacing import CheckSchedule, Ending, Progress
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample, StageRecord, Status
 from ..settings import Settings
@@ -29,12 +29,8 @@ from .collective import largest, require_same, together
 from .guarantees import NO_PROOF, HPlusCertificate, error_bound, h_plus_certificate
 from .problem import DistributedLCP
 
-DIVERGED_BEYOND = 1e8
 SAMPLE_GROWTH = 1.05
 FALL = (0.01, 0.8)  # how far the residual has to fall until the next bound
-
-DistributedResult = Result
-"""As of one machine: `certificate` is a DistributedCertificate, z and w are the own parts, all else agrees."""
 
 
 def solve(
@@ -91,7 +87,7 @@ def solve(
         return run.judged("auto" if is_auto else chosen.name, run.drive(chain, start))
 
 
-class _Run:
+class _Run(Ending):
     """The state of one run: its clock, its best iterate, its record; the same on every rank but for z."""
 
     def __init__(
@@ -126,7 +122,7 @@ class _Run:
             reason = self._run_stage(algorithm, because, z.copy())
             if reason not in (Status.STALLED, Status.DIVERGED):
                 break
-            if self._is_at_floor():
+            if self.is_at_floor():
                 return Status.PRECISION_LIMIT
         return reason
 
@@ -160,35 +156,11 @@ class _Run:
             self._keep_if_better(step.z, residual)
             if self.iteration == 0:
                 self.start_residual = residual
-        reason = self._reason_to_end(step, residual, is_monotone=algorithm.is_monotone)
+        reason = self.reason_to_end(step, residual, is_monotone=algorithm.is_monotone)
         if reason is None and is_interrupted:
             reason = Status.INTERRUPTED
         wants_to_end = self._told(step, residual, algorithm.name, is_last=reason is not None)
         return reason or (Status.INTERRUPTED if wants_to_end else None)
-
-    def _reason_to_end(self, step: Step, residual: float | None, *, is_monotone: bool) -> Status | None:
-        if residual is not None:
-            if self._passes(step.z, residual):
-                return Status.SOLVED
-            is_lost = (is_monotone and self.progress.is_rising(residual)) or not math.isfinite(residual)
-            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
-            if is_beyond and not residual <= DIVERGED_BEYOND * self._unit:
-                return Status.DIVERGED
-        elif step.increment is not None and not math.isfinite(step.increment):
-            return Status.DIVERGED
-        if self.iteration >= self.settings.max_iterations:
-            return Status.MAX_ITERATIONS
-        if self.seconds >= self.settings.max_seconds:
-            return Status.MAX_SECONDS
-        if step.is_settling:
-            self.progress.restart(self.iteration, self.best)
-        if residual is None:
-            return None
-        if self.progress.is_flat(self.iteration, self.best) and self._is_at_floor():
-            return Status.PRECISION_LIMIT
-        if not is_monotone:
-            return None
-        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
 
     # --- measuring --------------------------------------------------------------------------------------
 
@@ -206,18 +178,23 @@ class _Run:
             return DistributedCertificate.of(self.problem, z).euclidean_residual
         return ratio(residual_of(self.problem, z), self.reference)
 
-    def _passes(self, z: FloatVector, residual: float) -> bool:
+    @property
+    def elapsed(self) -> float:
+        """Seconds of the slowest rank, its pauses taken off."""
+        return self.seconds
+
+    def passes(self, z: FloatVector, residual: float) -> bool:
         if self.target is None:
             return bool(residual <= self.settings.tolerance)
         is_relative = self.settings.measure == "relative"
         return self.target.is_met(z, residual * self.reference if is_relative else residual_of(self.problem, z))
 
     @cached_property
-    def _unit(self) -> float:
+    def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
         return 1.0 if self.settings.measure == "relative" else self._measured(self.problem.nearest_to_zero)
 
-    def _is_at_floor(self) -> bool:
+    def is_at_floor(self) -> bool:
         certificate = DistributedCertificate.of(self.problem, self.best_z)
         return certificate.is_gained and certificate.is_at_rounding_level
 

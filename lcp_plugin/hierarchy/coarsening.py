@@ -21,8 +21,11 @@ UNDECIDED, COARSE, FINE = 0, 1, 2
 
 
 @compiled
-def strong_couplings(indptr, indices, data, strength, is_strong, first):  # type: ignore[no-untyped-def]
-    """Mark the entries i → j where i depends strongly on j, and count the dependents of j in first[j + 1]."""
+def strong_couplings(indptr, indices, data, strength, own, is_strong, first):  # type: ignore[no-untyped-def]
+    """Mark the entries i → j, j < own, where i depends strongly on j; count the dependents of j in first[j + 1].
+
+    Strong is what is so among all couplings of the row.
+    """
     one = uintp(1)
     for i in range(uintp(indptr.size - 1)):
         largest = 0.0
@@ -31,7 +34,7 @@ def strong_couplings(indptr, indices, data, strength, is_strong, first):  # type
                 largest = -data[k]
         for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
             j = uintp(indices[k])
-            is_strong[k] = largest > 0.0 and j != i and -data[k] >= strength * largest
+            is_strong[k] = j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
             if is_strong[k]:
                 first[j + one] += 1
 

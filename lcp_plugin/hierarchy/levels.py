@@ -185,20 +185,28 @@ def grid_of(
     return Grid(matrix, split, inverse, peers, weight)
 
 
-def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:
-    """Return the way to the next coarser grid; None where nothing is coupled any more."""
-    indptr, indices, data = grid.matrix.arrays
-    n = grid.n
-    is_strong = np.empty(data.size, np.bool_)
+def chosen_kinds(
+    indptr: NDArray[Any], indices: NDArray[Any], data: FloatVector, strength: float, is_strong: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Return who is COARSE and who FINE, decided among the unknowns that have rows; fill `is_strong`."""
+    n = indptr.size - 1
     first = np.zeros(n + 1, indptr.dtype)
-    coarsening.strong_couplings(indptr, indices, data, strength, is_strong, first)
+    coarsening.strong_couplings(indptr, indices, data, strength, n, is_strong, first)
     np.cumsum(first, out=first)
     dependents = np.empty(int(first[-1]), indices.dtype)
     coarsening.list_dependents(indptr, indices, is_strong, first, dependents)
     kind = np.zeros(n, np.uint8)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
     coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after)
-    del dependents, entry, after
+    return kind
+
+
+def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:
+    """Return the way to the next coarser grid; None where nothing is coupled any more."""
+    indptr, indices, data = grid.matrix.arrays
+    n = grid.n
+    is_strong = np.empty(data.size, np.bool_)
+    kind = chosen_kinds(indptr, indices, data, strength, is_strong)
     is_coarse = kind == coarsening.COARSE
     if not is_coarse.any():
         return None

@@ -21,6 +21,7 @@ TOLERANCE = 1e-8
 RUNS = 5
 SERIAL_RUNS = 5
 LARGE = 4000
+FETCHES = 300
 
 
 def main(arguments: list[str]) -> None:
@@ -51,11 +52,38 @@ def table(size: int = 1000, small: int = 500, large: int = LARGE) -> Iterator[st
         f"{theirs['seconds']:.2f} s ({theirs['iterations']} Newton steps, {theirs['status']}): "
         f"{theirs['seconds'] / ours['seconds']:.1f}   target ≥ 3"
     )
+    found = _run(2, "anatomy", size)
+    yield (
+        f"2-D obstacle, n = {size**2}, 2 ranks: a fetch {found['fetch'] * 1e6:.0f} µs, a V-cycle "
+        f"{found['cycle'] * 1e3:.0f} ms; foreign values {found['foreign'][0]}, on all grids {sum(found['foreign'])}"
+    )
     found = _run(2, "once", large)
     yield (
         f"2-D obstacle, n = {large**2}, 2 ranks: {found['seconds']:.1f} s, {found['iterations']} cycles, "
         f"{found['status']}, {found['megabytes'] / 1024:.1f} GB a rank at the peak   target 24 GB in all"
     )
+
+
+def _anatomy(size: int) -> dict[str, Any]:
+    """Time a fetch of foreign values and a cycle over all grids; count the foreign values of each grid."""
+    from mpi4py import MPI
+
+    from lcp_plugin.distributed.hierarchy import build_hierarchy
+    from lcp_plugin.distributed.scenes import build
+    from lcp_plugin.hierarchy.truncation import Truncation
+
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
+    hierarchy = build_hierarchy(problem, 60, is_symmetric=True)
+    truncation, grids = Truncation(hierarchy), hierarchy.grids
+
+    def fetches() -> None:
+        for _ in range(FETCHES):
+            grids[0].peers.fetch(truncation.grids[0].x)
+
+    truncation.correct(0)  # compiles
+    fetch, _ = _least(fetches, RUNS)
+    cycle, _ = _least(lambda: truncation.correct(0), RUNS)
+    return {"fetch": fetch / FETCHES, "cycle": cycle, "foreign": [grid.peers.foreign for grid in grids]}
 
 
 def _run(ranks: int, task: str, size: int) -> dict[str, Any]:
@@ -162,7 +190,8 @@ def _petsc_vector(comm: Any, values: Any) -> Any:
 
 
 TASKS: dict[str, Callable[[int], dict[str, Any]]] = {
-    "multigrid": _multigrid, "once": lambda size: _multigrid(size, 1), "serial": _serial, "snesvi": _snesvi,
+    "anatomy": _anatomy, "multigrid": _multigrid, "once": lambda size: _multigrid(size, 1), "serial": _serial,
+    "snesvi": _snesvi,
 }
 
 if __name__ == "__main__":

@@ -223,7 +223,7 @@ class _Run(Ending):
         wanted = is_first_step or self.checks.is_due(self.iteration, step.increment)
         residual = self._residual(step, wanted)
         if residual is not None:
-            if residual <= self.settings.tolerance:  # a kernel adds in another order, and only the certificate counts
+            if residual <= self.settings.tolerance:  # measured, not proved
                 residual = self._certified_residual(step.z)
             if step.residual is None and step.increment is not None:
                 self.checks.learn(self.iteration, step.increment, residual)
@@ -335,7 +335,7 @@ class _Run(Ending):
         if self.stages and may_finish and np.isfinite(z).all():
             finished = self.stages[-1].algorithm.finish(problem, z)
             cleaned = certificate if finished is z else Certificate.of(problem, finished)
-            if cleaned.scaled_residual <= certificate.scaled_residual < math.inf:
+            if cleaned.relative_residual <= certificate.relative_residual < math.inf:
                 certificate = cleaned
         with _Paused(self):
             bound, no_bound = self.errors.final(certificate.z)

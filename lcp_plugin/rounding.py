@@ -1,9 +1,9 @@
 """Sums of products with a rigorous bound of what rounding did to them.
 
 Each row is summed as Ogita, Rump and Oishi do it: every product and every sum is split without error into a rounded
-value and its rounding error, and the errors are summed beside the values. A second layer does the same to the sum of
-errors, so what is lost is known, not estimated: it is zero where the sum is exact, and of third order elsewhere.
-Only + and × of IEEE double precision in the order written are used, no fused operation.
+value and its rounding error (that of a product is one fused multiply–add), and the errors are summed beside the values.
+A second layer does the same to the sum of errors, so what is lost is known, not estimated: it is zero where the sum is
+exact, and of third order elsewhere.
 
 References
 ----------
@@ -14,7 +14,6 @@ doi:10.1137/030601818.
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -150,6 +149,8 @@ def _rounded_pair_radius(low: FloatVector, radius: FloatVector) -> FloatVector:
 
 
 def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Sums:
+    from .kernels import comparison_row_sums, row_sums  # numba, which not every run needs
+
     rows, columns = M.shape
     x = np.ascontiguousarray(x, dtype=np.float64)
     offset = np.zeros(rows) if q is None else np.ascontiguousarray(q, dtype=np.float64)
@@ -159,73 +160,14 @@ def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Su
             f"got {x.shape} and {offset.shape}"
         )
     high, low, radius = np.empty(rows), np.empty(rows), np.empty(rows)
-    # One compiled signature for writable and read-only arrays.
-    arrays = [array.view() for array in (M.indptr, M.indices, M.data, x, offset)]
-    for array in arrays:
-        array.flags.writeable = False
-    _compiled_row_sums()(*arrays, comparison, high, low, radius)
+    kernel = comparison_row_sums if comparison else row_sums
+    kernel(*read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius)
     return high, low, radius
 
 
-@cache
-def _compiled_row_sums() -> Any:
-    from .compilation import compiled
-
-    return compiled(_row_sums)
-
-
-def _row_sums(  # type: ignore[no-untyped-def]
-    indptr, indices, data, x, q, comparison, high, low, radius
-):
-    """Write M x + q (comparison: ⟨M⟩x + q) as high + low ± radius; compiled before it is called.
-
-    Three sums run side by side: of the rounded terms (`total`), of their rounding errors (`errors`), and of the
-    magnitudes of the rounding errors of that second sum (`lost`).
-    """
-    splitter = 134217729.0  # 2²⁷ + 1: Veltkamp's constant
-    may_underflow = 2.0**-960  # products above have an error that is a double
-    for i in range(indptr.size - 1):
-        total, errors, lost = q[i], 0.0, 0.0
-        underflows = 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            a = data[k]
-            if comparison:
-                a = abs(a) if i == j else -abs(a)
-            b = x[j]
-            # product: a b = h + e without error
-            h = a * b
-            t = splitter * a
-            a_high = t - (t - a)
-            a_low = a - a_high
-            t = splitter * b
-            b_high = t - (t - b)
-            b_low = b - b_high
-            e = a_low * b_low - (((h - a_high * b_high) - a_low * b_high) - a_high * b_low)
-            if abs(h) < may_underflow and a != 0.0 and b != 0.0:
-                underflows += 1.0
-            # sum: total + h = s + f without error
-            s = total + h
-            t = s - total
-            f = (total - (s - t)) + (h - t)
-            total = s
-            # the two errors, then their sum into `errors`, what gets lost counted
-            s = e + f
-            t = s - e
-            lost += abs((e - (s - t)) + (f - t))
-            e = errors + s
-            t = e - errors
-            lost += abs((errors - (e - t)) + (s - t))
-            errors = e
-        s = total + errors
-        t = s - total
-        low[i] = (total - (s - t)) + (errors - t)
-        high[i] = s
-        if not (abs(s) < np.inf and abs(errors) < np.inf and lost < np.inf):
-            low[i] = 0.0
-            radius[i] = np.inf
-            continue
-        # `lost` itself was rounded at most 2k times, below 2⁻¹⁰²¹ never; an underflowing product is wrong by at most
-        # 5·2⁻¹⁰⁷⁴.
-        terms = indptr[i + 1] - indptr[i]
-        radius[i] = lost * (1.0 + (4.0 * terms + 8.0) * 2.0**-52) + 5.0 * underflows * 2.0**-1074
+def read_only_views(*arrays: Any) -> list[Any]:
+    """Return a view of each array that is read-only: one compiled signature for both kinds."""
+    views = [array.view() for array in arrays]
+    for view in views:
+        view.flags.writeable = False
+    return views

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..problem import LCP, NEGLIGIBLE_DIAGONAL
-from ..rounding import compensated_product
+from ..problem import LCP
+from ..rounding import gamma, read_only_views
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
+Ends = tuple[float, float]  # a lower and an upper bound
 MEASURES = ("relative", "euclidean")
 BLOCK = 2**14  # rows
+_references: WeakKeyDictionary[LCP, Ends] = WeakKeyDictionary()
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """Every measure of how far z is from solving the problem; nothing in it comes from an algorithm.
+
+    The relative, natural and euclidean residuals are proved: upper bounds of the exact ones, sharp but for some ulps.
+    The others are measured in double precision.
 
     Attributes
     ----------
@@ -32,7 +40,7 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q.
     scaled_residual : float
-        ‖r(z)‖∞, the numerator of the relative residual, in the unit of z.
+        ‖r(z)‖∞, the numerator of the relative residual, in the unit of z, measured.
     relative_residual : float
         ‖r(z)‖∞ / ‖r(z°)‖∞ with r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of
         [lower, upper] nearest to 0. Invariant under row scaling and under the unit of z.
@@ -87,57 +95,38 @@ class Certificate:
 
     @cached_property
     def relative_residual(self) -> float:
-        """‖r(z)‖∞ / ‖r(z°)‖∞; 0 for 0/0."""
-        reference = reference_residual(self.problem)
-        return ratio(self.sure_residual(reference), reference)
+        """‖r(z)‖∞ / ‖r(z°)‖∞, rounded upwards; 0 for 0/0."""
+        least, most = self._reference
+        return np.nan if most == np.inf else ratio_upwards(_largest(self._scaled_ends[1]), least)
 
-    def sure_residual(self, reference: float) -> float:
-        """Return ‖r(z)‖∞, of a proved enclosure of w where rounding could hide a residual as large as `reference`."""
-        if not self._may_hide(reference):
-            return self.scaled_residual
-        with np.errstate(all="ignore"):
-            return _largest(np.abs(scaled_residual(self.problem, self.z, self._enclosed_slack)))
+    @property
+    def _reference(self) -> Ends:
+        return reference_ends(self.problem)
 
-    def _may_hide(self, reference: float) -> bool:
-        """Return whether rounding could hide a residual as large as `reference` from a w in double precision."""
+    @cached_property
+    def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
+        """Bounds of every |r_i|."""
+        return self._ends(self.problem.residual_scale)
+
+    def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
         problem = self.problem
-        if not problem.n or not 0.0 < reference < np.inf or not self.scaled_residual <= GAINED * reference:
-            return False
-        with np.errstate(all="ignore"):
-            # No entry of a row is larger than d_i by more than that, so that most z need no pass over M.
-            terms = problem.n if problem.is_dense else int(np.diff(problem.csr.indptr).max())
-            size = terms / NEGLIGIBLE_DIAGONAL * np.abs(self.z).max()
-            size += (np.abs(problem.q) / problem.residual_scale).max()
-            if (terms + 2) * MACHINE_EPSILON * size <= GAINED * reference:
-                return False
-            return bool(self.rounding_floor.max() > GAINED * reference)
-
-    @cached_property
-    def _enclosed_slack(self) -> FloatVector:
-        """The end farther from 0 of a proved enclosure of w."""
-        value, radius = compensated_product(self.problem.csr, self.z, self.problem.q)
-        return value + np.copysign(radius, value)
-
-    @cached_property
-    def _sure_slack(self) -> FloatVector:
-        """The slack w, or its enclosure where that of doubles says nothing."""
-        return self._enclosed_slack if self._may_hide(reference_residual(self.problem)) else self.w
+        return residual_ends_of(problem.M, self.z, problem, self.z, scale)
 
     @cached_property
     def _natural(self) -> FloatVector:
-        problem, w = self.problem, self._sure_slack
-        with np.errstate(all="ignore"):
-            return _mid_residual(problem, self.z, w, None)
+        """An upper bound of every |z − mid(lower, upper, z − w)|."""
+        return self._ends(np.ones(self.problem.n))[1]
 
     @cached_property
     def natural_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖∞."""
-        return _largest(np.abs(self._natural))
+        return _largest(self._natural)
 
     @cached_property
     def euclidean_residual(self) -> float:
-        """‖z − mid(lower, upper, z − w)‖₂, without overflow."""
-        return euclidean_norm(self._natural)
+        """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
+        norm = euclidean_norm(self._natural)
+        return norm * (1.0 + gamma(self._natural.size + 8)) if norm else norm
 
     @cached_property
     def backward_error(self) -> float:
@@ -196,9 +185,8 @@ class Certificate:
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
         with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
             floor = 4.0 * self.rounding_floor
-            return bool(np.all(residual <= floor)) and bool(np.isfinite(floor).all())
+            return bool(np.all(self._scaled_ends[1] <= floor)) and bool(np.isfinite(floor).all())
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
@@ -241,13 +229,65 @@ def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVect
     return residual
 
 
+def residual_ends_of(
+    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
+
+    Parameters
+    ----------
+    M : array or CSR array, shape (m, n)
+    x : array, shape (n,)
+        z, and whatever else the rows need.
+    rows : LCP
+        Its q, lower and upper, each of shape (m,).
+    z, scale : arrays, shape (m,)
+
+    Returns
+    -------
+    smallest, largest : arrays, shape (m,)
+    """
+    from ..kernels import residual_ends  # numba, which `import lcp_plugin` must not load
+
+    if sp.issparse(M):
+        indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
+    else:
+        m, stride = M.shape
+        indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
+        data = np.ascontiguousarray(M).reshape(-1)
+    smallest, largest = np.empty(z.size), np.empty(z.size)
+    arrays = read_only_views(indptr, indices, data, x, rows.q, z, rows.lower, rows.upper, scale)
+    residual_ends(*arrays[:3], stride, *arrays[3:], smallest, largest)
+    return smallest, largest
+
+
+def reference_ends(problem: LCP) -> Ends:
+    """Return bounds of ‖r(z°)‖∞, the denominator of the relative residual; computed once a problem."""
+    if problem not in _references:
+        z = problem.nearest_to_zero
+        M = problem.M if z.any() else sp.csr_array((problem.n, problem.n))
+        smallest, largest = residual_ends_of(M, z, problem, z, problem.residual_scale)
+        _references[problem] = _largest(smallest), _largest(largest)
+    return _references[problem]
+
+
 def reference_residual(problem: LCP) -> float:
-    """Return ‖r(z°)‖∞, the denominator of the relative residual."""
-    z = problem.nearest_to_zero
-    with np.errstate(all="ignore"):
-        w = problem.slack(z) if z.any() else problem.q
-        residual = scaled_residual(problem, z, w)
-        return _largest(np.abs(residual, out=residual))
+    """Return ‖r(z°)‖∞, rounded upwards: what the residuals of a run are compared with on the way."""
+    return reference_ends(problem)[1]
+
+
+def ratio_upwards(numerator: float, denominator: float) -> float:
+    """Return a double that is no smaller than the quotient of two that are ≥ 0; 0 for 0/0.
+
+    Examples
+    --------
+    >>> ratio_upwards(1.0, 4.0), ratio_upwards(1.0, 3.0) > 1.0 / 3.0, ratio_upwards(1.0, 0.0)
+    (0.25, True, inf)
+    """
+    quotient = ratio(numerator, denominator)
+    if not 0.0 < quotient < np.inf or Fraction(quotient) * Fraction(denominator) >= Fraction(numerator):
+        return quotient
+    return float(np.nextafter(quotient, np.inf))
 
 
 def ratio(numerator: float, denominator: float) -> float:

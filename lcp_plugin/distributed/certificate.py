@@ -14,13 +14,15 @@ from ..certificates.residuals import (
     MEASURES,
     SMALLEST,
     Certificate,
+    Ends,
     euclidean_norm,
-    ratio,
+    ratio_upwards,
+    residual_ends_of,
     scaled_residual,
 )
 from ..errors import InvalidOption, did_you_mean
 from ..problem import LCP, FloatVector
-from ..rounding import compensated_product
+from ..rounding import gamma
 from .collective import gathered, largest
 from .problem import DistributedLCP
 
@@ -64,25 +66,27 @@ class DistributedCertificate:
         NaN and infinities are measured, not refused.
         """
         z = problem.own_part(z)
-        reference = reference_residual_of(problem)
+        least, most_of_reference = reference_ends_of(problem)
         scale = problem.residual_scale
         with np.errstate(all="ignore"):
-            own = _OwnRows.at(problem, z, reference)
+            own = _OwnRows.at(problem, z)
             maxima = (
-                own.scaled_residual, own.sure_residual(reference), own.natural_residual, own.bound_violation,
+                own.scaled_residual, own.proved_residual, own.natural_residual, own.bound_violation,
                 own.slack_violation, own.complementarity, own.backward_error, float(not own.is_at_rounding_level),
                 scale.max(initial=-np.inf), -scale.min(initial=np.inf),
             )
             table = gathered(problem.comm, *maxima, own.euclidean_residual, own.worst_index)
-            scaled, sure, natural, bound, slack, complementarity, backward, is_more, most, minus_least = (
+            scaled, proved, natural, bound, slack, complementarity, backward, is_more, most, minus_least = (
                 table[:, : len(maxima)].max(axis=0).tolist()
             )
             spread = float(np.divide(most, -minus_least)) if problem.n else 1.0
         is_worst = table[:, 0] == scaled if not np.isnan(scaled) else np.isnan(table[:, 0])
         worst = table[is_worst & (table[:, -1] >= 0.0), -1]
         return cls(
-            problem, own.z, own.w, scaled_residual=scaled, relative_residual=ratio(sure, reference),
-            natural_residual=natural, euclidean_residual=euclidean_norm(table[:, -2]), bound_violation=bound,
+            problem, own.z, own.w, scaled_residual=scaled,
+            relative_residual=np.nan if most_of_reference == np.inf else ratio_upwards(proved, least),
+            natural_residual=natural, bound_violation=bound,
+            euclidean_residual=euclidean_norm(table[:, -2]) * (1.0 + gamma(len(table) + 8)),
             slack_violation=slack, complementarity=complementarity, backward_error=backward,
             worst_index=int(worst[0]) if worst.size else -1,
             is_at_rounding_level=not is_more, scale_spread=spread,
@@ -105,17 +109,13 @@ class DistributedCertificate:
 
 @dataclass(frozen=True, eq=False)
 class _OwnRows(Certificate):
-    """The measures of the own rows alone, with the foreign part of z at hand in `whole`.
-
-    Whether rounding may hide a residual is a question to all rows, so `may_hide` is the answer of all ranks.
-    """
+    """The measures of the own rows alone, with the foreign part of z at hand in `whole`."""
 
     whole: FloatVector
     magnitude: FloatVector
-    may_hide: bool
 
     @classmethod
-    def at(cls, problem: DistributedLCP, z: FloatVector, reference: float) -> _OwnRows:
+    def at(cls, problem: DistributedLCP, z: FloatVector) -> _OwnRows:
         """Return the measures of z, `worst_index` counted in the whole problem; all ranks call."""
         own, rows = np.array(z, dtype=np.float64), problem.rows.as_csr()
         whole = problem.rows.filled(own).copy()
@@ -126,30 +126,22 @@ class _OwnRows(Certificate):
         alike = cast(LCP, problem)  # q, bounds and scale of the own rows
         residual = np.abs(scaled_residual(alike, own, w))
         worst = int(np.argmax(residual)) if own.size else -1
-        at = cls(
+        return cls(
             alike, own, w, float(residual[worst]) if own.size else 0.0, problem.first + worst if own.size else -1,
-            whole, magnitude, False,
+            whole, magnitude,
         )
-        scaled, floor = largest(problem.comm, at.scaled_residual, at.rounding_floor.max(initial=0.0))
-        if 0.0 < reference < np.inf and scaled <= GAINED * reference < floor:
-            return cls(alike, own, w, at.scaled_residual, at.worst_index, whole, magnitude, True)
-        return at
-
-    def _may_hide(self, reference: float) -> bool:
-        return self.may_hide
 
     @property
     def _rows(self) -> Any:
         return cast(DistributedLCP, self.problem).rows.as_csr()
 
-    @cached_property
-    def _sure_slack(self) -> FloatVector:
-        return self._enclosed_slack if self.may_hide else self.w
+    @property
+    def proved_residual(self) -> float:
+        """An upper bound of the own rows' largest |r_i|."""
+        return float(self._scaled_ends[1].max(initial=0.0))
 
-    @cached_property
-    def _enclosed_slack(self) -> FloatVector:
-        value, radius = compensated_product(self._rows, self.whole, self.problem.q)
-        return value + np.copysign(radius, value)
+    def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+        return residual_ends_of(self._rows, self.whole, self.problem, self.z, scale)
 
     @cached_property
     def backward_error(self) -> float:
@@ -164,13 +156,22 @@ class _OwnRows(Certificate):
         return floor
 
 
+def reference_ends_of(problem: DistributedLCP) -> Ends:
+    """Return bounds of ‖r(z°)‖∞ over all ranks, the denominator of the relative residual; all ranks call."""
+    z = problem.nearest_to_zero
+    alike, rows = cast(LCP, problem), problem.rows
+    ends = residual_ends_of(rows.as_csr(), rows.filled(z), alike, z, problem.residual_scale)
+    least, most = largest(problem.comm, *(float(end.max(initial=0.0)) for end in ends))
+    return least, most
+
+
 def reference_residual_of(problem: DistributedLCP) -> float:
-    """Return ‖r(z°)‖∞ over all ranks, the denominator of the relative residual."""
-    return residual_of(problem, problem.nearest_to_zero)
+    """Return ‖r(z°)‖∞ over all ranks, rounded upwards."""
+    return reference_ends_of(problem)[1]
 
 
 def residual_of(problem: DistributedLCP, z: FloatVector) -> float:
-    """Return ‖r(z)‖∞ over all ranks."""
+    """Return ‖r(z)‖∞ over all ranks, as measured."""
     with np.errstate(all="ignore"):
         residual = scaled_residual(cast(LCP, problem), z, problem.slack(z))
         own = float(np.abs(residual, out=residual).max(initial=0.0))

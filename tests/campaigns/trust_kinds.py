@@ -70,14 +70,11 @@ def delivered(problem: LCP, rng: Generator) -> LCP:
 
 
 def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
-    """Whether z is what SOLVED means, exactly: rounding may add its floor, but nothing as large as the problem itself.
+    """Whether z is what SOLVED means, exactly.
 
     A problem without any solution may have such a z, where its rows differ in size by more than the tolerance.
     """
-    data = ExactData(problem)
-    reference = data.reference()
-    rounding = min(4 * max(data.floor(z.tolist())), reference / 25)
-    return max(data.residual(z.tolist())) <= Fraction(tolerance) * reference + rounding
+    return not ExactData(problem).is_lie(z.tolist(), tolerance)
 
 
 def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:

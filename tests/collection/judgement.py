@@ -14,7 +14,7 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
     """Return what the result claims wrongly, or nothing."""
     status = result.status.name
     if status == "SOLVED" and ExactData(problem).is_lie(result.z, tolerance):
-        return "lie: the exact residual is above tolerance and rounding"
+        return "lie: the exact residual is above the tolerance"
     if status == "SOLVED" and truth != SOLVABLE:
         return "false SOLVED"
     if status == "PRECISION_LIMIT" and not ExactData(problem).is_at_rounding_level(result.z):

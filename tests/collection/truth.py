@@ -259,11 +259,10 @@ class ExactData:
         return not any(self.residual(z))
 
     def is_lie(self, z: Sequence[Any], tolerance: float) -> bool:
-        """Whether calling z solved is a lie: residual > tolerance · ‖r(z°)‖ + 4 · largest rounding floor."""
+        """Whether calling z solved is a lie: residual > tolerance · ‖r(z°)‖, both exact, no allowance."""
         if not np.isfinite(np.array([float(x) for x in z])).all():
             return True
-        allowed = Fraction(tolerance) * self.reference() + 4 * max(self.floor(z), default=Fraction(0))
-        return max(self.residual(z), default=Fraction(0)) > allowed
+        return max(self.residual(z), default=Fraction(0)) > Fraction(tolerance) * self.reference()
 
     def is_at_rounding_level(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 5 times its floor: 4 as claimed, and 1 for the rounding of the claim."""

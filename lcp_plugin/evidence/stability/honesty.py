@@ -17,7 +17,6 @@ from .exact_answers import Answer
 EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
 ROUNDINGS = 2.0**-48  # relative, of some operations more than a residual takes after its slack
 LARGEST_EXACT = 2000  # rows up to which all is done in fractions at once
-FLOORS = 4
 FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
 
 
@@ -62,7 +61,7 @@ def lie_in(result: Result, exact: Answer | None) -> str:
 
     Notes
     -----
-    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ + 4 max floor, a PRECISION_LIMIT with a row that
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖, both exact, a PRECISION_LIMIT with a row that
     rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is exceeded, and
     a z that is not finite or not within its bounds.
     """
@@ -91,8 +90,7 @@ def _lie_about_residual(result: Result) -> str:
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
     reference = max((row.residual for row in exact_residuals(problem, problem.nearest_to_zero)), default=Fraction(0))
     largest = max((row.residual for row in rows), default=Fraction(0))
-    floor = max((row.floor for row in rows), default=Fraction(0))
-    is_true = largest <= Fraction(result.tolerance) * reference + FLOORS * floor
+    is_true = largest <= Fraction(result.tolerance) * reference
     return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
 
 

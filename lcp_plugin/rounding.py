@@ -149,7 +149,7 @@ def _rounded_pair_radius(low: FloatVector, radius: FloatVector) -> FloatVector:
 
 
 def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Sums:
-    from .kernels import comparison_row_sums, row_sums  # numba, which not every run needs
+    from .enclosures import comparison_row_sums, row_sums  # numba, which not every run needs
 
     rows, columns = M.shape
     x = np.ascontiguousarray(x, dtype=np.float64)

@@ -247,7 +247,7 @@ def residual_ends_of(
     -------
     smallest, largest : arrays, shape (m,)
     """
-    from ..kernels import residual_ends  # numba, which `import lcp_plugin` must not load
+    from ..enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
 
     if sp.issparse(M):
         indptr, indices, data, stride = M.indptr, M.indices, M.data, 0

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .certificates.residuals import Certificate
+from .certificates.conditioning import estimated_error
+from .certificates.residuals import Certificate, reference_residual
 from .errors import NotConverged
 from .problem import FloatVector
 
@@ -18,12 +19,13 @@ if TYPE_CHECKING:
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
+FAR = 1e-2  # part of ‖z‖∞
 
 
 class Status(Enum):
     """Why a run ended; the value of each member is the advice that goes with it."""
 
-    SOLVED = "within the tolerance, as measured on your data"
+    SOLVED = "within the tolerance, as proved on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "a smaller one cannot be measured: accept z, or rescale the data"
@@ -227,10 +229,25 @@ class Result:
             further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
             return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
         spread = self.certificate.scale_spread
-        if not spread > STIFF_SPREAD or not self.is_solved:
+        if not self.is_solved:
             return []
+        if not spread > STIFF_SPREAD:
+            return self._far()
         return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
                 "error; error_bound=True bounds it"]
+
+    def _far(self) -> list[str]:
+        """Return a line where the error may be a good part of z although the residual is small."""
+        certificate, problem = self.certificate, self.certificate.problem
+        if not hasattr(problem, "csr"):  # its rows are not all here
+            return []
+        residual = certificate.relative_residual * reference_residual(problem)
+        error = estimated_error(problem, self.z, self.w, residual)
+        size = float(np.abs(self.z).max(initial=0.0))
+        if error is None or not error > FAR * size:
+            return []
+        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error of up to about "
+                f"{error:.0e}, and ‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""

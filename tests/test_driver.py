@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -455,6 +455,17 @@ def test_tolerance_on_error_is_kept(name: str) -> None:
     result = solve(EXAMPLE.problem, name, tolerance_on="error", tolerance=1e-9)
     assert result.status is Status.SOLVED
     assert np.max(np.abs(result.z - EXAMPLE.exact)) <= 1e-9 * np.max(np.abs(result.z))
+
+
+@pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
+    """SOLVED by a z of length 1 where the solution has 256, though the diagonal is even: `explain()` warns."""
+    matrix, q = np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]]), np.array([-3.0, 3.0 - 2.0**-27])
+    assert (np.linalg.solve(matrix, -q) > 255.0).all()
+    far = solve(LCP(form(matrix), q), "psor")
+    assert (far.status, float(far.z.max()) < 1.0) == (Status.SOLVED, True)
+    assert "near-singular: on the free rows of M a residual" in far.explain()
+    assert "near-singular" not in solve(LCP(form([[5.0, -4.0], [-4.0, 5.0]]), [-3.0, 2.0]), "psor").explain()
 
 
 def test_stiff_data_tell_the_truth() -> None:

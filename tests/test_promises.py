@@ -84,7 +84,7 @@ class Claiming(Algorithm):
 
 
 def test_solved_is_measured() -> None:
-    """“SOLVED is measured, never believed”: claims change nothing; the residual is that of z on the caller's data."""
+    """“SOLVED is proved, never believed”: claims change nothing; the residual is that of z on the caller's data."""
     for measure in ("relative", "euclidean"):
         assert not solve(TWO, Claiming(), measure=measure).is_solved
     result = solve(TWO)
@@ -108,7 +108,7 @@ class FarAway(Algorithm):
 
 @pytest.mark.parametrize("measure", ["relative", "euclidean"])
 def test_rounding_hides_no_residual(measure: str) -> None:
-    """“SOLVED is measured, never believed”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
+    """“SOLVED is proved, never believed”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
     infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
     far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
     assert Certificate(infeasible, far, np.zeros(3), 0.0, 0).measured(measure) > 0.4  # whatever BLAS makes of w

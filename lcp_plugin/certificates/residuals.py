@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, real_vector
+from ..checks import FloatVector, read_only, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..problem import LCP
 from ..rounding import gamma, read_only_views
@@ -38,7 +38,7 @@ class Certificate:
     problem : LCP
         The problem that z was judged on.
     z, w : ndarray, shape (n,)
-        The point and its slack M z + q.
+        The point and its slack M z + q in double precision.
     scaled_residual : float
         ‖r(z)‖∞, the numerator of the relative residual, in the unit of z, measured.
     relative_residual : float
@@ -68,9 +68,6 @@ class Certificate:
 
     problem: LCP = field(repr=False)
     z: FloatVector = field(repr=False)
-    w: FloatVector = field(repr=False)
-    scaled_residual: float
-    worst_index: int
 
     @classmethod
     def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
@@ -83,15 +80,31 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
-        z = real_vector(z, "z", problem.n)
+        return cls(problem, real_vector(z, "z", problem.n))
+
+    @cached_property
+    def w(self) -> FloatVector:
+        """The slack M z + q in double precision, shape (n,), read-only."""
         with np.errstate(all="ignore"):
-            w = problem.slack(z)
-            w.flags.writeable = False
-            residual = scaled_residual(problem, z, w)
-            np.abs(residual, out=residual)
-        worst = int(np.argmax(residual)) if problem.n else -1  # argmax stops at the first NaN
-        largest = float(residual[worst]) if problem.n else 0.0
-        return cls(problem, z, w, largest, worst)
+            return read_only(self.problem.slack(self.z))
+
+    @cached_property
+    def _worst(self) -> tuple[int, float]:
+        """The row of the largest scaled residual, and that residual."""
+        with np.errstate(all="ignore"):
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+        worst = int(np.argmax(residual)) if residual.size else -1  # argmax stops at the first NaN
+        return worst, float(residual[worst]) if residual.size else 0.0
+
+    @property
+    def worst_index(self) -> int:
+        """The row of the largest scaled residual; −1 for an empty problem."""
+        return self._worst[0]
+
+    @property
+    def scaled_residual(self) -> float:
+        """‖r(z)‖∞, as measured in double precision."""
+        return self._worst[1]
 
     @cached_property
     def relative_residual(self) -> float:

@@ -20,6 +20,7 @@ from ..certificates.residuals import (
     residual_ends_of,
     scaled_residual,
 )
+from ..checks import read_only
 from ..errors import InvalidOption, did_you_mean
 from ..problem import LCP, FloatVector
 from ..rounding import gamma
@@ -75,20 +76,21 @@ class DistributedCertificate:
                 own.slack_violation, own.complementarity, own.backward_error, float(not own.is_at_rounding_level),
                 scale.max(initial=-np.inf), -scale.min(initial=np.inf),
             )
-            table = gathered(problem.comm, *maxima, own.euclidean_residual, own.worst_index)
+            worst = problem.first + own.worst_index if own.z.size else -1
+            table = gathered(problem.comm, *maxima, own.euclidean_residual, worst)
             scaled, proved, natural, bound, slack, complementarity, backward, is_more, most, minus_least = (
                 table[:, : len(maxima)].max(axis=0).tolist()
             )
             spread = float(np.divide(most, -minus_least)) if problem.n else 1.0
         is_worst = table[:, 0] == scaled if not np.isnan(scaled) else np.isnan(table[:, 0])
-        worst = table[is_worst & (table[:, -1] >= 0.0), -1]
+        rows = table[is_worst & (table[:, -1] >= 0.0), -1]
         return cls(
             problem, own.z, own.w, scaled_residual=scaled,
             relative_residual=np.nan if most_of_reference == np.inf else ratio_upwards(proved, least),
             natural_residual=natural, bound_violation=bound,
             euclidean_residual=euclidean_norm(table[:, -2]) * (1.0 + gamma(len(table) + 8)),
             slack_violation=slack, complementarity=complementarity, backward_error=backward,
-            worst_index=int(worst[0]) if worst.size else -1,
+            worst_index=int(rows[0]) if rows.size else -1,
             is_at_rounding_level=not is_more, scale_spread=spread,
         )
 
@@ -116,20 +118,17 @@ class _OwnRows(Certificate):
 
     @classmethod
     def at(cls, problem: DistributedLCP, z: FloatVector) -> _OwnRows:
-        """Return the measures of z, `worst_index` counted in the whole problem; all ranks call."""
-        own, rows = np.array(z, dtype=np.float64), problem.rows.as_csr()
+        """Return the measures of z; all ranks call."""
+        own, rows = read_only(np.array(z, dtype=np.float64)), problem.rows.as_csr()
         whole = problem.rows.filled(own).copy()
-        w: FloatVector = rows @ whole + problem.q
         magnitude: FloatVector = abs(rows) @ np.abs(whole) + np.abs(problem.q)
-        for array in (own, w):
-            array.flags.writeable = False
-        alike = cast(LCP, problem)  # q, bounds and scale of the own rows
-        residual = np.abs(scaled_residual(alike, own, w))
-        worst = int(np.argmax(residual)) if own.size else -1
-        return cls(
-            alike, own, w, float(residual[worst]) if own.size else 0.0, problem.first + worst if own.size else -1,
-            whole, magnitude,
-        )
+        return cls(cast(LCP, problem), own, whole, magnitude)  # q, bounds and scale of the own rows
+
+    @cached_property
+    def w(self) -> FloatVector:
+        """The own part of the slack."""
+        w: FloatVector = self._rows @ self.whole + self.problem.q
+        return read_only(w)
 
     @property
     def _rows(self) -> Any:

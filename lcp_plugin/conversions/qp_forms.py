@@ -60,7 +60,7 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, inequality, equality = self._split(answer)
-        if getattr(answer, "infeasibility", None) is not None:
+        if getattr(answer, "is_refuted", False):
             program = self.program
             sizes = program.h.size, program.b.size, program.n, program.n
             return QPSolution(program, x, *(np.full(size, np.nan) for size in sizes))

@@ -39,8 +39,8 @@ class Status(Enum):
         "relaxation method a smaller relaxation"
     )
     INFEASIBLE = (
-        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves it: "
-        "check the data"
+        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves "
+        "it: check the data"
     )
     NO_SOLUTION = (
         "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "

@@ -12,6 +12,7 @@ from ..problem import LCP
 from .infeasibility import Infeasibility
 from .refutation import Closing, Refutation, closed_exactly, row_choices
 
+
 @dataclass(slots=True)
 class Case:
     """One case of the tree: split by the choices of a row, or closed by a Farkas vector y."""

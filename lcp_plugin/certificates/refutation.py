@@ -83,12 +83,12 @@ class Refutation:
     @cached_property
     def margin(self) -> float:
         """A verified lower bound of ‖r(z)‖∞ / ‖r(z°)‖∞ for every z within the bounds; 0 where there is none."""
-        return _rounded_down(self._least[0])
+        return rounded_down(self._least[0])
 
     @cached_property
     def euclidean_margin(self) -> float:
         """A verified lower bound of ``Certificate.euclidean_residual`` for every z within the bounds."""
-        return _rounded_down(_root(self._least[1]))
+        return rounded_down(_root(self._least[1]))
 
     def measured(self, measure: str) -> float:
         """Return the margin in the measure of a run, "relative" or "euclidean"."""
@@ -190,7 +190,7 @@ def sum_bound(terms: np.ndarray) -> Fraction | None:
     return Fraction(total) * (1 + Fraction(4 * MACHINE_EPSILON)) + terms.size * Fraction(SMALLEST)
 
 
-def _rounded_down(value: Fraction | None) -> float:
+def rounded_down(value: Fraction | None) -> float:
     """Return a double not above a value ≥ 0; ∞ for None."""
     if value is None:
         return math.inf

@@ -52,7 +52,8 @@ class QPOrigin:
         ----------
         answer : Result or array, shape (rows of the problem,)
             Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
-            result with a proof that there is no solution has no multipliers: NaN.
+            result with a proof that there is no solution has no multipliers, NaN, where the program is refuted too:
+            what is a contradiction beside the problem's data may be none beside the program's.
 
         Raises
         ------
@@ -60,7 +61,7 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, inequality, equality = self._split(answer)
-        if getattr(answer, "is_refuted", False):
+        if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
             program = self.program
             sizes = program.h.size, program.b.size, program.n, program.n
             return QPSolution(program, x, *(np.full(size, np.nan) for size in sizes))

@@ -216,13 +216,19 @@ class _Run(Ending):
         return None, Status.STALLED
 
     def _counts(self, proof: Any) -> bool:
-        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one."""
+        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
+
+        Where the problem is made from a program, what is no contradiction in the program's units does not count.
+        """
         settings = self.settings
         if not proof.verify():
             return False
         if self.proof is None or proof.measured(settings.measure) > self.proof.measured(settings.measure):
             self.proof = proof
-        return bool(proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on))
+        if not proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on):
+            return False
+        is_nearly_consistent = getattr(self.problem.origin, "is_nearly_consistent", None)
+        return is_nearly_consistent is None or not is_nearly_consistent(settings.tolerance)
 
     def _observe(self, step: Step, is_first_step: bool) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""

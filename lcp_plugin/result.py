@@ -186,6 +186,8 @@ class Result:
             return []
         what = "infeasible" if status_of(self.infeasibility) is Status.INFEASIBLE else "without solution"
         margin = self.infeasibility.measured(self.measure)
+        if margin > self.tolerance:
+            return [f"{what} beside its own data, but not beside those of the program that it was made from"]
         return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
 
     def require_solved(self) -> Result:

@@ -27,7 +27,8 @@ __all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_i
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000
 LARGEST_DENSE = 1500
-TIGHT = 1e-7  # HiGHS's own tolerance
+LP_TOLERANCE = 1e-10
+TIGHT = 1e-7  # times the size of a row: tight to a linear program
 NEGLIGIBLE = 1e-9  # below this HiGHS's answers say nothing
 SUSPECTS = 8  # rows that are checked exactly
 DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
@@ -325,6 +326,7 @@ def _minimised(
         A_eq=sp.csr_array(equations) if has_equations else None,
         b_eq=(np.zeros(equations.shape[0]) if right is None else right) if has_equations else None,
         bounds=bounds, method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if answer.x is None or answer.status != 0 or (only_negative and answer.fun > -NEGLIGIBLE):
         return None

@@ -71,6 +71,14 @@ class QPOrigin:
             self.program, x, *self.rows.spread(self.program, inequality, equality, reduced_cost)
         )
 
+    def is_nearly_consistent(self, tolerance: float) -> bool:
+        """Return whether the program contradicts itself by less than the tolerance, in units of its own data.
+
+        However large that is beside the data of the problem: an equation 1e-16 = 0 may be all that acts there.
+        """
+        proof = self.program.proof_of_no_minimum
+        return proof is not None and not proof.excludes(tolerance)
+
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return x and the multipliers of the rows that are left of G and of A."""
         raise NotImplementedError

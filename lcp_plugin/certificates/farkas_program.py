@@ -49,12 +49,15 @@ class FarkasProgram:
     unit : float or None
         What q and the bounds are divided by, in the scale of the program; their largest entry by default. With a
         smaller one, what is huge beside it is cut off: the answer must be checked, as every answer here is.
+    measure : {"relative", "euclidean"}
+        With "euclidean", d = 1: within a factor √n, y is then best for that residual.
     weights : ndarray, shape (n,)
-        d in the scale of the program's rows, at least 1e-6.
+        d in the scale of the program's rows, no smaller than 1e-6 and no larger than 1e6.
     """
 
     problem: LCP
     unit: float | None = None
+    measure: str = "relative"
     rows: FloatVector = field(init=False)
     columns: FloatVector = field(init=False)
     matrix: sp.csr_array = field(init=False)
@@ -64,7 +67,8 @@ class FarkasProgram:
         rows, columns = equilibration(self.problem.csr)
         scaled = sp.diags_array(rows) @ self.problem.csr @ sp.diags_array(columns)
         with np.errstate(over="ignore"):
-            weights = np.clip(rows * self.problem.residual_scale, *WEIGHTS)
+            scale = self.problem.residual_scale if self.measure == "relative" else np.ones(self.problem.n)
+            weights = np.clip(rows * scale, *WEIGHTS)
         made = (("rows", rows), ("columns", columns), ("matrix", sp.csr_array(scaled)), ("weights", weights))
         for name, value in made:
             object.__setattr__(self, name, value)
@@ -81,9 +85,10 @@ class FarkasProgram:
         return q, lower, upper, unit
 
     def margin_of(self, optimum: float) -> float:
-        """Return the relative residual that every z has, as far as an optimum of the program can be trusted."""
+        """Return the residual in the measure that every z has, as far as an optimum of the program can be trusted."""
+        reference = reference_bound(self.problem) if self.measure == "relative" else 1.0
         with np.errstate(all="ignore"):
-            margin = float(-optimum * self._costs[3] / np.float64(reference_bound(self.problem)))
+            margin = float(-optimum * self._costs[3] / np.float64(reference))
         return margin if np.isfinite(margin) else 0.0
 
     def solve(self, pivots: int) -> FarkasAnswer | None:

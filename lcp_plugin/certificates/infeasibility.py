@@ -128,13 +128,17 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
 
 
 @np.errstate(all="ignore")
-def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
+def decide_feasibility(
+    problem: LCP, *, effort_limit: int | None = None, measure: str = "relative"
+) -> Feasibility:
     """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
 
     Parameters
     ----------
     effort_limit : int, optional
         Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+    measure : {"relative", "euclidean"}
+        Whose margin a proof should have nearly the largest of.
 
     Raises
     ------
@@ -157,20 +161,21 @@ def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feas
         return Feasibility("infeasible", row, reason="one row contradicts its bounds")
     if not effort_limit:
         return Feasibility("undecided", reason="no linear program was tried")
-    known = _decided_by_program(problem, int(effort_limit))
-    if row is None or (known.proof is not None and known.proof.margin >= row.margin):
+    known = _decided_by_program(problem, int(effort_limit), measure)
+    if row is None or (known.proof is not None and known.proof.measured(measure) >= row.measured(measure)):
         return known
     return Feasibility("infeasible", row, reason="one row contradicts its bounds")
 
 
-def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
+def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     from .farkas_program import FarkasProgram
 
-    reference = reference_bound(problem)  # in this unit the optimum is minus the largest margin
+    # In this unit the optimum is minus the largest relative margin.
+    reference = reference_bound(problem) if measure == "relative" else np.inf
     unit = reference if 0.0 < reference < np.inf else None
     contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
-        program = FarkasProgram(problem, unit)
+        program = FarkasProgram(problem, unit, measure)
         answer = program.solve(effort)
         if answer is None:
             return contradiction or Feasibility(
@@ -196,10 +201,9 @@ def _contradiction(program: FarkasProgram, answer: FarkasAnswer, effort: int) ->
     problem = program.problem
     wanted = NEAR_ENOUGH * program.margin_of(answer.optimum)
     proof = _proven(program, answer.y, wanted)
-    if (proof is None or proof.margin < wanted) and (
-        roomy := program.with_margin(answer.optimum, effort)
-    ) is not None:
-        proof = _best([proof, _proof_near(problem, program.nearest(roomy))], wanted)
+    is_weak = proof is None or proof.measured(program.measure) < wanted
+    if is_weak and (roomy := program.with_margin(answer.optimum, effort)) is not None:
+        proof = _best([proof, _proof_near(problem, program.nearest(roomy))], wanted, program.measure)
     if proof is None:
         return Feasibility("undecided", reason="the linear constraints seem to contradict, which could not be proven")
     return Feasibility("infeasible", proof, reason=f"linear constraints contradict ({proof.kind} proof)")
@@ -236,16 +240,16 @@ def _proven(program: FarkasProgram, y: FloatVector, wanted: float) -> Infeasibil
         for near in program.candidates(y):
             yield _exactly_checked(problem, near)
 
-    return _best(proofs(), wanted)
+    return _best(proofs(), wanted, program.measure)
 
 
-def _best(proofs: Iterable[Infeasibility | None], wanted: float) -> Infeasibility | None:
-    """Return the first proof whose margin is the one wanted, else the one with the largest."""
+def _best(proofs: Iterable[Infeasibility | None], wanted: float, measure: str) -> Infeasibility | None:
+    """Return the first proof whose margin in the measure is the one wanted, else the one with the largest."""
     best: Infeasibility | None = None
     for proof in proofs:
-        if proof is not None and (best is None or proof.margin > best.margin):
+        if proof is not None and (best is None or proof.measured(measure) > best.measured(measure)):
             best = proof
-        if best is not None and best.margin >= wanted:
+        if best is not None and best.measured(measure) >= wanted:
             return best
     return best
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..algorithms.base import Algorithm, Step, without_warnings
 from ..certificates.forced_bounds import find_forced_contradiction
 from ..certificates.infeasibility import decide_feasibility
+from ..certificates.residuals import MEASURES
 from ..problem import LCP, FloatVector
 from . import LARGEST_CHOICES, LARGEST_SIZE, Found, NoSolution, explore
 
@@ -37,10 +38,12 @@ class FeasibilityCheck(Algorithm):
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LARGEST_PROGRAM else 0
-        proof = decide_feasibility(problem, effort_limit=effort).proof
-        if proof is not None:
+        # Where one contradiction is too small for the caller's measure and tolerance, another one may be large enough.
+        for measure in MEASURES:
+            proof = decide_feasibility(problem, effort_limit=effort, measure=measure).proof
+            if proof is None:
+                break
             yield Step(z0, proof=proof)
-        # Where the first contradiction is too small for the caller's tolerance, another one may be large enough.
         chain = find_forced_contradiction(problem)
         if chain is not None:
             yield Step(z0, proof=chain)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram
 
 FORMS = ("direct", "dual", "kkt")
+PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
 
@@ -72,12 +73,13 @@ class QPOrigin:
         )
 
     def is_nearly_consistent(self, tolerance: float) -> bool:
-        """Return whether the program contradicts itself by less than the tolerance, in units of its own data.
+        """Return whether the program contradicts itself, in units of its own data, by less than `is_optimal` allows.
 
-        However large that is beside the data of the problem: an equation 1e-16 = 0 may be all that acts there.
+        However large that is beside the data of the problem: an equation 1e-16 = 0 may be all that acts there. A
+        tolerance of the problem below 1e-6 is none of the program.
         """
         proof = self.program.proof_of_no_minimum
-        return proof is not None and not proof.excludes(tolerance)
+        return proof is not None and not proof.excludes(max(tolerance, PROGRAM_TOLERANCE))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return x and the multipliers of the rows that are left of G and of A."""

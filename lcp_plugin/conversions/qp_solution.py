@@ -172,7 +172,7 @@ class QPSolution:
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.
 
-        Constraints are asked for a hundredth of the tolerance, but no less than 1e-8 where the tolerance is no less.
+        Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
         For a convex program the conditions are sufficient; otherwise x is stationary.
 
         Raises

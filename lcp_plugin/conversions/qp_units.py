@@ -14,8 +14,8 @@ from ..rounding import compensated_product
 if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram
 
-CONSTRAINTS = 1e-8  # what constraints are asked for at any tolerance between this and 1e-6
-SHARE = 1e-2  # of a larger tolerance
+CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
+SHARE = 0.1  # of a larger tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +67,13 @@ class Units:
 def constraint_tolerance(tolerance: float) -> float:
     """Return the primal residual that is called optimal where the other conditions hold to a tolerance.
 
-    A hundredth of the tolerance, but no less than 1e-8 where the tolerance is no less: a program whose constraints
+    A tenth of the tolerance, but no less than 1e-7 where the tolerance is no less: a program whose constraints
     contradict by 1e-6 is infeasible, not nearly feasible.
 
     Examples
     --------
     >>> constraint_tolerance(1e-6), constraint_tolerance(1e-12), constraint_tolerance(1e-3)
-    (1e-08, 1e-12, 1e-05)
+    (1e-07, 1e-12, 0.0001)
     """
     return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
 

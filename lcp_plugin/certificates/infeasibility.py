@@ -328,9 +328,10 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
         lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=q.size) + q
         missing = np.maximum(
             np.where(needs_rise[bound_rows], -highest, -np.inf), np.where(needs_fall[bound_rows], lowest, -np.inf)
-        ) / problem.residual_scale[bound_rows]
+        )
+        scaled = missing / problem.residual_scale[bound_rows]
     suspects = np.flatnonzero(missing > 0.0)
-    for k in suspects[np.argsort(-missing[suspects], kind="stable")][:MOST_SUSPECTS]:
+    for k in suspects[np.argsort(-scaled[suspects], kind="stable")][:MOST_SUSPECTS]:
         y = np.zeros(problem.n)
         y[bound_rows[k]] = 1.0 if needs_rise[bound_rows[k]] and highest[k] < 0.0 else -1.0
         proof = _proof_near(problem, y)

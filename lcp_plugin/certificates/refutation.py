@@ -13,11 +13,20 @@ import numpy as np
 
 from ..problem import LCP
 from ..rounding import compensated_product, lower_end, upper_end
-from .exact import Rational, common_denominator, farkas_margin, integer_matrix, power_of_two, slack_bounds
+from .exact import (
+    Rational,
+    common_denominator,
+    exact_slack,
+    farkas_margin,
+    integer_matrix,
+    power_of_two,
+    slack_bounds,
+)
 from .residuals import MACHINE_EPSILON, SMALLEST, scaled_residual
 
 LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 ROOT_BITS = 160
+SAFE_RANGE = (1e-290, 1e290)
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -107,14 +116,14 @@ class Refutation:
     @cached_property
     def _least(self) -> tuple[Fraction | None, Fraction | None]:
         """The least relative residual and the least square of the euclidean one; None for ∞."""
-        reference = reference_bound(self.problem)
+        reference = _reference(self.problem)
         relative: list[Fraction] = []
         squared: list[Fraction] = []
         for closing in self.closings():
-            if closing is None or not 0.0 < reference < math.inf:
+            if closing is None or not reference:
                 return Fraction(0), Fraction(0)
             if closing.scaled:
-                relative.append(closing.contradiction / closing.scaled / Fraction(reference))
+                relative.append(closing.contradiction / closing.scaled / reference)
             if closing.squares:
                 squared.append(closing.contradiction**2 / closing.squares)
         return min(relative, default=None), min(squared, default=None)
@@ -140,6 +149,25 @@ def reference_bound(problem: LCP) -> float:
         return math.inf
     # A quotient or a difference of two doubles, rounded once, and perhaps underflowing.
     return largest * (1.0 + 4.0 * MACHINE_EPSILON) + SMALLEST if largest or problem.q.any() else 0.0
+
+
+def _reference(problem: LCP) -> Fraction:
+    """Return an upper bound of ‖r(z°)‖∞; in fractions where it is out of the range of doubles."""
+    bound = reference_bound(problem)
+    if SAFE_RANGE[0] < bound < SAFE_RANGE[1]:
+        return Fraction(bound)
+    z = problem.nearest_to_zero.tolist()
+    rows = zip(
+        map(Fraction, z), exact_slack(problem, z), problem.residual_scale.tolist(),
+        problem.lower.tolist(), problem.upper.tolist(), strict=True,
+    )
+    largest = Fraction(0)
+    for value, w, d, low, high in rows:
+        step = value - w / Fraction(d)
+        step = max(step, Fraction(low)) if low > -np.inf else step
+        step = min(step, Fraction(high)) if high < np.inf else step
+        largest = max(largest, abs(value - step))
+    return largest
 
 
 def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str]) -> Closing | None:

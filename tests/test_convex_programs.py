@@ -510,7 +510,7 @@ def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
 
 
 def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
-    """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not is kept, and does not count."""
+    """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not does not count."""
     problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
     solution = problem.origin.recover(solve(problem))
     assert solution.is_optimal()

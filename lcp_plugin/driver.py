@@ -21,7 +21,7 @@ from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
 from .pacing import CheckSchedule, Ending, ErrorWatch, Progress
 from .problem import LCP
-from .result import Result, Sample, StageRecord, Status, status_of
+from .result import PROVEN, Result, Sample, StageRecord, Status, status_of
 from .settings import CallersOwn, Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
@@ -206,8 +206,7 @@ class _Run(Ending):
             stage.iterations += 0 if is_first_step else 1
             reason = self._observe(step, is_first_step)
             is_first_step = False
-            if step.proof is not None and reason is None and step.proof.verify():
-                self.proof = step.proof
+            if step.proof is not None and reason is None and self._counts(step.proof):
                 return None, status_of(step.proof)
             if reason is not None:
                 return None, reason
@@ -215,6 +214,21 @@ class _Run(Ending):
             if following is not None:
                 return following, Status.STALLED
         return None, Status.STALLED
+
+    def _counts(self, proof: Any) -> bool:
+        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
+
+        Where the problem is made from a program, what is no contradiction in the program's units does not count.
+        """
+        settings = self.settings
+        if not proof.verify():
+            return False
+        if self.proof is None or proof.measured(settings.measure) > self.proof.measured(settings.measure):
+            self.proof = proof
+        if not proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on):
+            return False
+        is_nearly_consistent = getattr(self.problem.origin, "is_nearly_consistent", None)
+        return is_nearly_consistent is None or not is_nearly_consistent(settings.tolerance)
 
     def _observe(self, step: Step, is_first_step: bool) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
@@ -345,6 +359,8 @@ class _Run(Ending):
             is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
         if is_solved:
             reason = Status.SOLVED
+        elif reason in PROVEN:
+            pass
         elif certificate.relative_residual <= GAINED and certificate.is_at_rounding_level:
             reason = Status.PRECISION_LIMIT
         elif reason in (Status.SOLVED, Status.PRECISION_LIMIT) or (reason is Status.DIVERGED and len(self.stages) > 1):
@@ -357,7 +373,7 @@ class _Run(Ending):
             iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
             tolerance=self.settings.tolerance, tolerance_on=self.settings.tolerance_on, measure=self.settings.measure,
             history=tuple(self.history), error_bound=bound, no_error_bound=no_bound,
-            infeasibility=self.proof if reason in (Status.INFEASIBLE, Status.NO_SOLUTION) else None,
+            infeasibility=self.proof,
             stages=tuple(
                 StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work) for stage in self.stages
             ),

@@ -41,13 +41,17 @@ class Status(Enum):
         "relaxation method a smaller relaxation"
     )
     INFEASIBLE = (
-        "no z within the bounds gives w the signs it needs; result.infeasibility proves it: check the data"
+        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves "
+        "it: check the data"
     )
     NO_SOLUTION = (
-        "the linear constraints can be met, complementarity cannot: every case was excluded exactly, and "
-        "result.infeasibility proves it"
+        "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "
+        "tolerance, and result.infeasibility proves it"
     )
     INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
+
+
+PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)  # by a proof whose margin exceeds the tolerance
 
 
 def status_of(proof: Any) -> Status:
@@ -133,8 +137,10 @@ class Result:
         The reason where it was asked for and there is none.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
-    infeasibility : object or None
-        With INFEASIBLE and NO_SOLUTION: the proof, which can ``verify()`` itself on the problem's data.
+    infeasibility : Refutation or None
+        A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
+        ``measured(measure)`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
+        that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
     """
 
     z: FloatVector = field(repr=False)
@@ -168,7 +174,23 @@ class Result:
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        return ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        advice = ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        return advice if self.is_solved or self.is_refuted else "; ".join([*self._small_contradiction(), advice])
+
+    @property
+    def is_refuted(self) -> bool:
+        """True where the status is INFEASIBLE or NO_SOLUTION."""
+        return self.status in PROVEN
+
+    def _small_contradiction(self) -> list[str]:
+        """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
+        if self.infeasibility is None or self.is_refuted:
+            return []
+        what = "infeasible" if status_of(self.infeasibility) is Status.INFEASIBLE else "without solution"
+        margin = self.infeasibility.measured(self.measure)
+        if margin > self.tolerance:
+            return [f"{what} beside its own data, but not beside those of the program that it was made from"]
+        return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
 
     def require_solved(self) -> Result:
         """Return this result, or raise where it is not solved.
@@ -199,6 +221,8 @@ class Result:
                 f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work; {stage.because}"
                 for stage in self.stages
             ]
+        if self.is_solved:
+            lines += [f"the stored doubles are {small}" for small in self._small_contradiction()]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:

@@ -441,3 +441,92 @@ def test_models_declared_with_complements(model: str) -> None:
     assert problem.status == "optimal"
     value = float(goal.value)
     assert value == pytest.approx(cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6)
+
+
+# --- Infeasible, and by how much ---------------------------------------------------------------------------------
+
+ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
+
+
+@pytest.mark.parametrize("form", ["auto", "kkt"])
+@pytest.mark.parametrize("c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]])
+@pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])
+def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> None:
+    """A program whose equation contradicts the bounds by 9e-16 is optimal at x = 0, never infeasible."""
+    problem = LCP.from_qp(P, c, A=[ROUNDED], b=[8.9e-16], lower=0.0, form=form)
+    result = solve(problem)
+    assert not result.is_refuted
+    solution = problem.origin.recover(result)
+    assert solution.is_optimal()
+    assert solution.status == "optimal"
+    assert np.abs(solution.x).max() < 1e-6
+    x = cp.Variable(4, nonneg=True)
+    program = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + np.array(c) @ x),
+                         [np.array(ROUNDED) @ x == 8.9e-16])
+    program.solve(solver=QPSolver)
+    assert program.status == cp.OPTIMAL
+    exact = problem.origin.program.proof_of_no_minimum
+    assert exact is None or (exact.holds() and exact.margin < 1e-15)
+    assert problem.origin.program.refutation() is None
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
+def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
+    """x₁ − x₂ = s and = s (1 + 2e-6) contradict by 1e-6 of their scale: refuted with a proof at default tolerance."""
+    x = cp.Variable(2)
+    constraints = [x[0] - x[1] == size, x[0] - x[1] == size * (1 + 2e-6)]
+    program = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints)
+    program.solve(solver=QPSolver)
+    assert program.status == cp.INFEASIBLE
+    proof = program.solver_stats.extra_stats
+    assert proof.holds()
+    assert proof.margin == pytest.approx(1e-6 * size / (1 + size), rel=1e-2)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e9, 1e12])
+def test_nothing_is_optimal_relative_to_x(size: float) -> None:
+    """x₁ − x₂ = 1 and x₁ − x₂ = 2 are as far from each other at x = 1e9 as at x = 1; beside a proof none is optimal."""
+    program = QuadraticProgram(np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0])
+    proof = program.refutation()
+    assert proof is not None
+    near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    assert near.primal_residual >= proof.margin * (1 - 1e-12)
+    assert not near.is_optimal()
+    assert near.status == "infeasible"
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
+def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
+    """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
+    flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
+    assert program.refutation() is None  # both costs cancel along (1, 1)
+    proof = flat.refutation()
+    assert isinstance(proof, QPUnboundedness)
+    for multiplier in (-size, 0.0, 1.5, size):
+        solution = QPSolution(flat, [size + 0.5, size], [], [multiplier], [0.0, 0.0], [0.0, 0.0])
+        assert solution.dual_residual >= proof.margin * (1 - 1e-12)
+        assert not solution.is_optimal()
+
+
+def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
+    """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not does not count."""
+    problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
+    solution = problem.origin.recover(solve(problem))
+    assert solution.is_optimal()
+    proof = problem.origin.program.proof_of_no_minimum
+    assert proof is not None
+    assert proof.holds()
+    assert 0.0 < proof.margin < 1e-15
+    assert problem.origin.program.refutation() is None
+    apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
+    assert apart.origin.recover(solve(apart)).status == "infeasible"
+
+
+def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
+    """A row x₃ ≤ 1e12 beside a contradiction of 1e-3 in others changes nothing."""
+    rows = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    program = QuadraticProgram(np.eye(3), np.ones(3), rows, [1.0, -1.001, 1e12])
+    proof = program.refutation()
+    assert isinstance(proof, QPInfeasibility)
+    assert proof.margin > 1e-4

@@ -8,11 +8,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import infeasible_by_margin
 from collection.truth import is_farkas
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, InvalidOption, InvalidProblem
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
 from lcp_plugin.certificates.exact import exact_slack, farkas_margin, integers, is_exact_solution
 from lcp_plugin.certificates.exact_linear import rank_profile, solve_exactly
 from lcp_plugin.certificates.forced_bounds import ForcedContradiction, find_forced_contradiction
@@ -24,6 +25,8 @@ from lcp_plugin.certificates.infeasibility import (
     margin_with_rounding,
     prove_infeasibility,
 )
+from lcp_plugin.certificates.refutation import reference_bound
+from lcp_plugin.search import NoSolution, search
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -254,3 +257,132 @@ def test_signs_of_one_row_refute_a_large_problem() -> None:
     assert proof.verify()
     assert np.count_nonzero(proof.y) == 1
     assert contradictory_row(LCP(M, np.full(5000, 1.0))) is None
+
+
+# --- By how much -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
+    """Every z within the bounds, the answers of all methods among them, has residuals of at least both margins."""
+    rng = np.random.default_rng(seed)
+    problem = contradicting(rng, 6, seed % 3, seed % 2)
+    proof = find_infeasibility(problem)
+    assert proof is not None
+    assert 0.0 < proof.margin < 1.0
+    points = [solve(problem, name, max_iterations=50).z for name in ("npsor", "newton", "interior_point", "lemke")]
+    points += [np.clip(rng.standard_normal(6) * 10.0 ** rng.integers(-2, 4), problem.lower, problem.upper)
+               for _ in range(40)]
+    for z in points:
+        certificate = Certificate.of(problem, z)
+        assert certificate.relative_residual >= proof.margin * (1.0 - 1e-12)
+        assert certificate.euclidean_residual >= proof.euclidean_margin * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("shift", [1e-2, 1e-6, 1e-10, 1e-14])
+def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) -> None:
+    """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ shift − 1 miss each other by shift/2: that is the margin, rounded down."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - shift])
+    exact = (Fraction(1.0) - Fraction(float(problem.q[1]))) / 2
+    proof = Infeasibility(problem, np.ones(2), (Fraction(1), Fraction(1)))
+    assert 0.0 <= exact - Fraction(proof.margin) <= exact * Fraction(1e-14)
+    assert Fraction(proof.euclidean_margin) ** 2 <= (2 * exact) ** 2 / 2
+    assert proof.euclidean_margin == pytest.approx(proof.margin * 2 / math.sqrt(2), rel=1e-14)
+    rounded = Infeasibility(problem, np.ones(2), None)
+    assert rounded.margin <= proof.margin
+    assert proof.excludes(proof.margin / 2)
+    assert not proof.excludes(proof.margin)
+    assert proof.excludes(1.0, tolerance_on="error")  # solved would be the proof of a solution
+    assert proof.exact
+
+
+@pytest.mark.parametrize("measure", ["relative", "euclidean"])
+@pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
+def test_infeasible_is_said_only_beyond_the_tolerance(name: str, measure: str) -> None:
+    """The same contradiction of 5e-7: refuted at a tolerance of 1e-8, solved at 1e-5, by every method and measure."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
+    refuted = solve(problem, name, measure=measure)
+    assert refuted.status is Status.INFEASIBLE
+    assert refuted.infeasibility.measured(measure) > 1e-8
+    accepted = solve(problem, name, measure=measure, tolerance=1e-5)
+    assert accepted.status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
+    assert accepted.residual >= refuted.infeasibility.measured(measure) * (1.0 - 1e-12)
+
+
+def test_a_small_contradiction_is_an_advice() -> None:
+    """Infeasible by 1e-12 beside data of size 1 is no status: the methods go on, and the advice has the number."""
+    problem = LCP([[0.0, 0.0, 0.0], [2.0, -2.0, 0.0], [0.0, 0.0, 0.0]], [2.0, -2.0, -1e-12])
+    result = solve(problem)
+    assert result.status is Status.STALLED
+    assert "infeasible, but only by 1e-12 relative" in result.advice
+    assert "infeasible, but only by 1e-12 relative" in result.explain()
+    assert result.infeasibility.exact
+    assert not result.is_refuted
+    assert 0.0 < result.infeasibility.margin < 1e-8
+    assert len(result.stages) > 2
+
+
+def test_the_largest_margin_is_looked_for() -> None:
+    """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
+    problem = LCP([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
+    proof = find_infeasibility(problem)
+    assert proof is not None
+    assert proof.margin == pytest.approx(0.1, rel=1e-6)
+    assert solve(problem).status is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
+def test_cases_have_a_margin_too(t: float) -> None:
+    """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""
+    problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]], [1.0, -t, -2.0])
+    chain = find_forced_contradiction(problem)
+    tree = search(problem)
+    assert chain is not None
+    assert isinstance(tree, NoSolution)
+    for proof in (chain, tree):
+        assert proof.margin == pytest.approx(t / 2, rel=1e-9)
+        assert proof.margin <= t / 2
+        assert proof.euclidean_margin == pytest.approx(t / math.sqrt(2), rel=1e-9)
+    status = solve(problem).status
+    assert (status is Status.NO_SOLUTION) == (t > 1e-8)
+    near = np.array([t / 2, 0.0, 1.0])
+    assert Certificate.of(problem, near).relative_residual == pytest.approx(t / 2)
+
+
+@pytest.mark.parametrize(
+    ("M", "q"),
+    [([[-1e300]], [-1e-300]), ([[-1e-300]], [-1e300]), ([[-5e-324]], [-5e-324]), ([[-1e308, -1e308], [0, -1e308]],
+     [-1e308, -1e308]), ([[0, -5e-324], [0, 0]], [-1, 1e308])],
+)
+def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: list[float]) -> None:
+    """Whatever overflows or underflows on the way, the margin is the exact one, rounded down."""
+    problem = LCP(M, q)
+    proof = find_infeasibility(problem)
+    assert proof is not None
+    assert 1.0 - 1e-14 <= proof.margin <= 1.0
+    assert proof.euclidean_margin <= np.abs(problem.q).max() * math.sqrt(problem.n)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_the_reference_is_bounded_from_above(seed: int) -> None:
+    """‖r(z°)‖∞ in fractions is never above the bound that a margin is relative to."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    M = rng.standard_normal((n, n)) * 10.0 ** rng.integers(-8, 9, (n, n))
+    kind = rng.integers(0, 4, n)
+    lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    exact, bound = infeasible_by_margin.exact_reference(problem), reference_bound(problem)
+    assert exact <= Fraction(bound)
+    assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
+
+
+@pytest.mark.parametrize("case", range(48))
+def test_margins_are_told_as_they_were_planted(case: int) -> None:
+    """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""
+    bad, lines = infeasible_by_margin.one(11, case)
+    assert not bad
+    for kind, where, told in lines:
+        if where.startswith("≥"):
+            assert told in ("INFEASIBLE", "NO_SOLUTION", "infeasible"), kind

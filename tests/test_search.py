@@ -10,7 +10,8 @@ from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.certificates.exact import is_exact_solution
-from lcp_plugin.certificates.no_solution import Case, NoSolution, row_choices
+from lcp_plugin.certificates.no_solution import Case, NoSolution
+from lcp_plugin.certificates.refutation import row_choices
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.search import Found, GaveUp, all_solutions, explore, search
 

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from ..problem import LCP, FloatVector
 from .exact import Rational, integer_matrix, slack_bounds
 from .exact_linear import rank_profile, solve_exactly
+from .refutation import reference_bound
 
 NEGLIGIBLE = 1e-12
 VIOLATED = 1e-6  # of the terms of its row
@@ -21,6 +22,7 @@ LARGEST_REPAIR = 300  # unknowns of one exact solve: seconds
 LARGEST_DENOMINATORS = (1, 100, 100_000)
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
+WEIGHTS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
 LARGEST_EXPONENT = 1023  # of a power of two that is a double
 
@@ -36,28 +38,39 @@ class FarkasAnswer:
 
 @dataclass(frozen=True, eq=False)
 class FarkasProgram:
-    """min qᵀy + Σ sup over the bounds of (Mᵀy)_j z_j, y of the signs that a Farkas vector needs, |y| ≤ 1.
+    """min qᵀy + Σ sup over the bounds of (Mᵀy)_j z_j, y of the signs that a Farkas vector needs, Σ|y_i| d_i ≤ 1.
 
-    y = 0 is always allowed, so that the program has an optimum ≤ 0; it is 0 if the constraints can be satisfied, and
-    its multipliers are then such a z. Rows and columns are scaled by powers of two first.
+    This is the dual of min t over lower ≤ z ≤ upper with every w_i of its sign up to d_i t: minus the optimum is the
+    smallest scaled residual that the signs allow, and y proves it. y = 0 is always allowed; where the constraints can
+    be satisfied the optimum is 0, and its multipliers are such a z. Rows and columns are scaled by powers of two first.
 
     Attributes
     ----------
     unit : float or None
         What q and the bounds are divided by, in the scale of the program; their largest entry by default. With a
         smaller one, what is huge beside it is cut off: the answer must be checked, as every answer here is.
+    measure : {"relative", "euclidean"}
+        With "euclidean", d = 1: within a factor √n, y is then best for that residual.
+    weights : ndarray, shape (n,)
+        d in the scale of the program's rows, no smaller than 1e-6 and no larger than 1e6.
     """
 
     problem: LCP
     unit: float | None = None
+    measure: str = "relative"
     rows: FloatVector = field(init=False)
     columns: FloatVector = field(init=False)
     matrix: sp.csr_array = field(init=False)
+    weights: FloatVector = field(init=False)
 
     def __post_init__(self) -> None:
         rows, columns = equilibration(self.problem.csr)
         scaled = sp.diags_array(rows) @ self.problem.csr @ sp.diags_array(columns)
-        for name, value in (("rows", rows), ("columns", columns), ("matrix", sp.csr_array(scaled))):
+        with np.errstate(over="ignore"):
+            scale = self.problem.residual_scale if self.measure == "relative" else np.ones(self.problem.n)
+            weights = np.clip(rows * scale, *WEIGHTS)
+        made = (("rows", rows), ("columns", columns), ("matrix", sp.csr_array(scaled)), ("weights", weights))
+        for name, value in made:
             object.__setattr__(self, name, value)
 
     @cached_property
@@ -71,36 +84,56 @@ class FarkasProgram:
         q, lower, upper = (_cut_off(side, unit) for side in (q, lower, upper))
         return q, lower, upper, unit
 
+    def margin_of(self, optimum: float) -> float:
+        """Return the residual in the measure that every z has, as far as an optimum of the program can be trusted."""
+        reference = reference_bound(self.problem) if self.measure == "relative" else 1.0
+        with np.errstate(all="ignore"):
+            margin = float(-optimum * self._costs[3] / np.float64(reference))
+        return margin if np.isfinite(margin) else 0.0
+
     def solve(self, pivots: int) -> FarkasAnswer | None:
         """Return the optimum, or None where it took more pivots."""
-        q, lower, upper, unit = self._costs
-        n = self.problem.n
-        has_upper, has_lower = np.isfinite(upper), np.isfinite(lower)
-        cost = np.concatenate([q, upper[has_upper], -lower[has_lower]])
-        identity = sp.eye_array(n, format="csc")
-        equations = sp.hstack([self.matrix.T, -identity[:, has_upper], identity[:, has_lower]], format="csc")
-        result = _linear_program(cost, equations, self._bounds(cost.size), pivots)
+        form = self._form
+        right = np.zeros(form.equations.shape[0])
+        result = _linear_program(form.cost, form.equations, right, form.bounds, pivots, (form.norm, np.ones(1)))
         if result is None:
             return None
-        return FarkasAnswer(float(result.fun), result.x[:n], -result.eqlin.marginals * unit * self.columns)
+        unit = self._costs[3]
+        return FarkasAnswer(float(result.fun), form.vector(result.x), -result.eqlin.marginals * unit * self.columns)
 
     def with_margin(self, optimum: float, pivots: int) -> FloatVector | None:
         """Return a y that keeps half of the optimum and satisfies its inequalities with room, or None."""
+        has_upper, has_lower = np.isfinite(self.problem.upper), np.isfinite(self.problem.lower)
+        if np.all(has_upper == has_lower):
+            return None
+        form = self._form
+        room = sp.csc_array((has_lower.astype(float) - has_upper)[:, None])
+        cost = np.zeros(form.cost.size + 1)
+        cost[-1] = -1.0
+        result = _linear_program(
+            cost, sp.hstack([form.equations, room], format="csc"), np.zeros(self.problem.n),
+            np.vstack([form.bounds, [0.0, 1.0]]), pivots,
+            (np.column_stack([np.vstack([form.norm, form.cost]), [0.0, 0.0]]), np.array([1.0, 0.5 * optimum])),
+        )
+        return None if result is None or result.fun > -LP_TOLERANCE else form.vector(result.x)
+
+    @cached_property
+    def _form(self) -> _StandardForm:
+        """The program in nonnegative parts of y and multipliers of finite bounds."""
         q, lower, upper, _ = self._costs
         n = self.problem.n
         has_upper, has_lower = np.isfinite(upper), np.isfinite(lower)
-        if np.all(has_upper == has_lower):
-            return None
-        value = np.concatenate([q, upper[has_upper], -lower[has_lower], [0.0]])
-        identity = sp.eye_array(n, format="csc")
-        room = sp.csc_array((has_lower.astype(float) - has_upper)[:, None])
-        equations = sp.hstack([self.matrix.T, -identity[:, has_upper], identity[:, has_lower], room], format="csc")
-        cost = np.zeros(value.size)
-        cost[-1] = -1.0
-        bounds = self._bounds(value.size)
-        bounds[-1, 1] = 1.0
-        result = _linear_program(cost, equations, bounds, pivots, (value[None, :], np.array([0.5 * optimum])))
-        return None if result is None or result.fun > -LP_TOLERANCE else result.x[:n]
+        slack_lower, slack_upper = slack_bounds(self.problem)
+        plus, minus = np.flatnonzero(slack_lower == 0.0), np.flatnonzero(slack_upper == 0.0)
+        identity, transposed = sp.eye_array(n, format="csc"), sp.csc_array(self.matrix.T)
+        cost = np.concatenate([q[plus], -q[minus], upper[has_upper], -lower[has_lower]])
+        equations = sp.hstack(
+            [transposed[:, plus], -transposed[:, minus], -identity[:, has_upper], identity[:, has_lower]], format="csc"
+        )
+        norm = np.zeros((1, cost.size))
+        norm[0, : plus.size + minus.size] = np.concatenate([self.weights[plus], self.weights[minus]])
+        bounds = np.column_stack([np.zeros(cost.size), np.full(cost.size, np.inf)])
+        return _StandardForm(n, plus, minus, cost, equations, norm, bounds)
 
     def unit_of_violation(self, z: FloatVector) -> float | None:
         """Return the largest size, in the scale of the program, of a row that z leaves violated; None if none is."""
@@ -119,7 +152,8 @@ class FarkasProgram:
         """Return y in the scale of the problem, its signs and negligible entries put right; the largest entry is 1."""
         slack_lower, slack_upper = slack_bounds(self.problem)
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(), 0.0, y)
-        y = np.clip(y, np.where(slack_upper == 0.0, -1.0, 0.0), np.where(slack_lower == 0.0, 1.0, 0.0)) * self.rows
+        y = np.clip(y, np.where(slack_upper == 0.0, -np.inf, 0.0), np.where(slack_lower == 0.0, np.inf, 0.0))
+        y = y / (np.abs(y).max(initial=0.0) or 1.0) * self.rows
         unscaled: FloatVector = y / (np.abs(y).max() or 1.0)
         return unscaled
 
@@ -179,13 +213,25 @@ class FarkasProgram:
                 row[columns[j]] = entry << shift
         return row
 
-    def _bounds(self, size: int) -> Any:
-        """Bounds of (y, and multipliers ≥ 0 of finite bounds), shape (size, 2)."""
-        slack_lower, slack_upper = slack_bounds(self.problem)
-        bounds = np.column_stack([np.zeros(size), np.full(size, np.inf)])
-        bounds[: self.problem.n, 0] = np.where(slack_upper == 0.0, -1.0, 0.0)
-        bounds[: self.problem.n, 1] = np.where(slack_lower == 0.0, 1.0, 0.0)
-        return bounds
+
+@dataclass(frozen=True)
+class _StandardForm:
+    """min costᵀv, equations · v = 0, norm · v ≤ 1, v within bounds; v begins with the positive parts of y."""
+
+    n: int
+    plus: Any
+    minus: Any
+    cost: FloatVector
+    equations: Any
+    norm: FloatVector
+    bounds: FloatVector
+
+    def vector(self, v: FloatVector) -> FloatVector:
+        """Return y, shape (n,)."""
+        y = np.zeros(self.n)
+        y[self.plus] = v[: self.plus.size]
+        y[self.minus] -= v[self.plus.size : self.plus.size + self.minus.size]
+        return y
 
 
 def equilibration(csr: sp.csr_array, passes: int = 4) -> tuple[FloatVector, FloatVector]:
@@ -218,18 +264,18 @@ def _power_of_two_near(value: float) -> float:
     return float(np.ldexp(1.0, min(int(np.frexp(value)[1]), LARGEST_EXPONENT)))
 
 
-def _linear_program(cost: FloatVector, equations: Any, bounds: Any, pivots: int, row: Any = None) -> Any:
+def _linear_program(
+    cost: FloatVector, equations: Any, right: FloatVector, bounds: Any, pivots: int, rows: tuple[Any, FloatVector]
+) -> Any:
     from scipy.optimize import linprog
 
     options = {
         "presolve": True, "maxiter": pivots,
         "primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE,
     }
-    A_ub, b_ub = (None, None) if row is None else row
-    right = np.zeros(equations.shape[0])
     if not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
     result = linprog(
-        cost, A_ub=A_ub, b_ub=b_ub, A_eq=equations, b_eq=right, bounds=bounds, method="highs", options=options
+        cost, A_ub=rows[0], b_ub=rows[1], A_eq=equations, b_eq=right, bounds=bounds, method="highs", options=options
     )
     return result if result.status == 0 else None

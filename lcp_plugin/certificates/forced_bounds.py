@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..problem import LCP, FloatVector
+from .refutation import Closing, Refutation
 from .residuals import MACHINE_EPSILON, SMALLEST
 
 MOST_PASSES = 50
 
 
 @dataclass(frozen=True, eq=False)
-class ForcedContradiction:
+class ForcedContradiction(Refutation):
     """A chain of rows, each forcing z_i to a bound for all z still possible, that ends in a row with no z left.
 
     Attributes
@@ -30,17 +31,24 @@ class ForcedContradiction:
     problem: LCP = field(repr=False)
     steps: tuple[tuple[int, int], ...]
 
-    def verify(self) -> bool:
-        """Return whether every step follows from those before it, in exact arithmetic."""
-        lower, upper = self.problem.lower.copy(), self.problem.upper.copy()
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield, for each step, what excludes every other choice of its row, in exact arithmetic.
+
+        A z_i that is forced to a bound stands within |r_i| of it.
+        """
+        problem = self.problem
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        forced: dict[int, int] = {}
         for k, (i, sign) in enumerate(self.steps):
-            if not _has_sign(self.problem, i, sign, lower, upper):
-                return False
-            bound = self.problem.lower[i] if sign > 0 else self.problem.upper[i]
+            yield _exclusion(problem, i, sign, lower, upper, forced)
+            bound = problem.lower[i] if sign > 0 else problem.upper[i]
             if np.isinf(bound) or not lower[i] <= bound <= upper[i]:
-                return k == len(self.steps) - 1
+                if k < len(self.steps) - 1:
+                    yield None
+                return
             lower[i] = upper[i] = bound
-        return False
+            forced[i] = sign
+        yield None
 
     def __str__(self) -> str:
         row, sign = self.steps[-1]
@@ -115,14 +123,23 @@ def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[t
     return (step for step in steps if step[0] in kept)
 
 
-def _has_sign(problem: LCP, i: int, sign: int, lower: FloatVector, upper: FloatVector) -> bool:
-    """Return whether sign · w_i > 0 for all z within the bounds, exactly."""
+def _exclusion(
+    problem: LCP, i: int, sign: int, lower: FloatVector, upper: FloatVector, forced: dict[int, int]
+) -> Closing | None:
+    """Return what sign · w_i > 0 for all z within the bounds excludes w_i = 0 with; None where that is not so."""
     csr = problem.csr
     row = slice(csr.indptr[i], csr.indptr[i + 1])
-    total = Fraction(float(problem.q[i]))
+    total = sign * Fraction(float(problem.q[i]))
+    scaled, squares = Fraction(0), Fraction(0)
+    if i not in forced:
+        scaled, squares = Fraction(float(problem.residual_scale[i])), Fraction(1)
     for j, entry in zip(csr.indices[row].tolist(), csr.data[row].tolist(), strict=True):
         bound = float(lower[j] if entry * sign > 0 else upper[j])
         if np.isinf(bound):
-            return False
-        total += Fraction(entry) * Fraction(bound)
-    return sign * total > 0
+            return None
+        total += sign * Fraction(entry) * Fraction(bound)
+        weight = -sign * Fraction(entry) * forced.get(j, 0)
+        if weight > 0:  # leaving the bound makes w_i smaller
+            scaled += weight
+            squares += weight * weight
+    return Closing(total, scaled, squares) if total > 0 else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,7 +12,8 @@ import scipy.sparse as sp
 
 from ..errors import InvalidOption
 from ..problem import LCP, FloatVector
-from .exact import Rational, farkas_margin, slack_bounds
+from .exact import Rational, slack_bounds
+from .refutation import Closing, Refutation, closed_exactly, reference_bound, sum_bound
 from .residuals import MACHINE_EPSILON, SMALLEST
 
 if TYPE_CHECKING:
@@ -25,16 +26,19 @@ LARGEST_EXACT = 500  # above, floating point with margins is tried first
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
 CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
+NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
 @dataclass(frozen=True, eq=False)
-class Infeasibility:
+class Infeasibility(Refutation):
     """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
 
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
-    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0.
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, ‖r(z)‖∞ ≥ c / Σ|y_i| d_i for every z within the bounds, and the
+    euclidean residual is at least c/‖y‖₂: `margin` and `euclidean_margin`.
 
     Attributes
     ----------
@@ -59,11 +63,19 @@ class Infeasibility:
         """How it is proven: "exact" or "rounding margins"."""
         return "rounding margins" if self.exact_y is None else "exact"
 
-    def verify(self) -> bool:
-        """Return whether the proof holds, computed again from the problem's data alone."""
-        if self.exact_y is None:
-            return margin_with_rounding(self.problem, self.y) < 0.0
-        return _is_farkas(self.problem, self.exact_y)
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
+        if self.exact_y is not None:
+            yield closed_exactly(self.problem, self.exact_y, {})
+            return
+        contradiction = -margin_with_rounding(self.problem, self.y)
+        with np.errstate(all="ignore"):
+            size = np.abs(self.y)
+            sums = sum_bound(size * self.problem.residual_scale), sum_bound(size * size)
+        if not contradiction > 0.0 or sums[0] is None or sums[1] is None:
+            yield None
+        else:
+            yield Closing(Fraction(contradiction), sums[0], sums[1])
 
     def __str__(self) -> str:
         rows = np.flatnonzero(self.y)
@@ -96,7 +108,8 @@ class Feasibility:
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
     """Return a proof that the linear constraints of the problem contradict each other, or None.
 
-    Such a problem has no solution; a monotone one (M positive semidefinite) without such a proof has one.
+    Such a problem has no solution; a monotone one (M positive semidefinite) without such a proof has one. Of the
+    proofs, one with nearly the largest margin is looked for.
 
     Parameters
     ----------
@@ -108,20 +121,24 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
     >>> print(proof)
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
-    >>> proof.verify(), find_infeasibility(LCP([[1]], [-1]))
-    (True, None)
+    >>> proof.verify(), proof.margin, find_infeasibility(LCP([[1]], [-1]))
+    (True, 0.9999999999999991, None)
     """
     return decide_feasibility(problem, effort_limit=effort_limit).proof
 
 
 @np.errstate(all="ignore")
-def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
+def decide_feasibility(
+    problem: LCP, *, effort_limit: int | None = None, measure: str = "relative"
+) -> Feasibility:
     """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
 
     Parameters
     ----------
     effort_limit : int, optional
         Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+    measure : {"relative", "euclidean"}
+        Whose margin a proof should have nearly the largest of.
 
     Raises
     ------
@@ -139,38 +156,54 @@ def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feas
         raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
     if problem.n == 0:
         return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
-    proof = contradictory_row(problem)
-    if proof is not None:
-        return Feasibility("infeasible", proof, reason="one row contradicts its bounds")
+    row = contradictory_row(problem)
+    if row is not None and (row.margin >= DECISIVE or not effort_limit):
+        return Feasibility("infeasible", row, reason="one row contradicts its bounds")
     if not effort_limit:
         return Feasibility("undecided", reason="no linear program was tried")
-    return _decided_by_program(problem, int(effort_limit))
+    known = _decided_by_program(problem, int(effort_limit), measure)
+    if row is None or (known.proof is not None and known.proof.measured(measure) >= row.measured(measure)):
+        return known
+    return Feasibility("infeasible", row, reason="one row contradicts its bounds")
 
 
-def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
+def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     from .farkas_program import FarkasProgram
 
-    unit = None
+    # In this unit the optimum is minus the largest relative margin.
+    reference = reference_bound(problem) if measure == "relative" else np.inf
+    unit = reference if 0.0 < reference < np.inf else None
+    contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
-        program = FarkasProgram(problem, unit)
+        program = FarkasProgram(problem, unit, measure)
         answer = program.solve(effort)
         if answer is None:
-            return Feasibility("undecided", reason=f"the linear program did not end within {effort} pivots")
+            return contradiction or Feasibility(
+                "undecided", reason=f"the linear program did not end within {effort} pivots"
+            )
         if answer.optimum <= -CONTRADICTION:
-            return _contradiction(program, answer, effort)
+            found = _contradiction(program, answer, effort)
+            if found.proof is not None or unit is None:
+                return found
+            contradiction, unit = found, None  # what this unit cuts off may matter
+            continue
         point = np.clip(answer.z, problem.lower, problem.upper)
         unit = program.unit_of_violation(point)
         if unit is None:
             return Feasibility("feasible", point=point, reason="the linear constraints can be satisfied")
-    return Feasibility("undecided", reason="the linear program is too badly scaled for double precision")
+    return contradiction or Feasibility(
+        "undecided", reason="the linear program is too badly scaled for double precision"
+    )
 
 
 def _contradiction(program: FarkasProgram, answer: FarkasAnswer, effort: int) -> Feasibility:
     """Return the proof of what the program found, if it can be proven."""
     problem = program.problem
-    proof = _proven(program, answer.y)
-    if proof is None and (roomy := program.with_margin(answer.optimum, effort)) is not None:
-        proof = _proof_near(problem, program.nearest(roomy))
+    wanted = NEAR_ENOUGH * program.margin_of(answer.optimum)
+    proof = _proven(program, answer.y, wanted)
+    is_weak = proof is None or proof.measured(program.measure) < wanted
+    if is_weak and (roomy := program.with_margin(answer.optimum, effort)) is not None:
+        proof = _best([proof, _proof_near(problem, program.nearest(roomy))], wanted, program.measure)
     if proof is None:
         return Feasibility("undecided", reason="the linear constraints seem to contradict, which could not be proven")
     return Feasibility("infeasible", proof, reason=f"linear constraints contradict ({proof.kind} proof)")
@@ -195,27 +228,48 @@ def prove_infeasibility(problem: LCP, y: FloatVector) -> Infeasibility | None:
         return None
     program = FarkasProgram(problem)
     scaled = y / np.abs(y).max() / program.rows
-    return _proven(program, scaled / np.abs(scaled).max())
+    return _proven(program, scaled / np.abs(scaled).max(), 0.0)
 
 
-def _proven(program: FarkasProgram, y: FloatVector) -> Infeasibility | None:
-    """Return the proof by a y in the scale of the program, or by one near it."""
+def _proven(program: FarkasProgram, y: FloatVector, wanted: float) -> Infeasibility | None:
+    """Return the proof by a y in the scale of the program, or by one near it; the first of the margin wanted."""
     problem = program.problem
-    found = _proof_near(problem, program.nearest(y))
-    return found or next((proof for near in program.candidates(y) if (proof := _exactly_checked(problem, near))), None)
+
+    def proofs() -> Iterator[Infeasibility | None]:
+        yield _proof_near(problem, program.nearest(y))
+        for near in program.candidates(y):
+            yield _exactly_checked(problem, near)
+
+    return _best(proofs(), wanted, program.measure)
+
+
+def _best(proofs: Iterable[Infeasibility | None], wanted: float, measure: str) -> Infeasibility | None:
+    """Return the first proof whose margin in the measure is the one wanted, else the one with the largest."""
+    best: Infeasibility | None = None
+    for proof in proofs:
+        if proof is not None and (best is None or proof.measured(measure) > best.measured(measure)):
+            best = proof
+        if best is not None and best.measured(measure) >= wanted:
+            return best
+    return best
 
 
 def _proof_near(problem: LCP, y: FloatVector) -> Infeasibility | None:
     """Return the proof by y itself, its rounding bounded where the problem is large."""
     if problem.nonzeros > EXACT_NONZEROS or problem.n > LARGEST_EXACT:
-        return Infeasibility(problem, y, None) if margin_with_rounding(problem, y) < 0.0 else None
+        proof = Infeasibility(problem, y, None)
+        return proof if proof.exact else None
     return _exactly_checked(problem, y.tolist())
 
 
 def _exactly_checked(problem: LCP, y: Sequence[Rational]) -> Infeasibility | None:
-    if problem.nonzeros > EXACT_NONZEROS or not _is_farkas(problem, y):
+    if problem.nonzeros > EXACT_NONZEROS or not any(y):
         return None
-    return _exact_proof(problem, y)
+    exact = [Fraction(value) for value in y]
+    largest = max(map(abs, exact))
+    exact = [value / largest for value in exact]
+    proof = Infeasibility(problem, np.array([float(value) for value in exact]), tuple(exact))
+    return proof if proof.exact else None
 
 
 def margin_with_rounding(problem: LCP, y: FloatVector) -> float:
@@ -252,18 +306,8 @@ def _rows_of(csr: sp.csr_array) -> Any:
     return np.repeat(np.arange(csr.shape[0]), np.diff(csr.indptr))
 
 
-def _is_farkas(problem: LCP, y: Sequence[Rational]) -> bool:
-    margin = farkas_margin(problem, y, (problem.lower.tolist(), problem.upper.tolist()), _slack_lists(problem))
-    return margin is not None and margin < 0
-
-
-def _slack_lists(problem: LCP) -> tuple[list[float], list[float]]:
-    lower, upper = slack_bounds(problem)
-    return lower.tolist(), upper.tolist()
-
-
 def contradictory_row(problem: LCP) -> Infeasibility | None:
-    """Return the proof of a row that no z within the bounds can satisfy, or None where no single row is enough.
+    """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
 
     Cost: one look at each entry of the rows without a positive diagonal; in the others, their own unknown lets w grow.
 
@@ -282,19 +326,15 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
         ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]
         highest = np.bincount(rows, weights=np.maximum(*ends), minlength=q.size) + q
         lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=q.size) + q
-    rising, falling = needs_rise[bound_rows] & (highest < 0.0), needs_fall[bound_rows] & (lowest > 0.0)
-    for sign, suspects in ((1, rising), (-1, falling)):
-        for i in bound_rows[suspects][:MOST_SUSPECTS]:
-            y = np.zeros(problem.n)
-            y[i] = sign
-            proof = _proof_near(problem, y)
-            if proof is not None:
-                return proof
+        missing = np.maximum(
+            np.where(needs_rise[bound_rows], -highest, -np.inf), np.where(needs_fall[bound_rows], lowest, -np.inf)
+        )
+        scaled = missing / problem.residual_scale[bound_rows]
+    suspects = np.flatnonzero(missing > 0.0)
+    for k in suspects[np.argsort(-scaled[suspects], kind="stable")][:MOST_SUSPECTS]:
+        y = np.zeros(problem.n)
+        y[bound_rows[k]] = 1.0 if needs_rise[bound_rows[k]] and highest[k] < 0.0 else -1.0
+        proof = _proof_near(problem, y)
+        if proof is not None:
+            return proof
     return None
-
-
-def _exact_proof(problem: LCP, y: Sequence[Rational]) -> Infeasibility:
-    exact = [Fraction(value) for value in y]
-    largest = max(map(abs, exact))
-    exact = [value / largest for value in exact]
-    return Infeasibility(problem, np.array([float(value) for value in exact]), tuple(exact))

@@ -9,23 +9,8 @@ from fractions import Fraction
 import numpy as np
 
 from ..problem import LCP
-from .exact import farkas_margin, slack_bounds
 from .infeasibility import Infeasibility
-
-LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
-
-
-def row_choices(lower: float, upper: float) -> tuple[str, ...]:
-    """Return the cases of a row: z_i = lower with w_i ≥ 0, w_i = 0, z_i = upper with w_i ≤ 0.
-
-    Examples
-    --------
-    >>> row_choices(0.0, np.inf), row_choices(-np.inf, np.inf), row_choices(1.0, 1.0)
-    (('lower', 'zero'), ('zero',), ('fixed',))
-    """
-    if lower == upper:
-        return (FIXED,)
-    return (LOWER,) * (lower > -np.inf) + (ZERO,) + (UPPER,) * (upper < np.inf)
+from .refutation import Closing, Refutation, closed_exactly, row_choices
 
 
 @dataclass(slots=True)
@@ -38,8 +23,8 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class NoSolution:
-    """No z solves the problem: every case of a complete tree contradicts, exactly.
+class NoSolution(Refutation):
+    """No z solves the problem: every case of a complete tree contradicts, exactly; `margin` says by how much.
 
     Attributes
     ----------
@@ -72,9 +57,16 @@ class NoSolution:
         exact = tuple(value / largest for value in self.tree.y)
         return Infeasibility(self.problem, np.array([float(value) for value in exact]), exact)
 
-    def verify(self) -> bool:
-        """Return whether the tree covers every case and each leaf's Farkas vector holds, in exact arithmetic."""
-        return all(self._is_sound(case, path) for case, path in self._cases())
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""
+        for case, path in self._cases():
+            if case.row >= 0:
+                if case.row in path or set(case.branches) != set(self._choices(case.row)):
+                    yield None
+            elif case.y is None or case.branches:
+                yield None
+            else:
+                yield closed_exactly(self.problem, case.y, path)
 
     def __str__(self) -> str:
         leaves = self.leaves
@@ -88,21 +80,5 @@ class NoSolution:
             yield case, path
             stack.extend((branch, path | {case.row: choice}) for choice, branch in case.branches.items())
 
-    def _is_sound(self, case: Case, path: dict[int, str]) -> bool:
-        problem = self.problem
-        if case.row >= 0:
-            choices = row_choices(float(problem.lower[case.row]), float(problem.upper[case.row]))
-            return case.row not in path and set(case.branches) == set(choices)
-        if case.y is None or case.branches:
-            return False
-        z_bounds = (problem.lower.tolist(), problem.upper.tolist())
-        w_bounds = tuple(side.tolist() for side in slack_bounds(problem))
-        for i, choice in path.items():
-            if choice == ZERO:
-                w_bounds[0][i] = w_bounds[1][i] = 0.0
-            elif choice == LOWER:
-                z_bounds[1][i], w_bounds[0][i], w_bounds[1][i] = z_bounds[0][i], 0.0, np.inf
-            elif choice == UPPER:
-                z_bounds[0][i], w_bounds[0][i], w_bounds[1][i] = z_bounds[1][i], -np.inf, 0.0
-        margin = farkas_margin(problem, case.y, z_bounds, (w_bounds[0], w_bounds[1]))
-        return margin is not None and margin < 0
+    def _choices(self, row: int) -> tuple[str, ...]:
+        return row_choices(float(self.problem.lower[row]), float(self.problem.upper[row]))

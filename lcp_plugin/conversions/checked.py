@@ -9,7 +9,10 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, check_kind, frozen, read_only, real_array
 from ..errors import InvalidProblem
+from ..matrix_classes.symmetry import mismatch
 from ..problem import LCP
+
+SYMMETRIC_TO = 1e-12
 
 
 def checked_matrix(values: Any, name: str, rows: int | None, columns: int | None) -> Any:
@@ -102,3 +105,23 @@ def _check_shape(shape: tuple[int, ...], rows: int | None, columns: int | None, 
 
 def _shape(rows: int | None, columns: int | None) -> str:
     return f"({'any' if rows is None else rows}, {'any' if columns is None else columns})"
+
+
+def symmetric(P: Any) -> tuple[Any, float]:
+    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
+    asymmetry, where = asymmetry_of(P)
+    if where is not None:
+        i, j = where
+        raise InvalidProblem(
+            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
+            "(P + P.T) / 2: give that, if it is what you mean"
+        )
+    return (P, 0.0) if asymmetry == 0.0 else (checked_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
+
+
+def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    if M.shape[0] == 0:
+        return 0.0, None
+    largest = abs(M).max(axis=1)
+    return mismatch(M, np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel(), SYMMETRIC_TO)

@@ -27,9 +27,12 @@ __all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_i
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000
 LARGEST_DENSE = 1500
-TIGHT = 1e-7  # HiGHS's own tolerance
+LP_TOLERANCE = 1e-10
+TIGHT = 1e-7  # times the size of a row: tight to a linear program
 NEGLIGIBLE = 1e-9  # below this HiGHS's answers say nothing
 SUSPECTS = 8  # rows that are checked exactly
+DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
+NEAR_ENOUGH = 0.5  # of the margin that a linear program promises
 
 
 def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
@@ -59,12 +62,20 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
     """
     rows = fold_simple_rows(program)
     reduced = _folded(program, rows)
-    found = contradictory_row(reduced) or _by_programs(reduced)
+    row = contradictory_row(reduced)
+    found = row if row is not None and row.margin >= DECISIVE else _larger(_by_programs(reduced), row)
     if found is None or reduced is program:
         return found
     unfolded = _unfolded(program, rows, found)
     # A bound that a row gives is rounded, the row is not.
     return unfolded if unfolded.holds() else _by_programs(program)
+
+
+def _larger(
+    found: QPInfeasibility | QPUnboundedness | None, row: QPInfeasibility | None
+) -> QPInfeasibility | QPUnboundedness | None:
+    """Return the proof of the larger margin."""
+    return row if found is None or (row is not None and row.margin > found.margin) else found
 
 
 def _by_programs(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
@@ -109,79 +120,98 @@ def _unfolded(
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return the proof of a row that no x within the bounds satisfies; None where no single row is enough."""
+    """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
     stacked = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)], format="csr"))
     m, count = program.h.size, stacked.shape[0]
     lowest, highest = activity(stacked, program.lower, program.upper)
     limits = np.concatenate([program.h, program.b])
-    for sign, suspects in ((1, lowest > limits), (-1, (highest < limits) & (np.arange(count) >= m))):
-        for i in np.flatnonzero(suspects)[:SUSPECTS].tolist():
-            y = [ZERO] * count
-            y[i] = Fraction(sign)
-            left = transposed_product(rational_rows(stacked[[i]]), [y[i]], program.n)
-            proof = QPInfeasibility(
-                program, tuple(y[:m]), tuple(y[m:]),
-                tuple(max(entry, ZERO) for entry in left), tuple(max(-entry, ZERO) for entry in left),
-            )
-            if proof.holds():
-                return proof
+    unit = np.concatenate([program.units.inequality, program.units.equality])
+    with np.errstate(invalid="ignore"):
+        missing = np.maximum(lowest - limits, np.where(np.arange(count) >= m, limits - highest, -np.inf)) / unit
+    suspects = np.flatnonzero(missing > 0.0)
+    for i in suspects[np.argsort(-missing[suspects], kind="stable")][:SUSPECTS].tolist():
+        y = [ZERO] * count
+        y[i] = Fraction(1 if lowest[i] > limits[i] else -1)
+        proof = _with_bounds(program, y, transposed_product(rational_rows(stacked[[i]]), [y[i]], program.n))
+        if proof.holds():
+            return proof
     return None
 
 
+def _with_bounds(program: QuadraticProgram, y: Vector, left: Vector) -> QPInfeasibility:
+    """Return multipliers of all rows with those of the bounds, which take up what the rows leave."""
+    m = program.h.size
+    return QPInfeasibility(
+        program, tuple(y[:m]), tuple(y[m:]),
+        tuple(max(entry, ZERO) for entry in left), tuple(max(-entry, ZERO) for entry in left),
+    )
+
+
 def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return multipliers that contradict each other, exactly; None where none were found."""
-    n, m, p = program.n, program.h.size, program.b.size
+    """Return multipliers that contradict each other, exactly; None where none were found.
+
+    The linear program is the dual of the least uniform shift of all right-hand sides that makes them consistent.
+    """
+    n, m, p, units = program.n, program.h.size, program.b.size, program.units
     has_limit = np.isfinite(program.h)
     stacked = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)], format="csr"))
     limits = np.concatenate([np.where(has_limit, program.h, 0.0), program.b])
-    scale = _powers_of_two(np.maximum(_row_largest(stacked), np.abs(limits)))
-    column_scale = _powers_of_two(_row_largest(stacked.T))
-    bounds, identity = [], sp.eye_array(n, format="csr")
+    identity = sp.eye_array(n, format="csr")
     below, above = (np.flatnonzero(np.isfinite(bound)) for bound in (program.lower, program.upper))
-    bound_scale = [_powers_of_two(np.maximum(1.0, np.abs(b))) for b in (program.lower[below], program.upper[above])]
+    sizes = [np.concatenate([units.inequality, units.equality]), units.lower[below], units.upper[above]]
+    if not np.isfinite(np.concatenate(sizes)).all():
+        return None
+    scale, *bound_scale = (_powers_of_two(size) for size in sizes)
+    column_scale = _powers_of_two(_row_largest(stacked.T))
+    scaled, right = sp.diags_array(scale) @ stacked, scale * limits
     rows = sp.vstack(
-        [sp.diags_array(scale) @ stacked, -sp.diags_array(bound_scale[0]) @ identity[below],
+        [scaled, -scaled[m:], -sp.diags_array(bound_scale[0]) @ identity[below],
          sp.diags_array(bound_scale[1]) @ identity[above]], format="csr",
     )
     values = np.concatenate(
-        [scale * limits, -bound_scale[0] * program.lower[below], bound_scale[1] * program.upper[above]]
+        [right, -right[m:], -bound_scale[0] * program.lower[below], bound_scale[1] * program.upper[above]]
     )
-    bounds = [
-        *((0.0, 1.0 if finite else 0.0) for finite in has_limit), *[(-1.0, 1.0)] * p,
-        *[(0.0, 1.0)] * (below.size + above.size),
-    ]
-    answer = _minimised(values, sp.diags_array(column_scale) @ rows.T, None, bounds)
+    own, *of_bounds = (size * near for size, near in zip(sizes, (scale, *bound_scale), strict=True))
+    weights = np.concatenate([own, own[m:], *of_bounds])
+    bounds = [(0.0, None if finite else 0.0) for finite in has_limit] + [(0.0, None)] * (values.size - m)
+    answer = _minimised(
+        values, sp.diags_array(column_scale) @ rows.T, (sp.csr_array(weights[None, :]), np.ones(1)), bounds
+    )
     if answer is None:
         return None
-    y = np.where(np.abs(answer) > NEGLIGIBLE, answer, 0.0)
-    at = np.cumsum([m + p, below.size])
+    y = np.where(answer > NEGLIGIBLE * answer.max(), answer, 0.0)
+    own = y[: m + p].copy()
+    own[m:] -= y[m + p : m + 2 * p]
+    at = m + 2 * p
     leaning = np.zeros(n, dtype=bool)  # where a bound's multiplier takes up what the rows leave
-    leaning[below[y[at[0] : at[1]] > 0.0]] = True
-    leaning[above[y[at[1] :] > 0.0]] = True
-    return _repaired_multipliers(program, stacked, scale * y[: m + p], ~leaning)
+    leaning[below[y[at : at + below.size] > 0.0]] = True
+    leaning[above[y[at + below.size :] > 0.0]] = True
+    wanted = -NEAR_ENOUGH * float(values @ answer)
+    return _repaired_multipliers(program, stacked, scale * own, ~leaning, wanted)
 
 
 def _repaired_multipliers(
-    program: QuadraticProgram, stacked: sp.csr_array, y: FloatVector, must_vanish: NDArray[np.bool_]
+    program: QuadraticProgram, stacked: sp.csr_array, y: FloatVector, must_vanish: NDArray[np.bool_], wanted: float
 ) -> QPInfeasibility | None:
-    """Return exact multipliers near y; stackedᵀ y is zero in the columns that must vanish, or a bound takes it up."""
-    m = program.h.size
+    """Return exact multipliers near y, the first of the margin wanted, else those of the largest.
+
+    stackedᵀ y is zero in the columns that must vanish, or a bound takes it up.
+    """
     rows = rational_rows(stacked)
     columns = rational_rows(sp.csr_array(stacked.T)[np.flatnonzero(must_vanish)])
     plain = np.abs(y).max(initial=0.0)
     few = [Fraction(value / plain).limit_denominator(1000) for value in y.tolist()] if plain else []
-    for guess in (few, short(y)):
+    best: QPInfeasibility | None = None
+    for guess in (few, short(y), short(y, 1 << 60)):
         exact = solved_nearby(columns, [ZERO] * len(columns), guess, [bool(entry) for entry in guess])
         if exact is None:
             continue
-        left = transposed_product(rows, exact, program.n)
-        certificate = QPInfeasibility(
-            program, tuple(exact[:m]), tuple(exact[m:]),
-            tuple(max(entry, ZERO) for entry in left), tuple(max(-entry, ZERO) for entry in left),
-        )
-        if certificate.holds():
-            return certificate
-    return None
+        proof = _with_bounds(program, exact, transposed_product(rows, exact, program.n))
+        if proof.margin > (0.0 if best is None else best.margin):
+            best = proof
+        if best is not None and best.margin >= wanted:
+            return best
+    return best
 
 
 def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
@@ -296,6 +326,7 @@ def _minimised(
         A_eq=sp.csr_array(equations) if has_equations else None,
         b_eq=(np.zeros(equations.shape[0]) if right is None else right) if has_equations else None,
         bounds=bounds, method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if answer.x is None or answer.status != 0 or (only_negative and answer.fun > -NEGLIGIBLE):
         return None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram
 
 FORMS = ("direct", "dual", "kkt")
+PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
 
@@ -52,7 +53,8 @@ class QPOrigin:
         ----------
         answer : Result or array, shape (rows of the problem,)
             Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
-            result with a proof that there is no solution has no multipliers: NaN.
+            result with a proof that there is no solution has no multipliers, NaN, where the program is refuted too:
+            what is a contradiction beside the problem's data may be none beside the program's.
 
         Raises
         ------
@@ -60,7 +62,7 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, inequality, equality = self._split(answer)
-        if getattr(answer, "infeasibility", None) is not None:
+        if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
             program = self.program
             sizes = program.h.size, program.b.size, program.n, program.n
             return QPSolution(program, x, *(np.full(size, np.nan) for size in sizes))
@@ -69,6 +71,15 @@ class QPOrigin:
         return QPSolution(
             self.program, x, *self.rows.spread(self.program, inequality, equality, reduced_cost)
         )
+
+    def is_nearly_consistent(self, tolerance: float) -> bool:
+        """Return whether the program contradicts itself, in units of its own data, by less than `is_optimal` allows.
+
+        However large that is beside the data of the problem: an equation 1e-16 = 0 may be all that acts there. A
+        tolerance of the problem below 1e-6 is none of the program.
+        """
+        proof = self.program.proof_of_no_minimum
+        return proof is not None and not proof.excludes(max(tolerance, PROGRAM_TOLERANCE))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return x and the multipliers of the rows that are left of G and of A."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
+from ..certificates.refutation import rounded_down
+from ..problem import FloatVector
+from .qp_units import constraint_tolerance
 from .quadratic_program import QuadraticProgram
 from .rational import ZERO, Row, Vector, products, rational_rows, transposed_product
 
@@ -55,6 +60,28 @@ class QPInfeasibility:
                     value += multiplier * Fraction(limit)
         return value < 0
 
+    @cached_property
+    def margin(self) -> float:
+        """A lower bound of the primal residual of every x, in units of the data; 0 where the proof does not hold.
+
+        The least shift of all limits, each in its unit, that could make the constraints consistent.
+        """
+        program, units = self.program, self.program.units
+        if not self.holds():
+            return 0.0
+        rows = [(self.inequality, program.h), (self.equality, program.b), (self.upper, program.upper)]
+        limits = _products([*rows, (self.lower, -program.lower)])
+        contradiction = sum((y * Fraction(limit) for y, limit in limits), ZERO)
+        sizes = [
+            (self.inequality, units.inequality), (self.equality, units.equality),
+            (self.lower, units.lower), (self.upper, units.upper),
+        ]
+        return _quotient(-contradiction, sizes)
+
+    def excludes(self, tolerance: float) -> bool:
+        """Return whether no x at all is optimal at this tolerance."""
+        return self.margin > constraint_tolerance(tolerance)
+
     def __str__(self) -> str:
         used = sum(1 for part in (self.inequality, self.equality, self.lower, self.upper) for y in part if y)
         return f"infeasible: {used} of its constraints contradict one another (multipliers checked exactly)"
@@ -96,9 +123,42 @@ class QPUnboundedness:
             return square < 0 or slope < 0
         return not self.is_exact and slope < 0 and is_rounding(program, curvature, d)
 
+    @cached_property
+    def margin(self) -> float:
+        """A lower bound of the dual residual of every x and multipliers, in units of the data.
+
+        The least shift of c, each component in its unit, that stops the descent. ∞ where the objective is curved
+        downwards by more than the rounding of P; 0 where the proof does not hold.
+        """
+        program = self.program
+        if not self.holds():
+            return 0.0
+        if not is_rounding(program, list(products(rational_rows(program.P), self.direction)), self.direction):
+            return np.inf
+        slope = sum((d * Fraction(c) for d, c in _products([(self.direction, program.c)])), ZERO)
+        return _quotient(max(-slope, ZERO), [(self.direction, program.units.dual)])
+
+    def excludes(self, tolerance: float) -> bool:
+        """Return whether no x at all is optimal at this tolerance."""
+        return self.margin > tolerance
+
     def __str__(self) -> str:
         how = "checked exactly" if self.is_exact else "P d = 0 to the rounding errors of P"
         return f"unbounded: the objective falls for ever along a direction from a feasible point ({how})"
+
+
+def _products(parts: list[tuple[tuple[Fraction, ...], FloatVector]]) -> Iterator[tuple[Fraction, float]]:
+    """Yield each factor that is not zero with its number."""
+    for factors, numbers in parts:
+        yield from ((y, number) for y, number in zip(factors, numbers.tolist(), strict=True) if y)
+
+
+def _quotient(value: Fraction, sizes: list[tuple[tuple[Fraction, ...], FloatVector]]) -> float:
+    """Return value / Σ|factor| size, rounded down; 0 where a size has overflowed."""
+    used = list(_products(sizes))
+    if not all(np.isfinite(size) for _, size in used):
+        return 0.0
+    return rounded_down(value / sum((abs(y) * Fraction(size) for y, size in used), ZERO))
 
 
 def _combination(matrix: Any, multipliers: tuple[Fraction, ...]) -> Vector:

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ..errors import InvalidOption, InvalidProblem
 from ..problem import FloatVector
 from .checked import checked_vector
+from .qp_units import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
     from .qp_proofs import QPInfeasibility, QPUnboundedness
@@ -41,9 +42,10 @@ class QPSolution:
 
     Notes
     -----
-    Each residual is relative to 1 + the largest term of the sum it is the residual of. A limit that holds is no such
-    term: a bound of 1e9 that nobody reaches excuses nothing. ``row_residual`` compares each row with its own terms
-    only, so that a coefficient of 1e7 in one row excuses nothing in another.
+    The primal and the dual residual are in units of the data (:class:`~lcp_plugin.conversions.qp_units.Units`), never
+    relative to x: what is optimal in them cannot be refuted. Complementarity is relative to 1 + its largest term.
+    ``row_residual`` compares each row with its own terms only, so that a coefficient of 1e7 in one row, or a limit of
+    1e9 that nobody reaches, excuses nothing in another.
 
     Raises
     ------
@@ -73,27 +75,35 @@ class QPSolution:
 
     @cached_property
     def primal_residual(self) -> float:
-        """By how much x violates G x ≤ h, A x = b and its bounds."""
-        _, gaps = self._sides
-        misses = self.program.A @ self.x - self.program.b
-        terms = [self.x, self.program.A @ self.x, self.program.b]
-        violations = [np.abs(misses)]
-        for _, gap, value, limit in gaps:
-            violations.append(np.maximum(-gap, 0.0))
-            terms += [value, np.where(gap < 0.0, limit, 0.0)]
-        return _relative(violations, terms)
+        """By how much x violates G x ≤ h, A x = b and its bounds, rounding included; each row in units of the data."""
+        program, units = self.program, self.program.units
+        finite = np.flatnonzero(np.isfinite(program.h))
+        unit = units.inequality[finite]
+        over = enclosed_sum(sp.csr_array(program.G)[finite], self.x, -program.h[finite])
+        misses = enclosed_sum(program.A, self.x, -program.b)
+        return _largest([
+            np.maximum(over, 0.0) / unit, np.abs(misses) / units.equality,
+            np.maximum(program.lower - self.x, 0.0) / units.lower,
+            np.maximum(self.x - program.upper, 0.0) / units.upper,
+        ])
 
     @cached_property
     def dual_residual(self) -> float:
-        """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign."""
-        program = self.program
-        terms = [
-            program.P @ self.x, program.c, program.G.T @ self.inequality, program.A.T @ self.equality,
-            -self.lower, self.upper,
-        ]
+        """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign.
+
+        Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
+        """
+        program, units = self.program, self.program.units
         signs, _ = self._sides
-        wrong = [np.maximum(-multiplier, 0.0) for multiplier in signs]
-        return _relative([np.abs(np.sum(terms, axis=0)), *wrong], terms)
+        inequality, lower, upper = (np.maximum(multiplier, 0.0) for multiplier in signs)
+        stacked = sp.hstack(
+            [sp.csr_array(program.P), sp.csr_array(program.G).T, sp.csr_array(program.A).T,
+             -sp.eye_array(program.n), sp.eye_array(program.n)], format="csr",
+        )
+        terms = np.concatenate([self.x, inequality, self.equality, lower, upper])
+        left = enclosed_sum(stacked, terms, program.c)
+        wrong = _largest([np.maximum(-multiplier, 0.0) for multiplier in signs])
+        return _largest([np.abs(left) / units.dual]) + wrong / (1.0 + float(np.abs(program.c).max(initial=0.0)))
 
     @cached_property
     def complementarity(self) -> float:
@@ -162,6 +172,7 @@ class QPSolution:
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.
 
+        Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
         For a convex program the conditions are sufficient; otherwise x is stationary.
 
         Raises
@@ -171,12 +182,14 @@ class QPSolution:
         """
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
+        if not self.primal_residual <= constraint_tolerance(float(tolerance)):
+            return False
         return bool(self.residual <= tolerance) and bool(self.row_residual <= tolerance)
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the program has no minimum: looked for, by linear programs, where this is not optimal."""
-        return None if self.is_optimal() else self.program.proof_of_no_minimum
+        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where this is not."""
+        return None if self.is_optimal() else self.program.refutation()
 
     @property
     def status(self) -> str:

@@ -19,16 +19,15 @@ from ..matrix_classes.definiteness import (
     is_positive_semidefinite,
     positive_definite_solver,
 )
-from ..matrix_classes.symmetry import mismatch
 from ..problem import LCP
-from .checked import attach_origin, checked_matrix, checked_vector
+from .checked import asymmetry_of, attach_origin, checked_matrix, checked_vector, symmetric
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
+from .qp_units import Units
 from .simple_rows import FoldedRows, fold_simple_rows
 
 if TYPE_CHECKING:
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
-SYMMETRIC_TO = 1e-12
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 INFINITE_LIMIT = 1e20  # the convention of file formats
 
@@ -106,13 +105,13 @@ class QuadraticProgram:
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        symmetric, asymmetry = _symmetric(checked_matrix(P, "P", n, n))
+        P, asymmetry = symmetric(checked_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(below, above)
         data = {
-            "P": symmetric, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
+            "P": P, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
             "lower": below, "upper": above, "asymmetry": asymmetry, "ranges": None,
         }
         for name, value in data.items():
@@ -176,10 +175,23 @@ class QuadraticProgram:
 
     @cached_property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found."""
+        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
+
+        It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
+        """
         from .qp_certificates import proof_of_no_minimum
 
         return proof_of_no_minimum(self)
+
+    def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
+        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none."""
+        proof = self.proof_of_no_minimum
+        return proof if proof is not None and proof.excludes(tolerance) else None
+
+    @cached_property
+    def units(self) -> Units:
+        """The sizes of the data in which residuals are judged."""
+        return Units.of(self)
 
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
@@ -321,7 +333,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     if not isinstance(problem, LCP):
         raise InvalidProblem(f"qp_from_lcp needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
-    if _mismatch(M)[1] is None:
+    if asymmetry_of(M)[1] is None:
         return QuadraticProgram(M, q, lower=lower, upper=upper)
     boxed = np.isfinite(lower) & np.isfinite(upper)
     if boxed.any():
@@ -372,23 +384,3 @@ def _checked_rows(
         matrix, right = sp.csr_array((0, n)), np.zeros(0)
     checked = checked_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
-
-
-def _symmetric(P: Any) -> tuple[Any, float]:
-    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
-    asymmetry, where = _mismatch(P)
-    if where is not None:
-        i, j = where
-        raise InvalidProblem(
-            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
-            "(P + P.T) / 2: give that, if it is what you mean"
-        )
-    return (P, 0.0) if asymmetry == 0.0 else (checked_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
-
-
-def _mismatch(M: Any) -> tuple[float, tuple[int, int] | None]:
-    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if M.shape[0] == 0:
-        return 0.0, None
-    largest = abs(M).max(axis=1)
-    return mismatch(M, np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel(), SYMMETRIC_TO)

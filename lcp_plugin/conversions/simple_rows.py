@@ -10,12 +10,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..problem import FloatVector
+from .qp_units import CONSTRAINTS
 
 if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram
 
 Indices = NDArray[np.intp]
-CLEARLY = 1e-9  # of the numbers that are compared
 OWN = -1  # the variable's own bound, not a row's
 
 
@@ -49,13 +49,15 @@ class FoldedRows:
         return int(self.inequalities.size + self.equalities.size)
 
     def contradict(self, program: QuadraticProgram) -> bool:
-        """Return whether, by far more than rounding, no x within the bounds satisfies one of the rows that remain."""
+        """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
+        units = program.units
+        unit = np.concatenate([units.inequality[self.inequalities], units.equality[self.equalities]])
         left = [sp.csr_array(program.G)[self.inequalities], sp.csr_array(program.A)[self.equalities]]
         limits = np.concatenate([program.h[self.inequalities], program.b[self.equalities]])
         lowest, highest = activity(sp.csr_array(sp.vstack(left, format="csr")), self.lower, self.upper)
         is_equality = np.arange(limits.size) >= self.inequalities.size
-        too_high = lowest - CLEARLY * (np.abs(lowest) + np.abs(limits)) > limits
-        too_low = highest + CLEARLY * (np.abs(highest) + np.abs(limits)) < limits
+        clearly = CONSTRAINTS * unit
+        too_high, too_low = lowest - clearly > limits, highest + clearly < limits
         return bool(np.any(too_high | too_low & is_equality))
 
     def spread(

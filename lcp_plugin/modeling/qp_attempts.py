@@ -38,8 +38,8 @@ def solve_quadratic_program(
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
         and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
-        As soon as a method has ended without a solution, ``program.proof_of_no_minimum`` is looked for; where there
-        is one, it ends them too, and the run is INTERRUPTED.
+        As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
+        one, it ends them too, and the run is INTERRUPTED.
 
     guess : array, optional
         An earlier run's z: the start where it has the right length.
@@ -56,7 +56,7 @@ def solve_quadratic_program(
 
     def callback(sample: Sample, z: FloatVector) -> bool:
         is_told = own_callback is not None and bool(own_callback(sample, z))
-        return is_told or (sample.label == PROVES_ITSELF and program.proof_of_no_minimum is not None)
+        return is_told or (sample.label == PROVES_ITSELF and program.refutation(kkt_goal(tolerance)) is not None)
 
     for problem, substitution in _forms(program, algorithm):
         for factor in (1.0, TIGHTER):
@@ -77,7 +77,7 @@ def solve_quadratic_program(
             guess = result.z
             options.pop("z0", None)
             if not result.is_solved:  # a smaller tolerance would change nothing
-                if program.proof_of_no_minimum is not None:
+                if program.refutation(kkt_goal(tolerance)) is not None:
                     return best
                 break
     if best is None:

@@ -68,7 +68,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         is_optimal = solution.is_optimal(kkt_goal(options["tolerance"]))
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
         if not is_optimal and (is_proven or not ended_by_caller(result, options)):
-            proof = program.proof_of_no_minimum
+            proof = program.refutation(kkt_goal(options["tolerance"]))
         if verbose:
             settings.LOGGER.info(result.explain() if proof is None else f"{result.explain()}\n{proof}")
         return result, solution, _status(result, is_optimal, proof), proof
@@ -123,7 +123,7 @@ def _status(result: Result, is_optimal: bool, proof: QPInfeasibility | QPUnbound
         return str(settings.INFEASIBLE if isinstance(proof, QPInfeasibility) else settings.UNBOUNDED)
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return str(settings.OPTIMAL if is_optimal else settings.OPTIMAL_INACCURATE)
-    if is_optimal and result.status is Status.STALLED:  # below the program's tolerance, not the run's own
+    if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
         return str(settings.OPTIMAL)
     return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
-from ..certificates.no_solution import FIXED, LOWER, UPPER, ZERO, Case, row_choices
+from ..certificates.no_solution import Case
+from ..certificates.refutation import FIXED, LOWER, UPPER, ZERO, row_choices
 from ..problem import LCP
 from .exact_simplex import Bound, ExactSimplex
 

@@ -10,12 +10,14 @@ import numpy as np
 
 from ..algorithms.base import Algorithm, Step, without_warnings
 from ..certificates.forced_bounds import find_forced_contradiction
-from ..certificates.infeasibility import contradictory_row, decide_feasibility
+from ..certificates.infeasibility import decide_feasibility
+from ..certificates.residuals import MEASURES
 from ..problem import LCP, FloatVector
 from . import LARGEST_CHOICES, LARGEST_SIZE, Found, NoSolution, explore
 
 NODES_A_STEP = 50
 MOST_NODES = 20_000
+LARGEST_PROGRAM = 5000  # rows of a linear program; beyond, single rows and forced bounds are looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +32,21 @@ class FeasibilityCheck(Algorithm):
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then once more with the proof where there is one."""
+        """Yield the start, then once more with each proof that is found."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        proof = contradictory_row(problem) or decide_feasibility(problem).proof or find_forced_contradiction(problem)
-        if proof is not None:
+        effort = None if problem.n <= LARGEST_PROGRAM else 0
+        # Where one contradiction is too small for the caller's measure and tolerance, another one may be large enough.
+        for measure in MEASURES:
+            proof = decide_feasibility(problem, effort_limit=effort, measure=measure).proof
+            if proof is None:
+                break
             yield Step(z0, proof=proof)
+        chain = find_forced_contradiction(problem)
+        if chain is not None:
+            yield Step(z0, proof=chain)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,392 @@
+"""Problems and programs that are infeasible or feasible by margins of 1e-16 … 1e-1, each told as it should be.
+
+Run ``python tests/campaigns/infeasible_by_margin.py --cases 10000 --seed 0``; exit code 1 where a claim fails. The
+margin is planted: a Farkas vector y and a z̄ that attains its contradiction; fractions written here and used nowhere
+else bound the smallest residual of any z from below (by y) and from above (by z̄). Claimed, at the default tolerance:
+
+- a margin of ten times the tolerance or more is refuted in 99 % by auto, with a proof that verifies;
+- a margin below the tolerance is never refuted, by any method and in any measure;
+- no problem is SOLVED by one run and refuted by another in the same measure;
+- no proof claims a larger margin than z̄ has, or than the z that any method ends with;
+- a program with a margin of a hundredth of the tolerance or less is solved in 99 %.
+
+Problems that z° solves but for the rounding of their data are drawn again: nothing is small beside such a reference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from fractions import Fraction
+from functools import partial
+from multiprocessing import Pool
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lcp_plugin import LCP, Status, solve
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.modeling.qp_attempts import solve_quadratic_program
+
+TOLERANCE = 1e-8  # of a run
+CONSTRAINTS = 1e-7  # of a program that is called optimal
+REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+DIRECT = ("newton", "interior_point", "lemke")
+ALL_METHODS_EVERY = 10  # the others: auto in both measures, and a direct method in one
+MOST_STEPS = 300  # of a named method
+VANISHING = 1e-6  # a reference, beside the largest |q_i|/d_i
+CLAIMED, SOLVED_BELOW = 0.99, 0.01
+
+
+class Margin(NamedTuple):
+    """Bounds of the smallest residual of any z, relative to that of z°; 0 where the constraints can be met."""
+
+    low: float
+    high: float
+
+
+class Planted(NamedTuple):
+    """A problem with what is known of it, and its margins in both measures."""
+
+    problem: LCP
+    relative: Margin
+    euclidean: Margin
+    tolerance: float  # in the euclidean measure
+    is_linear: bool  # the linear constraints contradict, not only complementarity
+
+
+# --- complementarity problems ------------------------------------------------------------------------------------
+
+
+def planted_lcp(rng: np.random.Generator) -> Planted:
+    """A problem whose smallest residual is known: w of every row in y misses its sign by the same d_i t at z̄."""
+    n = int(rng.integers(2, 9))
+    is_whole = bool(rng.random() < 0.6)
+    kinds = rng.choice(["lower", "upper", "free", "box"], n, p=[0.55, 0.15, 0.15 * is_whole, 0.3 - 0.15 * is_whole])
+    pivot = int(rng.integers(n))
+    kinds[pivot] = rng.choice(["lower", "upper"])
+    start = rng.integers(-2, 3, n) * (rng.random(n) < 0.4)
+    lower = np.where(np.isin(kinds, ["lower", "box"]), start, -np.inf)
+    upper = np.where(kinds == "upper", start, np.where(kinds == "box", start + rng.integers(1, 4, n), np.inf))
+    y = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n) if is_whole else rng.uniform(0.3, 3.0, n), 0.0)
+    turned = np.where(kinds == "upper", -1, np.where(kinds == "free", rng.choice([-1, 1], n), 1))
+    y = np.where(kinds == "box", 0.0, turned * y)
+    y[pivot] = 1.0 if kinds[pivot] == "lower" else -1.0
+    size = rng.integers(1, 3, n) if is_whole else rng.uniform(0.5, 2.0, n)
+    is_slack = (rng.random(n) < 0.3) & is_whole
+    product = np.where(is_slack | (kinds == "free"), 0.0, np.where(kinds == "upper", size, -size))
+    at_top = (kinds == "box") & (rng.random(n) < 0.5)
+    product = np.where(at_top, np.abs(product), product)
+    z = np.where(at_top, upper, np.where(kinds == "upper", upper, np.where(kinds == "free", 1.0, lower)))
+    z = z + is_slack * np.where(kinds == "lower", 2.0, np.where(kinds == "upper", -2.0, 0.0))
+    M = (rng.integers(-3, 4, (n, n)) if is_whole else rng.standard_normal((n, n))) * (rng.random((n, n)) < 0.7)
+    M = M + np.diag(rng.integers(1, 5, n) * (rng.random(n) < 0.6))
+    M[pivot] = 0.0
+    M[pivot] = y[pivot] * (product - y @ M)
+    rows, columns = (2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.3 else np.ones(n) for _ in range(2))
+    M, y = rows[:, None] * M * columns, y / rows
+    lower, upper, z = lower / columns, upper / columns, z / columns
+    scale = LCP(M, np.zeros(n)).residual_scale
+    ok = rng.integers(0, 3, n) * np.where(kinds == "upper", -1.0, np.where(kinds == "free", 0.0, 1.0)) * rows
+    sign = rng.choice([1.0, 1.0, 1.0, -1.0])  # −1: feasible by that margin
+
+    def with_margin(t: float) -> LCP:
+        w = np.where(y != 0.0, -np.sign(y) * scale * t * sign, ok)
+        return LCP(M, w - M @ z, lower=lower, upper=upper)
+
+    plain = with_margin(0.0)
+    reference = float(exact_reference(plain))
+    if reference <= VANISHING * np.abs(plain.q / scale).max():
+        return planted_lcp(rng)
+    return measured(with_margin(10.0 ** rng.uniform(-16, -1) * reference), y, z)
+
+
+def measured(problem: LCP, y: Any, z: Any) -> Planted:
+    """The exact margins that y and z̄ prove of the problem as it is stored."""
+    reference = exact_reference(problem)
+    d = [Fraction(float(v)) for v in problem.residual_scale]
+    exact_y = [Fraction(float(v)) for v in y]
+    missing = wrong_signs(problem, [Fraction(float(v)) for v in np.clip(z, problem.lower, problem.upper)])
+    c = max(contradiction(problem, exact_y), Fraction(0))
+    weight = sum(abs(v) * s for v, s in zip(exact_y, d, strict=True))
+    high = max(v / s for v, s in zip(missing, d, strict=True))
+    squares = float(sum(v * v for v in exact_y)) ** 0.5, float(sum(v * v for v in missing)) ** 0.5
+    relative = Margin(float(c / weight / reference), float(high / reference))
+    return Planted(problem, relative, Margin(float(c) / squares[0], squares[1]), TOLERANCE * float(reference), True)
+
+
+def forced(rng: np.random.Generator) -> Planted:
+    """w_a = 1 forces z_a = 0, where w_b = s (z_a − t) is negative: relative to the rest, by t/2 and no more."""
+    n = int(rng.integers(1, 5))
+    M, z = rng.integers(-1, 2, (n, n)) + 0.0, rng.integers(0, 3, n)
+    M[np.arange(n), np.arange(n)] = np.abs(M).sum(axis=1) + 1.0
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[:n, n + 1] = M, rng.integers(-1, 2, n)
+    s = 2.0 ** rng.integers(-3, 4)
+    whole[n + 1, n] = s
+    t = 10.0 ** rng.uniform(-16, -1)
+    q = np.concatenate([np.where(z > 0, 0.0, 1.0) - M @ z, [1.0, -s * t]])
+    problem = LCP(whole, q)
+    reference = exact_reference(problem)
+    margin = float(Fraction(-q[-1]) / Fraction(s) / 2 / reference)
+    least = float(t * s / np.hypot(1.0, s))
+    return Planted(problem, Margin(margin, margin), Margin(least, least), TOLERANCE * float(reference), False)
+
+
+def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
+    dense = problem.csr.toarray().tolist()
+    return [
+        Fraction(q) + sum((Fraction(a) * v for a, v in zip(row, z, strict=True) if a), Fraction(0))
+        for row, q in zip(dense, problem.q.tolist(), strict=True)
+    ]
+
+
+def exact_reference(problem: LCP) -> Fraction:
+    """‖r(z°)‖∞, exactly."""
+    z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
+    largest = Fraction(0)
+    for v, w, d, low, high in zip(
+        z, exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(), problem.upper.tolist(),
+        strict=True,
+    ):
+        step = v - w / Fraction(d)
+        step = max(step, Fraction(low)) if np.isfinite(low) else step
+        step = min(step, Fraction(high)) if np.isfinite(high) else step
+        largest = max(largest, abs(v - step))
+    return largest
+
+
+def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:
+    """By how much each w has a sign that its row's bounds never permit."""
+    w = exact_slack(problem, z)
+    return [
+        max(-value if np.isinf(high) else Fraction(0), value if np.isinf(low) else Fraction(0), Fraction(0))
+        for value, low, high in zip(w, problem.lower, problem.upper, strict=True)
+    ]
+
+
+def contradiction(problem: LCP, y: list[Fraction]) -> Fraction:
+    """−sup of yᵀ(M z + q) over the bounds; −1 where that is infinite."""
+    dense = problem.csr.toarray()
+    total = sum((a * Fraction(b) for a, b in zip(y, problem.q.tolist(), strict=True)), Fraction(0))
+    for j in range(problem.n):
+        slope = sum((a * Fraction(float(b)) for a, b in zip(y, dense[:, j], strict=True)), Fraction(0))
+        bound = float(problem.upper[j] if slope > 0 else problem.lower[j])
+        if slope:
+            if np.isinf(bound):
+                return Fraction(-1)
+            total += slope * Fraction(bound)
+    return -total
+
+
+# --- programs ----------------------------------------------------------------------------------------------------
+
+
+class PlantedProgram(NamedTuple):
+    """A program and its margin in units of its data."""
+
+    program: QuadraticProgram
+    margin: Margin
+
+
+def planted_program(rng: np.random.Generator) -> PlantedProgram:
+    """A convex program, bounded below, whose constraints miss each other by a known margin."""
+    n, m, p = int(rng.integers(1, 6)), int(rng.integers(1, 5)), int(rng.integers(0, 3))
+    C = rng.integers(-3, 4, (m + p, n)) * (rng.random((m + p, n)) < 0.8) + 0.0
+    y = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)]) + 0.0
+    y[0] = 1.0
+    has_bounds = rng.random(n) < 0.5
+    push = np.where(has_bounds, rng.integers(-2, 3, n), 0.0)  # what the bounds' multipliers take up
+    C[0] = push - y[1:] @ C[1:]
+    x = rng.integers(-2, 3, n) + 0.0
+    lower = np.where(has_bounds & (push >= 0.0), x, -np.inf)
+    upper = np.where(has_bounds & (push < 0.0), x, np.inf)
+    if rng.random() < 0.3:
+        C = 10.0 ** rng.integers(-4, 5, (m + p, 1)) * C
+        y = np.zeros(m + p)  # rounded: the margin is bounded from above only
+    unit = np.abs(C).max(axis=1)
+    unit[unit == 0.0] = 1.0
+    loose = (y == 0.0) & (np.arange(m + p) < m)
+    sign = rng.choice([1.0, 1.0, 1.0, -1.0])
+    t = 10.0 ** rng.uniform(-16, -1)
+    gap = np.where(loose, -rng.integers(0, 2, m + p), np.where(y == 0.0, 0.0, np.where(y < 0.0, -1.0, 1.0) * t * sign))
+    right = C @ x - gap * unit * (1.0 + np.abs(C @ x / unit).max())
+    B = rng.integers(-2, 3, (int(rng.integers(0, n + 1)), n)) + 0.0
+    P = B.T @ B + (np.eye(n) if rng.random() < 0.4 else 0.0)
+    multipliers = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)])
+    c = -P @ rng.integers(-2, 3, n) - C.T @ multipliers + np.where(has_bounds, np.where(push >= 0.0, 1.0, -1.0), 0.0)
+    program = QuadraticProgram(P, c, C[:m], right[:m], C[m:], right[m:], lower, upper)
+    return PlantedProgram(program, program_margin(program, y, x))
+
+
+def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
+    """The margins that y and x̄ prove, from the definition of the units, in fractions."""
+    m = program.h.size
+    C = np.vstack([np.asarray(program.G), np.asarray(program.A)])
+    right = np.concatenate([program.h, program.b])
+    largest = np.abs(C).max(axis=1)
+    largest[largest == 0.0] = 1.0
+    limits = right / largest
+    size = max(np.abs(limits[m:]).max(initial=0.0), -limits[:m].min(initial=0.0))
+    units = [Fraction(float(v)) for v in largest * (1.0 + np.maximum(size, np.abs(limits)))]
+    high = Fraction(0)
+    for i, (row, limit) in enumerate(zip(C.tolist(), right.tolist(), strict=True)):
+        miss = sum((Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True)), -Fraction(limit))
+        high = max(high, (miss if i < m else abs(miss)) / units[i])
+    exact_y = [Fraction(float(v)) for v in y]
+    value = sum((a * Fraction(b) for a, b in zip(exact_y, right.tolist(), strict=True)), Fraction(0))
+    weight = sum((abs(a) * u for a, u in zip(exact_y, units, strict=True)), Fraction(0))
+    for j in range(program.n):
+        left = sum((a * Fraction(float(b)) for a, b in zip(exact_y, C[:, j], strict=True)), Fraction(0))
+        bound = float(program.lower[j] if left > 0 else program.upper[j])
+        if left:
+            if np.isinf(bound):
+                return Margin(0.0, float(high))
+            value -= left * Fraction(bound)
+            weight += abs(left) * Fraction(1.0 + max(size, abs(bound)))
+    low = max(-value, Fraction(0)) / weight if weight else Fraction(0)
+    return Margin(float(low), float(high))
+
+
+# --- judging -----------------------------------------------------------------------------------------------------
+
+
+def runs(case: Planted, number: int) -> Iterator[tuple[str, str, Any]]:
+    """Run the methods in both measures."""
+    for k, (measure, tolerance) in enumerate((("relative", TOLERANCE), ("euclidean", case.tolerance))):
+        few = ("auto", DIRECT[number // 2 % 3]) if number % 2 == k else ("auto",)
+        for name in few if number % ALL_METHODS_EVERY else ("auto", *REGISTRY):
+            limit = None if name == "auto" else MOST_STEPS
+            try:
+                yield measure, name, solve(
+                    case.problem, name, measure=measure, tolerance=tolerance, max_iterations=limit
+                )
+            except (UnsuitableMatrix, UnsuitableProblem):
+                continue
+
+
+def violations(case: Planted, number: int) -> tuple[list[str], dict[str, Status]]:
+    """What contradicts the claims, and the status of auto in each measure; the number says what else runs."""
+    bad, told = [], {}
+    seen: dict[str, set[Status]] = defaultdict(set)
+    reached: dict[str, float] = defaultdict(lambda: np.inf)
+    claimed: dict[str, float] = defaultdict(float)
+    for measure, name, result in runs(case, number):
+        margin, tolerance = (case.relative, TOLERANCE) if measure == "relative" else (case.euclidean, case.tolerance)
+        seen[measure].add(result.status)
+        if name == "auto":
+            told[measure] = result.status
+        proof = result.infeasibility
+        is_bounded = result.status is Status.INFEASIBLE or not case.is_linear  # z̄ meets the linear constraints only
+        if result.status in REFUTED and is_bounded and margin.high <= tolerance:
+            bad.append(f"{name}, {measure}: {result.status.name} at a margin of {margin.high:.3e}")
+        if result.status in REFUTED and not (proof.verify() and proof.measured(measure) > tolerance):
+            bad.append(f"{name}, {measure}: {result.status.name} without a proof that counts")
+        if proof is not None and is_bounded and proof.measured(measure) > margin.high * (1.0 + 1e-12):
+            bad.append(f"{name}, {measure}: margin {proof.measured(measure):.3e} claimed of {margin.high:.3e}")
+        reached[measure] = min(reached[measure], result.residual)
+        claimed[measure] = max(claimed[measure], 0.0 if proof is None else proof.measured(measure))
+    bad += [f"{measure}: a residual of {reached[measure]:.3e} where {claimed[measure]:.3e} is claimed to be the least"
+            for measure in seen if claimed[measure] > max(TOLERANCE, reached[measure] * (1.0 + 1e-6))]
+    bad += [f"{measure}: SOLVED and refuted" for measure, all_of in seen.items()
+            if Status.SOLVED in all_of and all_of & set(REFUTED)]
+    return bad, told
+
+
+def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
+    """What contradicts the claims of a program, and its status: by any form that decides."""
+    bad, statuses = [], set()
+    for form in ("auto", "kkt"):
+        problem = lcp_from_qp(case.program, form)
+        result = solve(problem)
+        solution = problem.origin.recover(result)
+        statuses.add(solution.status)
+        if solution.status == "infeasible" and not solution.proof.holds():
+            bad.append(f"{form}: infeasible without a proof")
+        if result.status in REFUTED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
+            bad.append(f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}")
+    result, solution = solve_quadratic_program(case.program)
+    statuses.add("optimal" if solution.is_optimal() else solution.status)
+    if "infeasible" in statuses and case.margin.high <= CONSTRAINTS:
+        bad.append(f"infeasible at a margin of {case.margin.high:.3e}")
+    proof = case.program.proof_of_no_minimum
+    if proof is not None and proof.verdict == "infeasible" and proof.margin > case.margin.high * (1.0 + 1e-12):
+        bad.append(f"margin {proof.margin:.3e} claimed of {case.margin.high:.3e}")
+    if {"optimal", "infeasible"} <= statuses:
+        bad.append("optimal and infeasible")
+    return bad, next((s for s in ("infeasible", "optimal", "unbounded") if s in statuses), "unknown")
+
+
+def decade(margin: Margin, tolerance: float) -> str:
+    """Where a margin lies beside the tolerance."""
+    if margin.high <= SOLVED_BELOW * tolerance:
+        return "≤ tolerance/100"
+    if margin.high <= tolerance:
+        return "≤ tolerance"
+    if margin.low < 10.0 * tolerance:
+        return "between"
+    return f"≥ 10^{int(np.floor(np.log10(margin.low / tolerance))):d} tolerance"
+
+
+def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
+    """What is wrong with a case, and its lines in the table."""
+    rng = np.random.default_rng([seed, case])
+    if case % 3 == 2:
+        program = planted_program(rng)
+        bad, status = program_violations(program)
+        return bad, [("program", decade(program.margin, CONSTRAINTS), status)]
+    kind, planted = ("cases", forced(rng)) if case % 12 == 0 else ("lcp", planted_lcp(rng))
+    bad, told = violations(planted, case)
+    margins = {"relative": (planted.relative, TOLERANCE), "euclidean": (planted.euclidean, planted.tolerance)}
+    return bad, [(f"{kind}, {m}", decade(*margins[m]), status.name) for m, status in told.items()]
+
+
+def main(cases: int, seed: int, workers: int) -> int:
+    counts: Counter[tuple[str, str, str]] = Counter()
+    failed = 0
+    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:  # of methods not covered
+        outcomes = pool.imap(partial(one, seed), range(cases), chunksize=20)
+        for case, (bad, lines) in enumerate(outcomes):
+            counts.update(lines)
+            failed += bool(bad)
+            for complaint in bad:
+                print(f"case {case} (seed {seed}): {complaint}", flush=True)
+    failed += table(counts)
+    print(f"{cases} cases, {failed} claims failed")
+    return int(failed > 0)
+
+
+def table(counts: Counter[tuple[str, str, str]]) -> int:
+    """Print what was told where, and return how many shares are below what is claimed."""
+    low = 0
+    print(f"{'kind':<18}{'margin':<22}{'cases':>6}  told")
+    for kind, where in sorted({key[:2] for key in counts}):
+        told = Counter({key[2]: count for key, count in counts.items() if key[:2] == (kind, where)})
+        total = told.total()
+        print(f"{kind:<18}{where:<22}{total:>6}  {', '.join(f'{name} {count}' for name, count in told.most_common())}")
+    for kind in sorted({key[0] for key in counts}):
+        wanted = {"≥ refuted": ("INFEASIBLE", "NO_SOLUTION", "infeasible")}
+        if kind == "program":
+            wanted["≤ tolerance/100 solved"] = ("optimal",)
+        for what, names in wanted.items():
+            where = "≤ tolerance/100" if "solved" in what else "≥"
+            chosen = {key: count for key, count in counts.items() if key[0] == kind and key[1].startswith(where)}
+            right = sum(count for key, count in chosen.items() if key[2] in names)
+            share = right / max(sum(chosen.values()), 1)
+            print(f"{kind}: {what}: {right} of {sum(chosen.values())} ({share:.2%})")
+            low += bool(chosen) and share < CLAIMED
+    return low
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.cases, arguments.seed, arguments.workers))

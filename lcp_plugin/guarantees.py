@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import fields
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -35,8 +35,6 @@ from .certificates.method_3_1 import theorem_4_1
 from .certificates.spectral_radius import nonnegative_radius
 from .certificates.theorems import (
     PAPER,
-    covers_every_h_plus,
-    every_h_plus_theorem,
     positive_definite_theorem,
     theorem_4_2,
     theorem_of,
@@ -95,9 +93,8 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     if not isinstance(problem, LCP):
         raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     policy = policy_for(algorithm, options)
-    if isinstance(policy, Single):
-        return _of_one(problem, policy.algorithm)
-    return _of_auto(problem)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
 
 
 def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
@@ -106,14 +103,12 @@ def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
     It never answers "not covered" where the full one says "guaranteed" by weights v; see
     :func:`convergence_guarantee`.
     """
-    def compute() -> Guarantee | None:
+    with np.errstate(all="ignore"):
         try:
             facts = algorithm.facts(problem)
         except (UnsuitableMatrix, UnsuitableProblem):
             return None
-        return None if facts is None else _quick(problem, facts)
-
-    return _kept(problem, algorithm, "quick", compute)
+        return None if facts is None else _kept(problem, algorithm, "quick", lambda: _quick(problem, facts))
 
 
 def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool, stacklevel: int) -> None:
@@ -128,10 +123,11 @@ def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool
         guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
     if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts:
         return
-    warned: set[str] = problem.shared("warned of", set)
-    if repr(algorithm) in warned:
+    warned: set[Hashable] = problem.shared("warned of", set)
+    key = _identity(algorithm) or (type(algorithm), repr(algorithm))
+    if key in warned:
         return
-    warned.add(repr(algorithm))
+    warned.add(key)
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
         f"{algorithm.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
@@ -156,11 +152,18 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
 
 
 def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
-    """Return what `compute` gives, kept with M where the options are numbers and words."""
-    values = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
-    if not all(value is None or isinstance(value, (str, int, float)) for value in values.values()):
-        return compute()
-    return problem.shared(f"{kind} guarantee of {type(algorithm).__qualname__} {values}", compute)
+    """Return what `compute` gives, kept with M where all that the algorithm holds are numbers and words."""
+    identity = _identity(algorithm)
+    return compute() if identity is None else problem.shared((f"{kind} guarantee", *identity), compute)
+
+
+def _identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
+    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
+    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
+    held |= getattr(algorithm, "__dict__", {})
+    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
+        return None
+    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -186,8 +189,9 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     proof = _best_proof(problem, facts)
     if proof is not None:
         return _guaranteed(problem, facts, proof, paper)
-    if _is_h_plus(problem) and covers_every_h_plus(facts, problem):
-        return Guarantee(GUARANTEED, every_h_plus_theorem(facts), paper=paper)
+    by_blocks = _theorem_by_blocks(problem, facts)
+    if by_blocks is not None:
+        return Guarantee(GUARANTEED, by_blocks, paper=paper)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
         found = _by_theorem_4_1(problem, facts)
         if found is not None:
@@ -230,6 +234,29 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     if found:
         return min(found, key=lambda proof: proof.sortable)
     return _by_better_weights(problem, facts)
+
+
+def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem that covers each strongly connected block, or None where one is not covered.
+
+    The iteration is as reducible as M, so that its spectral radius is the largest of its blocks', whatever couples
+    them; weights of the whole may leave the range of doubles.
+    """
+    from .matrix_classes import analyze
+    from .matrix_classes.equilibration import row_numbers
+
+    report = analyze(problem)
+    if report.is_irreducible or not _is_h_plus(problem):
+        return None
+    M, labels = problem.csr, report.block_labels
+    within = labels[row_numbers(M)] == labels[M.indices]
+    blocks = LCP(sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape), problem.q)
+    splitting = facts.splitting
+    if splitting is not None:
+        splitting = sp.csr_array(splitting.multiply(blocks.csr != 0.0))
+    facts = replace(facts, splitting=splitting)
+    proof = _best_proof(blocks, facts)
+    return None if proof is None else theorem_of(facts, blocks, proof)
 
 
 def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
@@ -317,7 +344,9 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
     from .matrix_classes import analyze
 
-    largest_sum = float(np.add(*unit_triangle_sums(problem)).max(initial=0.0)) * (1.0 + 1e-12)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        sums = np.add(*unit_triangle_sums(problem)) / (problem.diagonal * inverse_residual_scale(problem))
+        largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
     theorem = positive_definite_theorem(facts, largest_sum)
     if theorem is None:
         return None
@@ -342,7 +371,7 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
         return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
     if _is_h_plus(problem):
-        return "M is an H₊-matrix, but with these parameters no theorem here applies"
+        return "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .algorithms import Algorithm
-from .algorithms.base import has_positive_diagonal
+from .algorithms.base import has_positive_diagonal, identity
 from .certificates.contraction import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from .certificates.convergence import (
     CAN_DIVERGE,
@@ -81,7 +81,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     -----
     Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, a
     factorisation where M is symmetric, and dense eigenvalues where n ≤ 100 and nothing covers the iteration. It
-    speaks of exact arithmetic, is independent of q, and holds for boxes and free rows too.
+    speaks of exact arithmetic with step sizes rounded as a run has them; q is any, boxes and free rows are covered.
 
     Examples
     --------
@@ -121,11 +121,9 @@ def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool
         guarantee: Guarantee | None = _of_one(problem, algorithm)
     else:
         guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
-    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts:
-        return
     warned: set[Hashable] = problem.shared("warned of", set)
-    key = _identity(algorithm) or (type(algorithm), repr(algorithm))
-    if key in warned:
+    key = identity(algorithm) or (type(algorithm), repr(algorithm))
+    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts or key in warned:
         return
     warned.add(key)
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
@@ -153,17 +151,8 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
 
 def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
     """Return what `compute` gives, kept with M where all that the algorithm holds are numbers and words."""
-    identity = _identity(algorithm)
-    return compute() if identity is None else problem.shared((f"{kind} guarantee", *identity), compute)
-
-
-def _identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
-    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
-    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
-    held |= getattr(algorithm, "__dict__", {})
-    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
-        return None
-    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
+    key = identity(algorithm)
+    return compute() if key is None else problem.shared((f"{kind} guarantee", *key), compute)
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -239,22 +228,17 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
 def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem that covers each strongly connected block, or None where one is not covered.
 
-    The iteration is as reducible as M, so that its spectral radius is the largest of its blocks', whatever couples
-    them; weights of the whole may leave the range of doubles.
+    The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
     """
     from .matrix_classes import analyze
-    from .matrix_classes.equilibration import row_numbers
+    from .matrix_classes.structure import within_blocks
 
     report = analyze(problem)
     if report.is_irreducible or not _is_h_plus(problem):
         return None
-    M, labels = problem.csr, report.block_labels
-    within = labels[row_numbers(M)] == labels[M.indices]
-    blocks = LCP(sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape), problem.q)
-    splitting = facts.splitting
-    if splitting is not None:
-        splitting = sp.csr_array(splitting.multiply(blocks.csr != 0.0))
-    facts = replace(facts, splitting=splitting)
+    blocks = LCP(within_blocks(problem.csr, report.block_labels), problem.q)
+    if facts.splitting is not None:
+        facts = replace(facts, splitting=within_blocks(facts.splitting, report.block_labels))
     proof = _best_proof(blocks, facts)
     return None if proof is None else theorem_of(facts, blocks, proof)
 

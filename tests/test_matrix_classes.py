@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP
 from lcp_plugin.errors import InvalidOption, InvalidProblem
 from lcp_plugin.matrix_classes import analyze, comparison_certificate, comparison_solve, h_verdict, prove_m_matrix
-from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_positive_semidefinite, symmetric_part
+from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.matrix_classes.factorisation import factor_fits
 from lcp_plugin.matrix_classes.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 
@@ -223,13 +223,16 @@ def test_definite_symmetric_part(n: int) -> None:
 
 
 def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
-    """A singular matrix is never called definite; small ones are settled in rational arithmetic."""
+    """A singular matrix is never called definite, nor semidefinite beyond n = 10: λ_min ≥ −δ is no True."""
     rng = np.random.default_rng(5)
     factor = rng.integers(-4, 5, (30, 20)).astype(float)
     gram = factor @ factor.T
     gram[np.diag_indices(30)] += gram.diagonal() == 0.0
     assert analyze(gram).is_positive_definite is None
-    assert analyze(gram).is_positive_semidefinite is True
+    assert analyze(gram).is_positive_semidefinite is None
+    assert analyze(gram).evidence["is_positive_semidefinite"].startswith("undecided: λ_min ≥ −")
+    gram[3, 3] = np.nextafter(gram[3, 3], 0.0)  # the columns of a Gram matrix are dependent: this one is indefinite
+    assert analyze(gram).is_positive_semidefinite is None
     assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
     assert analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
 
@@ -265,7 +268,7 @@ def test_a_random_graph_is_not_factorised() -> None:
     assert report.is_p_matrix is None
     assert time.process_time() - began < 30.0
     assert analyze(random_graph(20_000, 8, 12.0)).is_h_plus
-    assert is_positive_definite(M) is is_positive_semidefinite(M) is None
+    assert is_positive_definite(M) is is_semidefinite_to_rounding(M) is None
 
 
 def test_grids_are_factorised() -> None:

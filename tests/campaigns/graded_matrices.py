@@ -45,7 +45,7 @@ from lcp_plugin.certificates.convergence import (
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.errors import ConvergenceWarning, LCPError
 from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
-from lcp_plugin.matrix_classes import analyze, h_matrix, p_matrix, report, verdicts
+from lcp_plugin.matrix_classes import analyze, h_matrix, p_matrix, verdicts
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at
 Matrix = list[list[Fraction]]
@@ -72,7 +72,7 @@ def random_exponents(rng: np.random.Generator) -> np.ndarray:
 
 
 def cycles(rng: np.random.Generator) -> np.ndarray:
-    """Return a unit diagonal and cycles of entries of any size whose products are near 1, so that minors are decided."""
+    """Return a unit diagonal and cycles of entries of any size whose products are near 1."""
     n = int(rng.integers(2, 7))
     M = np.eye(n)
     for _ in range(int(rng.integers(1, 4))):
@@ -166,7 +166,7 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 @contextmanager
 def exact_arithmetic(is_allowed: bool) -> Iterator[None]:
     """Take the exact arithmetic for small matrices away where it is not allowed, as if they were larger."""
-    limits = ((h_matrix, "EXACT_SIZE"), (verdicts, "EXACT_SIZE"), (report, "EXACT_SIZE"), (p_matrix, "LARGEST_WORK"))
+    limits = ((h_matrix, "EXACT_SIZE"), (verdicts, "EXACT_SIZE"), (p_matrix, "LARGEST_WORK"))
     before = [getattr(room, name) for room, name in limits]
     for room, name in () if is_allowed else limits:
         setattr(room, name, 0)
@@ -216,7 +216,7 @@ def exact(values: np.ndarray) -> list[Fraction]:
 
 
 def one_pass(facts: IterationFacts, problem: LCP, piece: tuple[bool, ...], backward: bool) -> Matrix | None:
-    """Return T with e⁺ = T e where the rows of the piece follow w and the others z, step sizes as the kernels have them.
+    """Return T with e⁺ = T e where the rows of the piece follow w and the others z; step sizes are those of a run.
 
     None where a step size is no positive double: such an iteration cannot run.
     """
@@ -311,7 +311,8 @@ def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tu
                 found.append(f"{algorithm}: can diverge, but the spectral radius is below 1")
         elif guarantee.rate is not None:
             v, rate = exact(guarantee.v), Fraction(guarantee.rate)
-            if any(sum(abs(entry) * w for entry, w in zip(row, v, strict=True)) > rate * v[i] for i, row in enumerate(T)):
+            grown = [sum(abs(entry) * w for entry, w in zip(row, v, strict=True)) for row in T]
+            if any(g > rate * w for g, w in zip(grown, v, strict=True)):
                 found.append(f"{algorithm}: the rate {guarantee.rate} does not hold on the piece {piece}")
         elif not is_contracting(T):
             found.append(f"{algorithm}: guaranteed by {guarantee.theorem}, but not on the piece {piece}")

@@ -287,7 +287,7 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.
-    rows = np.flatnonzero(abs(twice).sum(axis=1))
+    rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
     if rows.size > LARGEST_ANALYSIS:
         return False
     return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True

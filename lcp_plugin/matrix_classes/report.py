@@ -102,12 +102,17 @@ class MatrixReport:
         ------
         KeyError
             Where no claim has that name; ``list(report.evidence)`` tells the names.
+        MemoryError
+            Where memory ends, also while a library is loaded.
         """
         if name not in self._verdicts:
             if name not in CLAIMS:
                 raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
-            with np.errstate(all="ignore"):  # what overflows fails its check
-                self._verdicts[name] = CLAIMS[name].decide(self)
+            try:
+                with np.errstate(all="ignore"):  # what overflows fails its check
+                    self._verdicts[name] = CLAIMS[name].decide(self)
+            except ImportError as error:  # a library that is installed, but finds no room
+                raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
         return self._verdicts[name]
 
     @property

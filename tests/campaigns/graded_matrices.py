@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +99,39 @@ def chain(rng: np.random.Generator) -> np.ndarray:
     return M
 
 
+def favoured(rng: np.random.Generator) -> np.ndarray:
+    """Return a unit diagonal and entries of any size, of opposite signs where both m_ij and m_ji are there.
+
+    Pivots grow beyond the range then, and quotients by them underflow before a factor that is as large.
+    """
+    n = int(rng.integers(3, 7))
+    M = np.eye(n)
+    reach = float(rng.choice([100.0, 200.0, 300.0]))
+    for i, j in combinations(range(n), 2):
+        sizes = 10.0 ** np.rint(rng.uniform(-reach, reach, 2)) * (rng.random(2) < rng.choice([0.3, 0.6]))
+        sign = rng.choice([-1.0, 1.0])
+        M[i, j], M[j, i] = sign * sizes[0], -sign * sizes[1]
+    return against(rng, M) if rng.random() < 0.7 else M
+
+
+def against(rng: np.random.Generator, M: np.ndarray) -> np.ndarray:
+    """Return M with a longer cycle whose product, of the other sign, is about that of a pair in it."""
+    rows = rng.permutation(len(M))[: int(rng.integers(3, len(M) + 1))]
+    following = np.roll(rows, -1)
+    reach = float(rng.choice([100.0, 200.0]))
+    sizes = np.rint(rng.uniform(-reach, reach, rows.size))
+    sizes[0] = reach  # and the way back makes the pair
+    back = np.rint(rng.uniform(-reach, reach))
+    sizes[-1] += sizes[0] + back - sizes.sum() + np.rint(rng.uniform(-2.0, 2.0))
+    if abs(sizes[-1]) > 300.0:
+        return M
+    values = 10.0**sizes * rng.choice([-1.0, 1.0], rows.size)
+    values[-1] *= -np.sign(np.prod(np.sign(values))) * (-1.0) ** (rows.size - 1)
+    M[rows, following] = values
+    M[rows[1], rows[0]] = -np.sign(values[0]) * 10.0**back
+    return M
+
+
 def core(rng: np.random.Generator) -> np.ndarray:
     """Return a matrix of small integers that is often singular in some minor."""
     n = int(rng.integers(2, 6))
@@ -155,8 +188,8 @@ def subnormal(rng: np.random.Generator) -> np.ndarray:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
-    "random exponents": random_exponents, "cycles": cycles, "chain": chain, "one ulp": one_ulp, "dominant": dominant,
-    "subnormal": subnormal, "extreme": extreme,
+    "random exponents": random_exponents, "cycles": cycles, "chain": chain, "favoured": favoured, "one ulp": one_ulp,
+    "dominant": dominant, "subnormal": subnormal, "extreme": extreme,
 }
 
 

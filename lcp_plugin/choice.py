@@ -281,16 +281,16 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
         return True
     if bool(has_positive_diagonal(problem).all()) and is_nearly_symmetric(problem):
         return True
-    from .matrix_classes.definiteness import is_positive_semidefinite, symmetric_part
+    from .matrix_classes.definiteness import is_semidefinite_to_rounding, symmetric_part
 
     twice = symmetric_part(problem.M)
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.
-    rows = np.flatnonzero(abs(twice).sum(axis=1))
+    rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
     if rows.size > LARGEST_ANALYSIS:
         return False
-    return not rows.size or is_positive_semidefinite(twice[rows][:, rows]) is True
+    return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import fields
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from .algorithms import Algorithm
-from .algorithms.base import has_positive_diagonal
+from .algorithms.base import has_positive_diagonal, identity
 from .certificates.contraction import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from .certificates.convergence import (
     CAN_DIVERGE,
@@ -35,8 +35,6 @@ from .certificates.method_3_1 import theorem_4_1
 from .certificates.spectral_radius import nonnegative_radius
 from .certificates.theorems import (
     PAPER,
-    covers_every_h_plus,
-    every_h_plus_theorem,
     positive_definite_theorem,
     theorem_4_2,
     theorem_of,
@@ -83,7 +81,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     -----
     Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, a
     factorisation where M is symmetric, and dense eigenvalues where n ≤ 100 and nothing covers the iteration. It
-    speaks of exact arithmetic, is independent of q, and holds for boxes and free rows too.
+    speaks of exact arithmetic with step sizes rounded as a run has them; q is any, boxes and free rows are covered.
 
     Examples
     --------
@@ -95,9 +93,8 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     if not isinstance(problem, LCP):
         raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     policy = policy_for(algorithm, options)
-    if isinstance(policy, Single):
-        return _of_one(problem, policy.algorithm)
-    return _of_auto(problem)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
 
 
 def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
@@ -106,14 +103,12 @@ def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
     It never answers "not covered" where the full one says "guaranteed" by weights v; see
     :func:`convergence_guarantee`.
     """
-    def compute() -> Guarantee | None:
+    with np.errstate(all="ignore"):
         try:
             facts = algorithm.facts(problem)
         except (UnsuitableMatrix, UnsuitableProblem):
             return None
-        return None if facts is None else _quick(problem, facts)
-
-    return _kept(problem, algorithm, "quick", compute)
+        return None if facts is None else _kept(problem, algorithm, "quick", lambda: _quick(problem, facts))
 
 
 def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool, stacklevel: int) -> None:
@@ -126,12 +121,11 @@ def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool
         guarantee: Guarantee | None = _of_one(problem, algorithm)
     else:
         guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
-    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts:
+    warned: set[Hashable] = problem.shared("warned of", set)
+    key = identity(algorithm) or (type(algorithm), repr(algorithm))
+    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts or key in warned:
         return
-    warned: set[str] = problem.shared("warned of", set)
-    if repr(algorithm) in warned:
-        return
-    warned.add(repr(algorithm))
+    warned.add(key)
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
         f"{algorithm.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
@@ -156,11 +150,9 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
 
 
 def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
-    """Return what `compute` gives, kept with M where the options are numbers and words."""
-    values = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
-    if not all(value is None or isinstance(value, (str, int, float)) for value in values.values()):
-        return compute()
-    return problem.shared(f"{kind} guarantee of {type(algorithm).__qualname__} {values}", compute)
+    """Return what `compute` gives, kept with M where all that the algorithm holds are numbers and words."""
+    key = identity(algorithm)
+    return compute() if key is None else problem.shared((f"{kind} guarantee", *key), compute)
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -186,8 +178,9 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     proof = _best_proof(problem, facts)
     if proof is not None:
         return _guaranteed(problem, facts, proof, paper)
-    if _is_h_plus(problem) and covers_every_h_plus(facts, problem):
-        return Guarantee(GUARANTEED, every_h_plus_theorem(facts), paper=paper)
+    by_blocks = _theorem_by_blocks(problem, facts)
+    if by_blocks is not None:
+        return Guarantee(GUARANTEED, by_blocks, paper=paper)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
         found = _by_theorem_4_1(problem, facts)
         if found is not None:
@@ -230,6 +223,24 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     if found:
         return min(found, key=lambda proof: proof.sortable)
     return _by_better_weights(problem, facts)
+
+
+def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem that covers each strongly connected block, or None where one is not covered.
+
+    The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
+    """
+    from .matrix_classes import analyze
+    from .matrix_classes.structure import within_blocks
+
+    report = analyze(problem)
+    if report.is_irreducible or not _is_h_plus(problem):
+        return None
+    blocks = LCP(within_blocks(problem.csr, report.block_labels), problem.q)
+    if facts.splitting is not None:
+        facts = replace(facts, splitting=within_blocks(facts.splitting, report.block_labels))
+    proof = _best_proof(blocks, facts)
+    return None if proof is None else theorem_of(facts, blocks, proof)
 
 
 def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
@@ -317,7 +328,9 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
     from .matrix_classes import analyze
 
-    largest_sum = float(np.add(*unit_triangle_sums(problem)).max(initial=0.0)) * (1.0 + 1e-12)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        sums = np.add(*unit_triangle_sums(problem)) / (problem.diagonal * inverse_residual_scale(problem))
+        largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
     theorem = positive_definite_theorem(facts, largest_sum)
     if theorem is None:
         return None
@@ -342,7 +355,7 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
         return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
     if _is_h_plus(problem):
-        return "M is an H₊-matrix, but with these parameters no theorem here applies"
+        return "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"

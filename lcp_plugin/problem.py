@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cached_property
 from os import PathLike
 from typing import Any, TypeVar
@@ -170,12 +170,12 @@ class LCP:
         )
         return other
 
-    def shared(self, key: str, compute: Callable[[], T]) -> T:
+    def shared(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Return what `compute` gives, kept under `key` and shared by all problems with this M.
 
         Parameters
         ----------
-        key : str
+        key : hashable
             One name for one thing that depends on M alone.
         compute : callable
             Without arguments; called where nothing is kept under the key yet.
@@ -297,9 +297,9 @@ class _Shared:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._values: dict[str, Any] = {}
+        self._values: dict[Hashable, Any] = {}
 
-    def get(self, key: str, compute: Callable[[], T]) -> T:
+    def get(self, key: Hashable, compute: Callable[[], T]) -> T:
         try:
             value: T = self._values[key]
         except KeyError:

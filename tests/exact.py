@@ -88,7 +88,7 @@ def _guesses(problem: LCP) -> Iterator[States]:
     M, scale = problem.csr.toarray(), problem.residual_scale
     z, seen = np.array(problem.nearest_to_zero), []
     for _ in range(NEWTON_STEPS):
-        target = z - (M @ z + problem.q) / scale
+        target = np.nan_to_num(z - (M @ z + problem.q) / scale)  # finite, so that it is beyond no infinite bound
         states = np.where(target <= problem.lower, LOWER, np.where(target >= problem.upper, UPPER, FREE))
         states[problem.lower == problem.upper] = LOWER
         key = tuple(int(state) for state in states)

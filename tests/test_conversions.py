@@ -18,7 +18,7 @@ from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp, qp_from_lcp
 from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.matrix_classes.definiteness import is_positive_semidefinite, positive_definite_solver
+from lcp_plugin.matrix_classes.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
 SEEDS = range(6)
@@ -332,7 +332,7 @@ def test_definiteness_is_proven(sparse: bool) -> None:
             solver = positive_definite_solver(wrap(P))
             assert (solver is not None) == expected, (n, smallest)
             if n > 1 or smallest:
-                assert is_positive_semidefinite(wrap(P)) == (smallest >= 0.0), (n, smallest)
+                assert is_semidefinite_to_rounding(wrap(P)) == (smallest >= 0.0), (n, smallest)
             if solver is not None:
                 x = rng.normal(size=(n, 2)) / units[:, None]
                 np.testing.assert_allclose(solver(P @ x), x, rtol=1e-9, atol=1e-9 / units.min())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 import re
 from collections import Counter
 from dataclasses import dataclass, fields
@@ -24,12 +25,14 @@ from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.algorithms.splittings.automatic_scaling import automatic_factors
 from lcp_plugin.algorithms.splittings.projected_splitting import NPSplitting
 from lcp_plugin.certificates.contraction import triangle_sums
+from lcp_plugin.certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from lcp_plugin.certificates.method_3_1 import theorem_4_1
 from lcp_plugin.certificates.spectral_radius import nonnegative_radius, radius_above_one
 from lcp_plugin.cli import app
-from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
+from lcp_plugin.errors import ConvergenceWarning, InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
+from lcp_plugin.matrix_classes import analyze
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
@@ -358,6 +361,106 @@ def test_a_guarantee_is_kept_with_the_matrix() -> None:
     algorithm = create("npsor", {})
     assert quick_guarantee(problem, algorithm) is quick_guarantee(problem, algorithm)
     assert quick_guarantee(problem, algorithm).rate == found.rate
+
+
+def test_a_class_of_the_same_name_has_a_guarantee_of_its_own() -> None:
+    """What is kept with M is kept for the class and all it holds, not for its name."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    first, second = named_like_another(0.5), named_like_another(3.0)
+    assert type(first).__qualname__ == type(second).__qualname__
+    for ask in (quick_guarantee, convergence_guarantee):
+        assert ask(problem, first).is_guaranteed
+        assert not getattr(ask(problem, second), "is_guaranteed", False)
+    third = type(first)()
+    object.__setattr__(third, "step", 3.0)  # held, though no field
+    assert not convergence_guarantee(problem, third).is_guaranteed
+    assert convergence_guarantee(pickle.loads(pickle.dumps(problem)), first).is_guaranteed
+
+
+def named_like_another(omega: float) -> Algorithm:
+    @dataclass(frozen=True, kw_only=True)
+    class Richardson(Algorithm):
+        name = "richardson"
+
+        def iterates(self, problem: LCP, z0: Any) -> Any:
+            yield Step(z0)
+
+        def facts(self, problem: LCP) -> IterationFacts:
+            return IterationFacts(
+                family=PROJECTED_RELAXATION, relaxation=getattr(self, "step", omega), acceleration=0.0
+            )
+
+    return Richardson()
+
+
+def test_bounds_are_asked_before_what_is_kept() -> None:
+    """A modulus method guaranteed with M says nothing of a problem with upper bounds, where it cannot run."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    boxed, algorithm = problem.with_q(problem.q, upper=1.0), create("mgs", {})
+    assert quick_guarantee(problem, algorithm).is_guaranteed
+    assert quick_guarantee(boxed, algorithm) is None
+    assert quick_guarantee(boxed.with_q(problem.q, upper=np.inf), algorithm).is_guaranteed
+
+
+# --- At the limit of a theorem -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("M", "name", "options"),
+    [
+        ([[1.0]], "msor", {"relaxation": 1.19, "omega": (1.19 - 1.0) / 1.19}),  # a kept diagonal of 0, but for rounding
+        ([[1.0]], "mj", {"omega": 2.0**60}),  # the pivot αΩ + d rounds to αΩ: a cycle of two
+        ([[3.0, 1.0], [1.0, 3.0]], "psor", {"relaxation": 2.0 - 2.0**-52}),  # ω (1/d) d rounds to 2
+        ([[1.0]], "npaor", {"relaxation": 1e17, "acceleration": 0.0, "scaling": "diagonal", "scaling_factor": 1e20}),
+    ],
+)
+def test_what_rounding_may_undo_is_not_guaranteed(M: Any, name: str, options: dict[str, Any]) -> None:
+    """A margin smaller than the rounding of the step sizes proves nothing of the iteration that runs."""
+    problem = with_matrix(M)
+    guarantee = convergence_guarantee(problem, name, **options)
+    assert guarantee.verdict == "not covered"
+    assert not getattr(quick_guarantee(problem, create(name, options)), "is_guaranteed", False)
+
+
+def test_the_example_at_the_limit_does_not_converge() -> None:
+    """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not arrive."""
+    problem = LCP([[1.0]], [-1.0])
+    with pytest.warns(ConvergenceWarning):
+        result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
+    assert not result.is_solved
+
+
+def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
+    """In an SPD matrix of graded units ω = 0.9 is too much though each row is small beside its largest entry."""
+    unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
+    M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
+    M = np.tril(M) + np.tril(M, -1).T
+    assert analyze(M).is_positive_definite
+    assert convergence_guarantee(with_matrix(M), "paor", relaxation=0.9, acceleration=0.0).verdict == "can diverge"
+    assert convergence_guarantee(with_matrix(M), "pgs").is_guaranteed
+
+
+def test_blocks_whose_coupling_leaves_the_range_are_covered_one_by_one() -> None:
+    """A reducible H₊-matrix without a v in doubles is covered by the theorem on its diagonal blocks, without a rate."""
+    pair = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    M = np.kron(np.eye(8), pair)
+    for k in range(7):
+        M[2 * k + 2, 2 * k] = -1e60
+    M = np.tril(M, -2) * 1e30 + np.triu(M, -1)
+    assert analyze(M).is_h_plus
+    assert analyze(M).v is None
+    for name in ("npsor", "pgs", "mgs", "npsplitting"):
+        guarantee = convergence_guarantee(with_matrix(M), name)
+        assert guarantee.is_guaranteed
+        assert guarantee.rate is None
+    assert not convergence_guarantee(with_matrix(M), "paor", relaxation=1.5, acceleration=1.5).is_guaranteed
+
+
+def test_rounding_of_the_iteration_matrix_is_counted_where_it_cancels() -> None:
+    """N = P − 2αM may be 0 but for the rounding of its parts: a radius is bounded with that, not with N's own size."""
+    P, N = np.diag([1.0, 1.0]), np.array([[0.0, 1.0 + 1e-9], [1.0, 0.0]])
+    assert radius_above_one(P, N) is not None
+    assert radius_above_one(P, N, 1e9 * np.ones((2, 2))) is None
 
 
 def test_an_empty_problem_is_guaranteed() -> None:

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import time
+from collections import Counter
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns.graded_matrices import run_case
 
-from lcp_plugin import LCP
-from lcp_plugin.errors import InvalidOption, InvalidProblem
-from lcp_plugin.matrix_classes import analyze, comparison_certificate, comparison_solve, h_verdict, prove_m_matrix
-from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_positive_semidefinite, symmetric_part
+from lcp_plugin import LCP, Certificate, error_bound
+from lcp_plugin.algorithms.active_sets.active_set import is_nearly_symmetric
+from lcp_plugin.choice import _seems_monotone
+from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from lcp_plugin.guarantees import convergence_guarantee
+from lcp_plugin.matrix_classes import (
+    analyze,
+    comparison_certificate,
+    comparison_solve,
+    h_verdict,
+    p_matrix,
+    prove_m_matrix,
+)
+from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.matrix_classes.factorisation import factor_fits
 from lcp_plugin.matrix_classes.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 
@@ -223,13 +236,16 @@ def test_definite_symmetric_part(n: int) -> None:
 
 
 def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
-    """A singular matrix is never called definite; small ones are settled in rational arithmetic."""
+    """A singular matrix is never called definite, nor semidefinite beyond n = 10: λ_min ≥ −δ is no True."""
     rng = np.random.default_rng(5)
     factor = rng.integers(-4, 5, (30, 20)).astype(float)
     gram = factor @ factor.T
     gram[np.diag_indices(30)] += gram.diagonal() == 0.0
     assert analyze(gram).is_positive_definite is None
-    assert analyze(gram).is_positive_semidefinite is True
+    assert analyze(gram).is_positive_semidefinite is None
+    assert analyze(gram).evidence["is_positive_semidefinite"].startswith("undecided: λ_min ≥ −")
+    gram[3, 3] = np.nextafter(gram[3, 3], 0.0)  # the columns of a Gram matrix are dependent: this one is indefinite
+    assert analyze(gram).is_positive_semidefinite is None
     assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
     assert analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
 
@@ -265,7 +281,7 @@ def test_a_random_graph_is_not_factorised() -> None:
     assert report.is_p_matrix is None
     assert time.process_time() - began < 30.0
     assert analyze(random_graph(20_000, 8, 12.0)).is_h_plus
-    assert is_positive_definite(M) is is_positive_semidefinite(M) is None
+    assert is_positive_definite(M) is is_semidefinite_to_rounding(M) is None
 
 
 def test_grids_are_factorised() -> None:
@@ -337,6 +353,28 @@ def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite:
     report = analyze(M)
     assert report.is_positive_semidefinite is is_semidefinite
     assert report.semidefinite_delta == (0.0 if is_semidefinite else None)
+
+
+# Rational arithmetic says of their principal minors: that of rows 0 to 3 is negative; all are at least 1.
+NEGATIVE_MINOR = [
+    [1, 1e137, 0, 1e132, -1e-240], [-1e92, 1, 0, 0, -1e-211], [0, 1e-95, 1, 0, 1e36], [0, 0, -1e101, 1, 0],
+    [0, 0, 0, 1e-257, 1],
+]
+MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e201, 0, 1]]
+
+
+@pytest.mark.parametrize("without_integers", [False, True])
+@pytest.mark.parametrize(("M", "is_p"), [(NEGATIVE_MINOR, False), (MINORS_OF_ONE, True)])
+def test_p_at_the_ends_of_the_range(
+    M: list[list[float]], is_p: bool, without_integers: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pivot that overflows to −∞ with an infinite margin proves nothing, neither that M is P nor that it is not."""
+    if without_integers:
+        monkeypatch.setattr(p_matrix, "LARGEST_WORK", 0.0)
+    found = analyze(M).is_p_matrix
+    assert found is is_p or (without_integers and found is None)
+    lemke = convergence_guarantee(LCP(M, -np.ones(len(M))), "lemke")
+    assert lemke.is_guaranteed == (found is True)
 
 
 def test_certificate_is_shared() -> None:
@@ -444,3 +482,67 @@ def test_no_matrix(M: object) -> None:
     """What is no finite square matrix is refused as a problem would refuse it."""
     with pytest.raises(InvalidProblem):
         analyze(M)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
+    """Verdicts, guarantees and bounds on 35 matrices of entries from 1e-300 to 1e300; the campaign judges thousands."""
+    counts: Counter[tuple[str, str]] = Counter()
+    assert [line for k in range(35) for line in run_case(100 + seed, k, counts)] == []
+    assert counts["is_p_matrix", "right"] > 25
+    assert counts["error bound", "finite"] > 20
+    assert counts["guarantee", "judged"] > 0
+
+
+@pytest.mark.parametrize(
+    "M",
+    [
+        [[1e-300, 1e-300, -1e300], [1.7e308, 1e-300, 1e-150], [-1.0, -1.7e308, 1e-300]],
+        [[1.0, 1.0, 1e-300], [1.7e308, 1e300, 1e-300], [1e-300, 0.0, 1e150]],
+        [[1.7e308, -1e300, 1.0], [0.0, 1.0, 1e150], [0.0, -1e150, 1e300]],
+        [[1e300, -1.7e308, 1.7e308], [1e-150, 1.7e308, -1.7e308], [-1.7e308, 0.0, 1e150]],
+        [[1e-300, -1.7e308, 2.0], [-1.0, 1e-300, 1e-300], [1e-150, 1.0, 1e-300]],
+        [[1e150, -1e300, 1e150], [0.0, 1.7e308, -1.7e308], [1e300, -1e300, 0.0]],
+        [[1e300, 1e-300], [0.0, 1e-300]],
+    ],
+)
+def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]]) -> None:
+    """What overflows inside a question about M is nobody's RuntimeWarning (an error here) and no OverflowError."""
+    def problem() -> LCP:
+        return LCP(M, -np.ones(len(M)))
+
+    comparison_certificate(problem())
+    if problem().diagonal.all():
+        comparison_solve(problem(), np.ones(len(M)))
+    assert str(analyze(M))
+    assert analyze(M).semidefinite_delta is None or analyze(M).semidefinite_delta >= 0.0
+    for name in ("npsor", "psor", "msor", "npsplitting", "lemke"):
+        assert convergence_guarantee(problem(), name).verdict
+    with contextlib.suppress(UnsuitableMatrix):
+        assert error_bound(problem(), np.ones(len(M))).infinity >= 0.0
+    assert Certificate.of(problem(), np.ones(len(M))).scale_spread >= 1.0
+    is_nearly_symmetric(problem())
+    _seems_monotone(problem(), None)
+
+
+def test_a_library_without_room_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where memory ends while scipy is being loaded, analyze says MemoryError, not ImportError, and keeps nothing."""
+    def no_room(report: object) -> None:
+        raise ImportError("failed to map segment from shared object")
+
+    report = analyze([[2.0, 1.0], [1.0, 2.0]])
+    with monkeypatch.context() as patched:
+        patched.setattr(type(report).is_symmetric, "decide", no_room)
+        with pytest.raises(MemoryError, match="is_symmetric was to be decided: failed to map"):
+            report.verdict("is_positive_definite")
+    assert report.is_positive_definite is True
+
+
+def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
+    """With more than 10 rows a symmetric part that overflows when it is widened is undecided, not refused."""
+    skew = np.triu(np.random.default_rng(0).uniform(-1.0, 1.0, (12, 12)), 1)
+    M = np.ldexp(np.eye(12) * 15.0 + skew - skew.T, 1019)
+    assert analyze(M).is_positive_definite is True
+    M[0, 1] = M[1, 0] = np.finfo(np.float64).max
+    assert analyze(M).is_positive_definite is None
+    assert "ends of the range" in analyze(M).evidence["is_positive_semidefinite"]

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..problem import LCP, FloatVector
+from ..rounding import TINY
 
 EPSILON = 2.0**-52
 BLOCK = 16_384
@@ -81,6 +82,11 @@ def triangle_sums(problem: LCP, v: FloatVector, part: Any = None) -> tuple[Float
     return lower, upper
 
 
+def underflow(v: FloatVector, terms: int) -> float:
+    """Return what a difference of two triangle sums of v may have lost by underflow, `terms` entries a row."""
+    return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
+
+
 def unit_triangle_sums(problem: LCP) -> tuple[FloatVector, FloatVector]:
     """Return the triangle sums of v = 1, computed once a matrix."""
     return problem.shared("unit_triangle_sums", lambda: triangle_sums(problem, np.ones(problem.n)))
@@ -106,17 +112,23 @@ def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector],
     v : array, shape (n,)
         Positive.
     sums : pair of arrays, shape (n,)
-        |L|v of what is already updated and |U|v of the rest, with `terms` rounded additions at most.
+        Upper bounds of |L|v of what is already updated and |U|v of the rest but for the rounding of `terms`
+        additions; see :func:`underflow`.
+
+    Notes
+    -----
+    free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
+    what rounding may take from it is counted relative to p.
     """
     updated, rest = sums
     slop = (terms + 32) * EPSILON
     smallest = np.full(v.size, np.inf)
     with np.errstate(all="ignore"):  # what overflows proves nothing
-        scale = (bound.pivot * v - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+        size = bound.pivot * v
+        scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
         for case in bound.cases:
-            free = case.free * v
             load = case.lower * updated + case.upper * rest
-            surplus = (free - load) - slop * (np.abs(free) + load) - NEGLIGIBLE
+            surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
             np.minimum(smallest, surplus / scale, out=smallest)
         usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
         smallest = smallest - 4.0 * EPSILON * np.abs(smallest)

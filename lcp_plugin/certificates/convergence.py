@@ -41,6 +41,7 @@ from .contraction import (
     rate_of,
     row_blocks,
     triangle_sums,
+    underflow,
 )
 
 ALL = slice(None)
@@ -290,9 +291,10 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums 
 
 def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> float:
     smallest, terms = 1.0, longest_row(problem)
+    lost = underflow(v, terms)
     for rows in row_blocks(problem.n):
         bound = row_bound(facts, problem, rows)
-        smallest = min(smallest, float(gaps(bound, v[rows], (sums[0][rows], sums[1][rows]), terms).min()))
+        smallest = min(smallest, float(gaps(bound, v[rows], (sums[0][rows] + lost, sums[1][rows] + lost), terms).min()))
         if not smallest > 0.0:
             break
     return smallest
@@ -304,10 +306,11 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
         return False
     alpha, beta = numbers(facts)
     slop = (longest_row(problem) + 32) * 2.0**-52
+    lost = underflow(v, longest_row(problem))
     for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
         theta, weight = scaled(facts, problem, rows)
         with np.errstate(all="ignore"):
-            load = weight * (sums[0][rows] + sums[1][rows])
+            load = weight * (sums[0][rows] + sums[1][rows] + 2.0 * lost)
             surplus = np.minimum(1.0, theta) * v[rows] - load - slop * (v[rows] + load)
         if not bool(np.all(surplus > 0.0)):
             return False

@@ -49,10 +49,11 @@ def _diverges_for_this_matrix(facts: IterationFacts, problem: LCP) -> str | None
     )
 
 
-def linear_iteration(facts: IterationFacts, problem: LCP) -> tuple[Any, Any]:
+def linear_iteration(facts: IterationFacts, problem: LCP) -> tuple[Any, Any, Any]:
     """Return dense P, N with P e⁺ = N e where no constraint is active; a symmetric sweep has twice the size.
 
-    With two passes the matrix is that of (e, e') ↦ (N_b e', N_f e): its eigenvalues are the square roots.
+    With two passes the matrix is that of (e, e') ↦ (N_b e', N_f e): its eigenvalues are the square roots. The third
+    array holds the sums of the magnitudes of which P and N were made, which their rounding is relative to.
     """
     M = problem.csr.toarray()
     forward = _one_pass(facts, M, np.tril(M, -1))
@@ -61,28 +62,27 @@ def linear_iteration(facts: IterationFacts, problem: LCP) -> tuple[Any, Any]:
     backward = _one_pass(facts, M, np.triu(M, 1))
     if facts.sweep == "backward":
         return backward
-    zero = np.zeros_like(M)
-    P = np.block([[forward[0], zero], [zero, backward[0]]])
-    return P, np.block([[zero, forward[1]], [backward[1], zero]])
+    (P, N, size), (Q, K, other), zero = forward, backward, np.zeros_like(M)
+    both = np.block([[size, size], [other, other]])
+    return np.block([[P, zero], [zero, Q]]), np.block([[zero, N], [K, zero]]), both
 
 
-def _one_pass(facts: IterationFacts, M: Any, updated: Any) -> tuple[Any, Any]:
+def _one_pass(facts: IterationFacts, M: Any, updated: Any) -> tuple[Any, Any, Any]:
     D = np.diag(np.diag(M))
     alpha, beta = numbers(facts)
     if facts.family == PROJECTED_RELAXATION:
-        P, drive = D + beta * updated, alpha * M
+        parts, drive = [D, beta * updated], alpha * M
     elif facts.family == MODULUS:
         omega = D if facts.omega is None else np.diag(facts.omega)
-        P, drive = alpha * omega + D + beta * updated, 2.0 * alpha * M
+        parts, drive = [alpha * omega, D, beta * updated], 2.0 * alpha * M
     else:
         scaling = np.ones((M.shape[0], 1)) if facts.scaling is None else facts.scaling[:, None]
         drive = 2.0 * scaling * M
-        if facts.family == PROJECTED_SPLITTING:
-            inner = facts.splitting.toarray() + D
-        else:
-            inner = D / alpha + D + beta / alpha * updated
-        P = scaling * inner + 2.0 * np.eye(M.shape[0])
-    return P, P - drive
+        is_any = facts.family == PROJECTED_SPLITTING
+        inner = [facts.splitting.toarray()] if is_any else [D / alpha, beta / alpha * updated]
+        parts = [*(scaling * part for part in (D, *inner)), 2.0 * np.eye(M.shape[0])]
+    P = sum(parts)
+    return P, P - drive, sum(np.abs(part) for part in parts) + np.abs(drive)
 
 
 def _rounded_down(value: float) -> str:

@@ -97,9 +97,11 @@ def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[F
     csr = problem.csr
     rows = np.repeat(np.arange(problem.n), np.diff(csr.indptr))
     with np.errstate(all="ignore"):
-        ends = [csr.data * bound[csr.indices] for bound in (lower, upper)]
+        bounds = lower[csr.indices], upper[csr.indices]
+        ends = [csr.data * bound for bound in bounds]
         both = [_row_sums(np.minimum(*ends), rows, problem.n), _row_sums(np.maximum(*ends), rows, problem.n)]
-        sizes = np.maximum(*(np.where(np.isinf(end), 0.0, np.abs(end)) for end in ends))
+        # A product that overflows is no infinite bound: its size is infinite, and nothing is known of its row.
+        sizes = np.maximum(*(np.where(np.isinf(x), 0.0, np.abs(end)) for x, end in zip(bounds, ends, strict=True)))
         size = _row_sums(sizes, rows, problem.n) + np.abs(problem.q)
         terms = np.diff(csr.indptr) + 8
         error = np.where(terms > 8, 2.0 * terms * (MACHINE_EPSILON * size + SMALLEST), 0.0)

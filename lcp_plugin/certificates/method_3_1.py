@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..problem import FloatVector
+from ..rounding import TINY
 
 POWER_STEPS = 60
 Matrix = np.ndarray[Any, np.dtype[np.float64]]
@@ -49,9 +50,9 @@ def theorem_4_1(M: Matrix, splitting: Matrix) -> tuple[float, FloatVector] | Non
         except np.linalg.LinAlgError:
             return None
         sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
-        right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * 2.0**-52 * sizes
+        right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * 2.0**-52 * sizes + 8.0 * TINY
         uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
-        error = np.abs(identity - P @ X) + unit * (uncertain @ np.abs(X) + identity)
+        error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
         spread = float(error.sum(axis=1).max(initial=0.0))
         if not spread < 0.5:
             return None

@@ -192,7 +192,8 @@ class Certificate:
     def scale_spread(self) -> float:
         """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
         scale = self.problem.residual_scale
-        return float(scale.max() / scale.min()) if scale.size else 1.0
+        with np.errstate(over="ignore"):
+            return float(scale.max() / scale.min()) if scale.size else 1.0
 
     @property
     def is_at_rounding_level(self) -> bool:

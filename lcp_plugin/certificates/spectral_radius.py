@@ -17,6 +17,7 @@ POWER_STEPS = 30
 NODA_STEPS = 40
 ENOUGH = 1e-9  # relative width at which nobody asks for better
 FACTOR_LIMIT = 2_000
+UNDERFLOW = 2.0**-1060  # more than what a product of complex numbers loses
 COMPLEX_ROUNDING = 8.0  # a complex product or sum errs at most so many times as much as a real one
 
 
@@ -123,13 +124,15 @@ class _Blocks:
         return max(0.0, float(np.nanmax(lowest))), float(np.max(highest))
 
 
-def radius_above_one(pivot: Any, numerator: Any) -> float | None:
+def radius_above_one(pivot: Any, numerator: Any, magnitude: Any = None) -> float | None:
     """Return a proven lower bound > 1 of the spectral radius of P⁻¹N, or None where none was found.
 
     Parameters
     ----------
     pivot, numerator : arrays, shape (n, n)
-        P and N, dense, each entry right to 8 units in the last place of the sums it came from.
+        P and N, dense.
+    magnitude : array, shape (n, n), optional
+        Each entry of P and N is right to 8 units in the last place of it; |P| + |N| by default.
 
     Notes
     -----
@@ -154,10 +157,11 @@ def radius_above_one(pivot: Any, numerator: Any) -> float | None:
             return None
         unit = COMPLEX_ROUNDING * (n + 16) * 2.0**-52
         Z = P @ X
-        around_z = unit * (np.abs(P) @ np.abs(X))
-        residual = np.abs(N @ X - Z * values) + unit * (np.abs(N) @ np.abs(X) + (np.abs(Z) + around_z) * np.abs(values))
-        residual += around_z * np.abs(values)
-        error = np.abs(np.eye(n) - Y @ Z) + unit * (np.abs(Y) @ np.abs(Z) + np.eye(n)) + np.abs(Y) @ around_z
+        size = np.abs(P) + np.abs(N) if magnitude is None else magnitude
+        around = unit * (size @ np.abs(X)) + n * UNDERFLOW  # of Z and of N X
+        residual = np.abs(N @ X - Z * values) + unit * (np.abs(Z) + around) * np.abs(values)
+        residual += around * (1.0 + np.abs(values))
+        error = np.abs(np.eye(n) - Y @ Z) + unit * (np.abs(Y) @ np.abs(Z) + np.eye(n)) + np.abs(Y) @ around
         spread = float(np.abs(error).sum(axis=1).max())
         if not spread < 0.5:
             return None

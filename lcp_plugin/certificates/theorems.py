@@ -22,7 +22,7 @@ PAPER_TITLE = "More on projected type iteration method and linear complementarit
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
-ULPS = 4.0 * 2.0**-52  # s = 1/d is rounded
+ULPS = 4.0 * 2.0**-52  # s = 1/d is rounded, also where it is subnormal
 
 
 def theorem_of(facts: IterationFacts, problem: LCP, proof: Contraction) -> str:
@@ -48,31 +48,6 @@ def theorem_of(facts: IterationFacts, problem: LCP, proof: Contraction) -> str:
     return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (sharper than Theorem 4.2 of {PAPER}, row by row)"
 
 
-def covers_every_h_plus(facts: IterationFacts, problem: LCP) -> bool:
-    """Return whether the iteration converges for every H₊-matrix, no weights v needed."""
-    alpha, beta = numbers(facts)
-    if facts.family == PROJECTED_RELAXATION:
-        return 0.0 <= beta <= alpha <= 1.0
-    if facts.family == MODULUS:
-        return (
-            facts.omega is not None
-            and 0.0 <= beta <= alpha <= 1.0
-            and bool(np.all(facts.omega >= problem.diagonal))
-        )
-    is_simple = 0.0 <= beta <= alpha if facts.family != PROJECTED_SPLITTING else facts.is_part_of_matrix
-    theta, _ = scaled(facts, problem)
-    return is_simple and bool(np.all(theta <= 1.0 + ULPS))
-
-
-def every_h_plus_theorem(facts: IterationFacts) -> str:
-    """Return the theorem on all H₊-matrices that :func:`covers_every_h_plus` stands for."""
-    if facts.family == PROJECTED_RELAXATION:
-        return f"M is an H₊-matrix and 0 ≤ β ≤ ω ≤ 1 ({CRYER})"
-    if facts.family == MODULUS:
-        return f"M is an H₊-matrix, Ω ≥ D and 0 ≤ β ≤ α ≤ 1 ({BAI})"
-    return f"M is an H₊-matrix, its rows scaled so that SD ≤ I (Theorem 4.2 of {PAPER}, in one form for all D)"
-
-
 def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str | None:
     """Return the theorem that covers the iteration on a symmetric positive definite M, or None.
 
@@ -90,7 +65,7 @@ def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str 
             "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel "
             f"does, and M is symmetric positive definite ({CRYER})"
         )
-    if omega == beta and 0.0 < omega < 2.0:
+    if omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
         return f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
     if beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:
         return (

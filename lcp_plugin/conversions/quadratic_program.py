@@ -16,7 +16,7 @@ from ..matrix_classes.definiteness import (
     Solver,
     condition_estimate,
     is_diagonal,
-    is_positive_semidefinite,
+    is_semidefinite_to_rounding,
     positive_definite_solver,
 )
 from ..problem import LCP
@@ -171,7 +171,7 @@ class QuadraticProgram:
     @property
     def is_convex(self) -> bool | None:
         """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
-        return is_positive_semidefinite(self.P)
+        return is_semidefinite_to_rounding(self.P)
 
     @cached_property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -343,7 +343,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
             "for that; solve the problem itself"
         )
     twice = M + M.T
-    if is_positive_semidefinite(twice) is not True:
+    if is_semidefinite_to_rounding(twice) is not True:
         raise UnsuitableMatrix(
             "M is not symmetric, and its symmetric part could not be shown to be positive semidefinite: the gap "
             "program would not be convex; solve the problem itself"

@@ -119,6 +119,7 @@ def shared_comparison(problem: LCP) -> ComparisonMatrix:
     return problem.shared("comparison_matrix", lambda: ComparisonMatrix(problem.csr))
 
 
+@np.errstate(all="ignore")  # what overflows is seen by those who verify
 def comparison_solve(
     problem: LCP, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1
 ) -> FloatVector | None:

@@ -63,32 +63,35 @@ def positive_definite_solver(P: Any) -> Solver | None:
         return None
     scale = 1.0 / np.sqrt(diagonal)
     unit = _scaled(P, scale)
-    factor = factorised(unit, 0.0)
+    factor = factorised(unit, 0.0) if _is_finite(unit) else None
     if factor is None or factorised(unit, -_margin(scale.size, factor.terms)) is None:
         return None
     solve = factor.solve
     return lambda rhs: _column_like(scale, rhs) * solve(_column_like(scale, rhs) * rhs)
 
 
-def is_positive_semidefinite(P: Any) -> bool | None:
-    """Return whether P is positive semidefinite to rounding: True, False, or None where n is too large to say.
+def is_semidefinite_to_rounding(P: Any) -> bool | None:
+    """Return whether P has no negative eigenvalue beyond rounding; None where n is too large to say.
 
     Parameters
     ----------
     P : ndarray or CSR array, shape (n, n)
-        Exactly symmetric.
+        Exactly symmetric; each entry may be rounded once.
 
     Notes
     -----
-    True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵² – no factorisation can say more
-    of a singular matrix. False is a proof up to the same rounding. None: δ > 1e-6 (n above some 67 000), or the fill of
-    a factorisation would be too large.
+    True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵²; it may be indefinite by less, and
+    no factorisation can say more of a singular matrix. It is what may be asked of a P that was computed. False is a
+    proof that P is not semidefinite. None: δ > 1e-6 (n above some 67 000), or the fill of a factorisation would be too
+    large.
 
     Examples
     --------
-    >>> is_positive_semidefinite(np.array([[1.0, 1.0], [1.0, 1.0]]))
+    >>> is_semidefinite_to_rounding(np.array([[1.0, 1.0], [1.0, 1.0]]))
     True
-    >>> is_positive_semidefinite(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
+    >>> is_semidefinite_to_rounding(np.array([[1.0, 1.0], [1.0, 1.0 - 1e-15]]))
+    True
+    >>> is_semidefinite_to_rounding(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
     False
     """
     diagonal: FloatVector = np.array(P.diagonal())
@@ -103,9 +106,7 @@ def is_positive_semidefinite(P: Any) -> bool | None:
     if shift > LARGEST_SHIFT or not _can_factorise(P):
         return None
     unit = _scaled(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
-    if not np.isfinite(unit.data if sp.issparse(unit) else unit).all():
-        return None
-    return factorised(unit, shift) is not None
+    return factorised(unit, shift) is not None if _is_finite(unit) else None
 
 
 def is_positive_definite(P: Any) -> bool | None:
@@ -139,7 +140,7 @@ def is_positive_definite(P: Any) -> bool | None:
     if is_diagonal(P):
         return True
     unit = _scaled(P, 1.0 / np.sqrt(diagonal))
-    if not np.isfinite(unit.data if sp.issparse(unit) else unit).all() or not _can_factorise(P):
+    if not _is_finite(unit) or not _can_factorise(P):
         return None
     if positive_definite_solver(P) is not None:
         return True
@@ -166,7 +167,7 @@ def symmetric_part(M: Any) -> Any:
 
 
 def semidefinite_margin(P: Any) -> float:
-    """Return δ of the verdict "λ_min(P) ≥ −δ" that :func:`is_positive_semidefinite` gives, in the unit of P."""
+    """Return δ of "λ_min(P) ≥ −δ", which :func:`is_semidefinite_to_rounding` says, in the unit of P."""
     diagonal: FloatVector = np.array(P.diagonal())
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
 
@@ -210,9 +211,14 @@ def _margin(n: int, terms: int) -> float:
 
 def _scaled(P: Any, scale: FloatVector) -> Any:
     if not sp.issparse(P):
-        return scale[:, None] * P * scale
+        with np.errstate(over="ignore", invalid="ignore"):
+            return scale[:, None] * P * scale
     by_row = sp.diags_array(scale)
     return (by_row @ P @ by_row).tocsc()
+
+
+def _is_finite(matrix: Any) -> bool:
+    return bool(np.isfinite(matrix.data if sp.issparse(matrix) else matrix).all())
 
 
 def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:

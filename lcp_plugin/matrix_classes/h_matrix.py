@@ -163,8 +163,9 @@ def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
     if doubtful.size > EXACT_ROWS:
         return None
     for row in doubtful:
-        margin[row] = _rounded_down(exact_comparison_row(M, v, int(row)))
-        if margin[row] <= 0.0:
+        exact = exact_comparison_row(M, v, int(row))
+        margin[row] = _rounded_down(exact) if exact > 0 else 0.0
+        if not margin[row] > 0.0:
             return None
     return margin
 
@@ -183,6 +184,7 @@ def is_nonpositive(M: Any, y: FloatVector) -> bool:
     return doubtful.size <= EXACT_ROWS and all(exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful)
 
 
+@np.errstate(all="ignore")  # what overflows fails its check
 def decide(M: Any, comparison: Any, *, by_blocks: bool = True) -> HVerdict:
     """Return whether ⟨M⟩ is a nonsingular M-matrix; `comparison` makes its ComparisonMatrix, None: cheap stages only.
 

@@ -1,7 +1,8 @@
 """Are all principal minors positive? A recursion over Schur complements, each with a bound of its rounding errors.
 
 A is a P-matrix exactly if a₁₁ > 0 and both A without its first row and column and the Schur complement of a₁₁ are.
-The recursion goes breadth first: level k holds 2ᵏ matrices of size n − k in one array.
+The recursion goes breadth first: level k holds 2ᵏ matrices of size n − k in one array. Where the bound hides the sign
+of a pivot, what follows from it is decided in integers, as far as that is affordable.
 
 References
 ----------
@@ -16,14 +17,15 @@ from typing import Any
 import numpy as np
 
 from ..problem import FloatVector
-from ..rounding import UNIT
+from ..rounding import TINY, UNIT, lower_end, upper_end
 from .equilibration import row_numbers, scaled, scaling_exponents
-from .exact import EXACT_SIZE, exact_rows, has_positive_minors
+from .exact import Rows, eliminated, exact_rows, has_positive_minors
 
 LARGEST_SIZE = 20
 SCALED_TO_NOTHING = 2.0**-900  # more than what an entry loses that leaves the range when it is scaled
 OUTWARD = 1.0 + 2.0**-48  # more than the rounding of a bound
 EXACT_PAIRS = 2_000
+LARGEST_WORK = 4e12  # of exact arithmetic, in products of bits: some seconds, and enough for any matrix of 10 rows
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -46,11 +48,28 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
     """
     if not (M.diagonal() > 0.0).all():
         return False
-    values, bounds = _equilibrated(M)
-    verdict = _breadth_first(values, bounds)
-    if verdict is None and M.shape[0] <= EXACT_SIZE:
-        return has_positive_minors(exact_rows(M))
-    return verdict
+    undecided = _breadth_first(*_equilibrated(M))
+    if undecided is None:
+        return False
+    return _settled(exact_rows(M), undecided) if undecided else True
+
+
+def _settled(rows: Rows, undecided: list[int]) -> bool | None:
+    """Return whether all minors below the undecided nodes are positive, in integers; None where that costs too much."""
+    n, bits = len(rows), max(entry.bit_length() for row in rows for entry in row)
+    work = 0.0
+    for node in sorted(undecided, reverse=True):  # the deepest first: they are the cheapest
+        level = node.bit_length() - 1
+        work += (n**3 + 4.0 * 2.0 ** (n - level)) * (n * float(bits)) ** 2
+        if work > LARGEST_WORK:
+            return None
+        kept = [i for i in range(n) if i >= level or node >> (level - 1 - i) & 1]
+        matrix, before = [[rows[i][j] for j in kept] for i in kept], 1
+        while len(matrix) > n - level:
+            matrix, before = eliminated(matrix, before), matrix[0][0]
+        if not has_positive_minors(matrix, before):
+            return False
+    return True
 
 
 def nonpositive_pair(M: Any) -> tuple[int, int] | None:
@@ -104,35 +123,40 @@ def _equilibrated(M: Any) -> tuple[FloatArray, FloatArray]:
     return values[None], np.where(lost, SCALED_TO_NOTHING, 0.0)[None]
 
 
-def _breadth_first(values: FloatArray, bounds: FloatArray) -> bool | None:
-    decided = True
+def _breadth_first(values: FloatArray, bounds: FloatArray) -> list[int] | None:
+    """Return the nodes whose pivot has no proven sign, or None where a pivot is proven not to be positive.
+
+    A node is a 1 and a digit for each row before its own: 1 where that row is eliminated, 0 where it is left out.
+    """
+    nodes, undecided = np.ones(1, dtype=np.int64), []
     with np.errstate(all="ignore"):
         while values.shape[1]:
             pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]
-            # A nonpositive pivot is a nonpositive principal minor if all pivots before it are surely positive.
-            if (pivot <= -uncertainty * OUTWARD).any():
-                return False
-            sure = pivot > uncertainty * OUTWARD
-            if not sure.all():
-                decided = False
-                values, bounds, pivot = values[sure], bounds[sure], pivot[sure]
-            rest, rest_bounds = values[:, 1:, 1:], bounds[:, 1:, 1:]
+            # A nonpositive pivot is a nonpositive principal minor: all pivots before it are surely positive.
+            if (upper_end(pivot, uncertainty) <= 0.0).any():
+                return None
+            sure = lower_end(pivot, uncertainty) > 0.0
+            undecided += nodes[~sure].tolist()
+            values, bounds, nodes = values[sure], bounds[sure], nodes[sure]
             complement, complement_bounds = _schur(values, bounds)
-            values = np.concatenate([rest, complement])
-            bounds = np.concatenate([rest_bounds, complement_bounds])
-    return True if decided else None
+            values = np.concatenate([values[:, 1:, 1:], complement])
+            bounds = np.concatenate([bounds[:, 1:, 1:], complement_bounds])
+            nodes = np.concatenate([2 * nodes, 2 * nodes + 1])
+    return undecided
 
 
 def _schur(values: FloatArray, bounds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the Schur complements of the first pivots and entrywise bounds of their errors."""
+    """Return the Schur complements of the first pivots and entrywise bounds of their errors, underflow included."""
     pivot, pivot_bound = values[:, :1, :1], bounds[:, :1, :1]
     column, column_bound = values[:, 1:, :1], bounds[:, 1:, :1]
     row, row_bound = values[:, :1, 1:], bounds[:, :1, 1:]
     product = (column / pivot) * row
     result = values[:, 1:, 1:] - product
-    size = np.abs(product)
+    lost = TINY * (np.abs(row) + 1.0)  # a quotient that underflows may meet a large factor
+    size = np.abs(product) + lost
     inherited = (
         np.abs(column) * row_bound + column_bound * (np.abs(row) + row_bound) + size * pivot_bound * OUTWARD
+        + 4.0 * TINY
     ) / (pivot - pivot_bound)
-    error = bounds[:, 1:, 1:] + inherited * OUTWARD + (4.0 * size + 2.0 * np.abs(result)) * UNIT + SCALED_TO_NOTHING
+    error = bounds[:, 1:, 1:] + inherited * OUTWARD + (4.0 * size + 2.0 * np.abs(result)) * UNIT + lost + 8.0 * TINY
     return result, error * OUTWARD

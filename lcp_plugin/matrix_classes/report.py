@@ -13,8 +13,7 @@ import numpy as np
 from ..checks import read_only
 from ..problem import LCP, FloatVector
 from . import verdicts
-from .definiteness import semidefinite_margin, symmetric_part
-from .exact import EXACT_SIZE
+from .definiteness import symmetric_part
 from .factorisation import factor_fits
 from .h_matrix import HVerdict, h_verdict
 from .structure import IntVector, components, row_excess_signs, scale_spread, strong_blocks, triangular_form
@@ -103,12 +102,17 @@ class MatrixReport:
         ------
         KeyError
             Where no claim has that name; ``list(report.evidence)`` tells the names.
+        MemoryError
+            Where memory ends, also while a library is loaded.
         """
         if name not in self._verdicts:
             if name not in CLAIMS:
                 raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
-            with np.errstate(all="ignore"):  # what overflows fails its check
-                self._verdicts[name] = CLAIMS[name].decide(self)
+            try:
+                with np.errstate(all="ignore"):  # what overflows fails its check
+                    self._verdicts[name] = CLAIMS[name].decide(self)
+            except ImportError as error:  # a library that is installed, but finds no room
+                raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
         return self._verdicts[name]
 
     @property
@@ -213,11 +217,11 @@ class MatrixReport:
 
     @property
     def semidefinite_delta(self) -> float | None:
-        """δ ≥ 0 of a positive verdict "λ_min ≥ −δ", in the unit of M; None where the verdict is not positive."""
-        if not self.is_positive_semidefinite:
-            return None
-        is_exact = self.is_positive_definite or (self.is_symmetric and (self.row_excess_signs >= 0).all())
-        return 0.0 if is_exact or self.n <= EXACT_SIZE else semidefinite_margin(self.symmetric_part)
+        """δ ≥ 0 of what is known of `is_positive_semidefinite`, λ_min ≥ −δ in the unit of M; None: no such δ is known.
+
+        0 where the verdict is True; positive where it is undecided because an eigenvalue vanishes up to rounding.
+        """
+        return self.verdict("is_positive_semidefinite").delta
 
     def to_content(self) -> dict[str, Any]:
         """Return all verdicts and facts as a dict that JSON can hold."""

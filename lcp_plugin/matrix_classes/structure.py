@@ -39,6 +39,12 @@ def block_rows(labels: IntVector, count: int) -> list[IntVector]:
     return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
 
 
+def within_blocks(M: Any, labels: IntVector) -> Any:
+    """Return a CSR array without the entries that couple rows of different blocks."""
+    within = labels[row_numbers(M)] == labels[M.indices]
+    return sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape)
+
+
 def triangular_form(M: Any) -> str | None:
     """Return "diagonal", "lower", "upper", or None."""
     rows = row_numbers(M)

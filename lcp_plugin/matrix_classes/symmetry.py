@@ -52,6 +52,7 @@ def is_symmetric_entrywise(M: Any) -> bool:
     return bool(kernels.is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one
 def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
     """Return whether |m_ij − m_ji| ≤ 1e-13 √(size_i size_j) everywhere.
 
@@ -70,6 +71,7 @@ def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
     return mismatch(M, size, ROUNDED)[1] is None if sp.issparse(M) else _is_symmetric_by_tiles(M, np.sqrt(size))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
 

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..problem import LCP
-from ..rounding import UNIT
-from .definiteness import is_positive_definite, is_positive_semidefinite, semidefinite_margin
+from ..rounding import TINY, UNIT
+from .definiteness import LARGEST_SUMMAND, is_positive_definite, is_semidefinite_to_rounding, semidefinite_margin
 from .equilibration import row_numbers
 from .exact import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from .h_matrix import prove_m_matrix
@@ -27,10 +27,11 @@ UNDECIDED = "undecided: singular up to rounding"
 
 
 class Verdict(NamedTuple):
-    """`value` True, False, or None where it is undecided; `evidence` says why."""
+    """`value` True, False, or None where it is undecided; `evidence` says why; `delta`: see `semidefinite_delta`."""
 
     value: bool | None
     evidence: str
+    delta: float | None = None
 
 
 def symmetric(report: MatrixReport) -> Verdict:
@@ -123,28 +124,30 @@ def positive_definite(report: MatrixReport) -> Verdict:
 
 
 def positive_semidefinite(report: MatrixReport) -> Verdict:
-    """xᵀM x ≥ 0 for every x: exactly up to n = 10, up to the δ in the evidence beyond."""
+    """xᵀM x ≥ 0 for every x: exactly up to n = 10; beyond, a singular M is undecided, with the δ in the evidence."""
     if (report.diagonal < 0.0).any():
         return _nonpositive_diagonal(report) or Verdict(False, "")
     if report.is_symmetric and (report.row_excess_signs >= 0).all():
-        return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly")
+        return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly", 0.0)
     definite = report.verdict("is_positive_definite")
     if definite.value:
-        return Verdict(True, "λ_min > 0: positive definite")
+        return Verdict(True, "λ_min > 0: positive definite", 0.0)
     if not report.can_factorise:
         return Verdict(None, _too_large(report))
     part = report.symmetric_part
-    value = is_positive_semidefinite(part) if _is_well_rounded(report) else None
+    value = is_semidefinite_to_rounding(part) if _is_well_rounded(report) else None
     if value is not False and report.n <= EXACT_SIZE:
-        exact = has_nonnegative_pivots(exact_symmetric_part(report.csr))
-        what = "M" if report.is_symmetric else "the symmetric part of M"
-        return Verdict(exact, f"{'λ_min ≥ 0' if exact else 'λ_min < 0'}: exact elimination of {what}")
+        what = "exact elimination of M" if report.is_symmetric else "exact elimination of the symmetric part of M"
+        if has_nonnegative_pivots(exact_symmetric_part(report.csr)):
+            return Verdict(True, f"λ_min ≥ 0: {what}", 0.0)
+        return Verdict(False, f"λ_min < 0: {what}")
+    if value:
+        delta = semidefinite_margin(part)
+        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said", delta)
     if value is None and not _is_well_rounded(report):
-        return Verdict(None, "undecided: the diagonal is near the smallest doubles")
+        return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
     if value is None:
         return Verdict(None, f"not computed: rounding at n = {report.n} would hide too much")
-    if value:
-        return Verdict(True, f"λ_min ≥ −{semidefinite_margin(part):.3g}, up to which nothing can be said")
     return Verdict(False, "a negative eigenvalue beyond rounding")
 
 
@@ -223,18 +226,20 @@ def _definite_by_comparison(report: MatrixReport) -> Verdict | None:
         return None
     if not _is_well_rounded(report):
         return None
-    # Each entry of the symmetric part was rounded once; the margin must survive that.
+    # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
     part = sp.csr_array(report.sparse_symmetric_part)
-    proof = prove_m_matrix(part.diagonal() * (1.0 - 4.0 * UNIT), part * (1.0 + 4.0 * UNIT), effort="cheap")
-    if proof.is_h and proof.certificate is not None:
-        return Verdict(True, f"the symmetric part is H₊: {proof.evidence}")
+    proof = prove_m_matrix(part.diagonal() * (1.0 - 4.0 * UNIT), part * (1.0 + 4.0 * UNIT), effort="cheap").certificate
+    if proof is not None and bool((proof.margin > 2.0 * TINY * proof.v.sum()).all()):
+        return Verdict(True, "the symmetric part is H₊: ⟨·⟩v > 0 checked, rounding included")
     return None
 
 
 def _is_well_rounded(report: MatrixReport) -> bool:
-    """Return whether the rounding of the symmetric part is small beside the diagonal."""
-    diagonal = report.diagonal[report.diagonal > 0.0]
-    return report.is_symmetric or bool((diagonal >= SMALLEST_DIAGONAL).all())
+    """Return whether the rounding of the symmetric part is small beside the diagonal, and nothing overflows."""
+    if report.is_symmetric:
+        return True
+    diagonal, entries = report.diagonal[report.diagonal > 0.0], report.csr.data
+    return bool((diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND)
 
 
 def _too_large(report: MatrixReport) -> str:

@@ -13,7 +13,7 @@ from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from ..conversions.substitution import Substitution, substitute_definitions
 from ..driver import solve as solve_lcp
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ..matrix_classes.definiteness import EPSILON, is_positive_semidefinite
+from ..matrix_classes.definiteness import EPSILON, is_semidefinite_to_rounding
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample, Status
 
@@ -104,7 +104,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     P = sp.csr_array(program.P)
     shift = n * (n + 4) * EPSILON * float(abs(P).max())
     # A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
-    if is_positive_semidefinite(sp.csr_array(P + shift * sp.eye_array(n))) is False:
+    if is_semidefinite_to_rounding(sp.csr_array(P + shift * sp.eye_array(n))) is False:
         raise UnsupportedModel(
             "this program is not convex: P has a negative eigenvalue, so that stationary points need not be minima; "
             "state the objective as a convex one, or use a solver for nonconvex programs"

@@ -158,7 +158,7 @@ def run_case(rng: np.random.Generator) -> Outcome:
     if guarantee.is_guaranteed and (guarantee.rate is None or guarantee.rate < 0.999) and rng.random() < 0.3:
         found += [] if arrives(problem, algorithm, exact) else ["guaranteed, but the run did not arrive"]
     if guarantee.verdict == "can diverge" and facts is not None:
-        P, N = linear_iteration(facts, problem)
+        P, N, _ = linear_iteration(facts, problem)
         if not max(abs(np.linalg.eigvals(np.linalg.solve(P, N)))) > 1.0 - 1e-9:
             found.append("can diverge, but the spectral radius is below 1")
     quick = quick_guarantee(problem, algorithm)

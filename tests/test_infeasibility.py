@@ -25,7 +25,7 @@ from lcp_plugin.certificates.infeasibility import (
     margin_with_rounding,
     prove_infeasibility,
 )
-from lcp_plugin.certificates.refutation import reference_bound
+from lcp_plugin.certificates.residuals import reference_residual
 from lcp_plugin.search import NoSolution, search
 
 
@@ -373,7 +373,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     kind = rng.integers(0, 4, n)
     lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    exact, bound = infeasible_by_margin.exact_reference(problem), reference_bound(problem)
+    exact, bound = infeasible_by_margin.exact_reference(problem), reference_residual(problem)
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ..problem import LCP, FloatVector
 from .exact import Rational, integer_matrix, slack_bounds
 from .exact_linear import rank_profile, solve_exactly
-from .refutation import reference_bound
+from .residuals import reference_residual
 
 NEGLIGIBLE = 1e-12
 VIOLATED = 1e-6  # of the terms of its row
@@ -86,7 +86,7 @@ class FarkasProgram:
 
     def margin_of(self, optimum: float) -> float:
         """Return the residual in the measure that every z has, as far as an optimum of the program can be trusted."""
-        reference = reference_bound(self.problem) if self.measure == "relative" else 1.0
+        reference = reference_residual(self.problem) if self.measure == "relative" else 1.0
         with np.errstate(all="ignore"):
             margin = float(-optimum * self._costs[3] / np.float64(reference))
         return margin if np.isfinite(margin) else 0.0

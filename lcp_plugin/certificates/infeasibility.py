@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from ..errors import InvalidOption
 from ..problem import LCP, FloatVector
 from .exact import Rational, slack_bounds
-from .refutation import Closing, Refutation, closed_exactly, reference_bound, sum_bound
-from .residuals import MACHINE_EPSILON, SMALLEST
+from .refutation import Closing, Refutation, closed_exactly, sum_bound
+from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
 
 if TYPE_CHECKING:
     from .farkas_program import FarkasAnswer, FarkasProgram
@@ -171,7 +171,7 @@ def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     from .farkas_program import FarkasProgram
 
     # In this unit the optimum is minus the largest relative margin.
-    reference = reference_bound(problem) if measure == "relative" else np.inf
+    reference = reference_residual(problem) if measure == "relative" else np.inf
     unit = reference if 0.0 < reference < np.inf else None
     contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 
 from ..problem import LCP
-from ..rounding import compensated_product, lower_end, upper_end
 from .exact import (
     Rational,
     common_denominator,
@@ -22,7 +21,7 @@ from .exact import (
     power_of_two,
     slack_bounds,
 )
-from .residuals import MACHINE_EPSILON, SMALLEST, scaled_residual
+from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
 
 LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 ROOT_BITS = 160
@@ -129,31 +128,9 @@ class Refutation:
         return min(relative, default=None), min(squared, default=None)
 
 
-@np.errstate(all="ignore")
-def reference_bound(problem: LCP) -> float:
-    """Return an upper bound of ‖r(z°)‖∞ in spite of rounding; ∞ where the numbers overflow.
-
-    Examples
-    --------
-    >>> reference_bound(LCP([[2.0]], [-3.0])) >= 1.5
-    True
-    """
-    z = problem.nearest_to_zero
-    low = high = problem.q
-    if z.any():
-        value, radius = compensated_product(problem.csr, z, problem.q)
-        low, high = lower_end(value, radius), upper_end(value, radius)
-    ends = [np.abs(scaled_residual(problem, z, w)).max(initial=0.0) for w in (low, high)]
-    largest = float(np.max(ends))
-    if not np.isfinite(low).all() or not np.isfinite(high).all() or not math.isfinite(largest):
-        return math.inf
-    # A quotient or a difference of two doubles, rounded once, and perhaps underflowing.
-    return largest * (1.0 + 4.0 * MACHINE_EPSILON) + SMALLEST if largest or problem.q.any() else 0.0
-
-
 def _reference(problem: LCP) -> Fraction:
     """Return an upper bound of ‖r(z°)‖∞; in fractions where it is out of the range of doubles."""
-    bound = reference_bound(problem)
+    bound = reference_residual(problem)
     if SAFE_RANGE[0] < bound < SAFE_RANGE[1]:
         return Fraction(bound)
     z = problem.nearest_to_zero.tolist()

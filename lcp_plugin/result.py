@@ -56,12 +56,13 @@ def status_of(proof: Any) -> Status:
 
 
 class StageRecord(NamedTuple):
-    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M."""
+    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M, what it left open."""
 
     name: str
     because: str
     iterations: int
     work: float
+    remark: str = ""
 
 
 ON_ERROR = {
@@ -166,7 +167,9 @@ class Result:
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        return ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        advice = ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        remarks = [] if self.is_solved else [stage.remark for stage in self.stages if stage.remark]
+        return "; ".join([advice, *remarks])
 
     def require_solved(self) -> Result:
         """Return this result, or raise where it is not solved.

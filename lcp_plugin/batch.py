@@ -75,7 +75,7 @@ def solve_many(
     UnknownAlgorithm, InvalidOption
         What concerns all columns, before the first.
     InvalidProblem
-        Where Q is no collection of vectors.
+        Where Q is no collection of vectors, or none of them has length n: a transposed Q, for one.
     Exception
         What a callback raises, whatever it is, as in :func:`lcp_plugin.solve`.
 
@@ -91,7 +91,7 @@ def solve_many(
     if own is not None:
         options["callback"] = own
     answers: list[Result | LCPError] = []
-    for q in _columns(Q):
+    for q in _columns(Q, problem.n):
         try:
             answer: Result | LCPError = solve(problem.with_q(q), algorithm, **options)
         except (InvalidOption, UnknownAlgorithm):
@@ -106,10 +106,25 @@ def solve_many(
     return answers
 
 
-def _columns(Q: Any) -> list[Any]:
+def _columns(Q: Any, n: int) -> list[Any]:
+    need = f"Q must be an array of shape (n, k), n = {n}, or a list of vectors of length {n}"
     if isinstance(Q, np.ndarray) and Q.ndim == 2:
+        if Q.shape[0] != n:
+            hint = "; its rows are vectors of that length: give Q.T" if Q.shape[1] == n else ""
+            raise InvalidProblem(f"{need}, got an array of shape {Q.shape}{hint}")
         return [np.ascontiguousarray(column) for column in Q.T]
     if isinstance(Q, np.ndarray) or not isinstance(Q, Sequence) or isinstance(Q, str):
         shape = f"an array of shape {Q.shape}" if isinstance(Q, np.ndarray) else type(Q).__name__
-        raise InvalidProblem(f"Q must be an array of shape (n, k) or a list of vectors, got {shape}")
+        raise InvalidProblem(f"{need}, got {shape}")
+    lengths = {_length(q) for q in Q}
+    if Q and n not in lengths:
+        hint = "; they are as many as rows: give the columns" if len(Q) == n else ""
+        found = ", ".join(map(str, sorted(lengths)))
+        raise InvalidProblem(f"{need}, got a list of {len(Q)} with lengths {found}{hint}")
     return list(Q)
+
+
+def _length(q: Any) -> int:
+    if isinstance(q, np.ndarray):
+        return q.size
+    return len(q) if hasattr(q, "__len__") else 1

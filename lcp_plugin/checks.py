@@ -53,7 +53,7 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
         raise InvalidProblem(f"M must be finite, but M[{row}, {column}] = {dense[row, column]}; repair that entry")
     n = dense.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
-        return None, read_only(np.ascontiguousarray(dense))
+        return None, read_only(np.array(dense, order="C"))  # its own: verdicts and bounds outlive a caller's changes
     return frozen(sp.csr_array(dense)), None
 
 
@@ -64,13 +64,11 @@ def _canonical(M: Any) -> sp.csr_array:
         matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
     else:
         _check_before_conversion(M)
-        matrix = sp.csr_array(M)
+        matrix = sp.csr_array(in_doubles(M))
     matrix.check_format(full_check=True)
     if (np.diff(matrix.indptr) < 0).any():
         raise ValueError("index pointer values must form a non-decreasing sequence")
-    if matrix.dtype != np.float64:
-        with np.errstate(over="ignore"):
-            matrix = matrix.astype(np.float64)
+    matrix = in_doubles(matrix)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
         matrix.sum_duplicates()
@@ -84,6 +82,12 @@ def _canonical(M: Any) -> sp.csr_array:
             f"M must be finite, but M[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that entry"
         )
     return frozen(matrix)
+
+
+def in_doubles(M: Any) -> Any:
+    """Return the sparse array in float64, before anything is summed in it: two entries of 100 overflow an int8."""
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+        return M if M.dtype == np.float64 else M.astype(np.float64)
 
 
 def _check_before_conversion(M: Any) -> None:

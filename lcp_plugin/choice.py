@@ -87,6 +87,7 @@ class Stage:
     because: str = ""
     iterations: int = 0
     work: float = 0.0
+    remark: str = ""
     residuals: list[tuple[int, float]] = field(default_factory=list)
 
     def note(self, residual: float) -> None:
@@ -290,7 +291,8 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
     if rows.size > LARGEST_ANALYSIS:
         return False
-    return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
+    with np.errstate(all="ignore"):  # what overflows is not shown to be semidefinite
+        return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

@@ -6,7 +6,6 @@ Where no folder can be written to, numba keeps the result beside the package or 
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +15,9 @@ from typing import Any
 from numba import config, njit, vectorize
 from platformdirs import user_cache_path
 
-_lock = threading.Lock()
+from .locks import Lock
+
+_lock = Lock()
 
 
 def cache_folder() -> Path:
@@ -49,7 +50,7 @@ def _kept(decorate: Callable[[bool], Any]) -> Any:
 @contextmanager
 def _kept_in(folder: Path) -> Iterator[None]:
     """Point numba at the folder while a function is decorated, and no longer: other packages have their own."""
-    with _lock:
+    with _lock.held():
         before = config.CACHE_DIR  # type: ignore[attr-defined]
         config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
         try:

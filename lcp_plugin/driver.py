@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -82,7 +83,8 @@ def solve(
     -------
     Result
         Always, whatever the status, with the best iterate whose residual was measured (in-place methods are
-        measured at intervals and at the end), also after Ctrl-C. ``result.require_solved()`` raises instead.
+        measured at intervals and at the end), also after Ctrl-C; before the first step that is the start.
+        ``result.require_solved()`` raises instead.
 
     Raises
     ------
@@ -108,18 +110,24 @@ def solve(
         policy = policy_for(algorithm, options)
         settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
         start = checked_start(problem, z0)
-        if isinstance(policy, Single):  # before the clock starts: the question below needs compiled code too
-            rehearse(policy.algorithm, problem)
-        run = _Run(problem, policy, settings, callback)
-        if isinstance(policy, Single):
-            warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
+        run: _Run | None = None
         try:
+            if isinstance(policy, Single):  # before the clock starts: the question below needs compiled code too
+                rehearse(policy.algorithm, problem)
+            run = _Run(problem, policy, settings, callback)
+            run.errors.require_rigorous()
+            if isinstance(policy, Single):
+                warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
             result = run.judged(start, run.drive(start))
         except KeyboardInterrupt:
+            run = run or _Run(problem, policy, settings, callback)
             return run.judged(start, Status.INTERRUPTED)
         # What could be learnt from an analysis is not worth more time than the caller allows.
         if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
-            warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
+            try:
+                warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
+            except KeyboardInterrupt:
+                return replace(result, status=Status.INTERRUPTED)
         return result
 
 
@@ -200,6 +208,7 @@ class _Run(Ending):
             self._unmeasured = step.z
             self.work += step.work
             stage.work += step.work
+            stage.remark = step.remark or stage.remark
             # A later stage begins with the iterate that the one before ended with.
             if not is_first_step or len(self.stages) == 1:
                 self.iteration += 1
@@ -352,7 +361,7 @@ class _Run(Ending):
             if cleaned.relative_residual <= certificate.relative_residual < math.inf:
                 certificate = cleaned
         with _Paused(self):
-            bound, no_bound = self.errors.final(certificate.z)
+            bound, no_bound = self.errors.final(certificate.z) if self.stages else (None, "")
         if self.settings.is_on_error:
             is_solved = bound is not None and bound.proves(self.settings.tolerance)
         else:
@@ -367,7 +376,8 @@ class _Run(Ending):
             reason = Status.STALLED
         seconds = time.perf_counter() - self._began - self._stopped
         chain = [stage.algorithm.name for stage in self.stages]
-        name = self.policy.name if self.policy.name == "".join(chain) else f"{self.policy.name}: {', '.join(chain)}"
+        is_one = "".join(chain) in ("", self.policy.name)
+        name = self.policy.name if is_one else f"{self.policy.name}: {', '.join(chain)}"
         return Result(
             z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
             iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
@@ -375,7 +385,8 @@ class _Run(Ending):
             history=tuple(self.history), error_bound=bound, no_error_bound=no_bound,
             infeasibility=self.proof,
             stages=tuple(
-                StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work) for stage in self.stages
+                StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work, stage.remark)
+                for stage in self.stages
             ),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from .errors import UnreadableFile
 
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SIGN_OF_MIRROR = {"symmetric": 1.0, "skew-symmetric": -1.0}
+MOST_UNSEEN = 10_000_000  # rows or columns that a file may announce with less than a byte for each
 
 
 def read_matrix_market(source: Path) -> Any:
@@ -31,6 +33,7 @@ def read_matrix_market(source: Path) -> Any:
             while line.startswith(b"%") or (line and not line.strip()):
                 line = file.readline()
             size = _size(line, 3 if form == "coordinate" else 2)
+            _refuse_what_cannot_follow(size, os.fstat(file.fileno()).st_size)
             body = _numbers(file)
         return _from_entries(size, body, symmetry) if form == "coordinate" else _from_columns(size, body, symmetry)
     except FileNotFoundError as error:
@@ -57,6 +60,12 @@ def _size(line: bytes, count: int) -> list[int]:
     if len(words) != count or not all(word.isdigit() for word in words):
         raise ValueError(f"its size line must hold {count} whole numbers, got {line[:60].decode(errors='replace')!r}")
     return [int(word) for word in words]
+
+
+def _refuse_what_cannot_follow(size: list[int], length: int) -> None:
+    """Raise where a file of that many bytes announces so much that its matrix would fill the memory with zeros."""
+    if max(size) > max(MOST_UNSEEN, length):
+        raise ValueError(f"its size line announces {' '.join(map(str, size))}, and it has {length} bytes")
 
 
 def _numbers(file: Any) -> NDArray[np.float64]:

@@ -175,11 +175,15 @@ class ErrorWatch:
         self.residual_per_error = 1.0
         if settings.is_on_error:
             self.residual_per_error += float(np.add(*unit_triangle_sums(problem)).max(initial=0.0))
+
+    def require_rigorous(self) -> None:
+        """Raise where the run stops on the error and M allows no rigorous bound of it."""
+        n = self.problem.n
         # Nothing has to be measured to know the kind of the bounds to come.
-        if settings.is_on_error and self._bound(np.full(problem.n, np.nan), sharp=False).kind != "rigorous":
+        if self.settings.is_on_error and self._bound(np.full(n, np.nan), sharp=False).kind != "rigorous":
             raise UnsuitableMatrix(
                 'tolerance_on="error" needs a rigorous bound, but M is not proven to be an H₊-matrix, and a proof that '
-                f"its symmetric part is positive definite needs a factorisation that n = {problem.n} makes too large: "
+                f"its symmetric part is positive definite needs a factorisation that n = {n} makes too large: "
                 'there is only an estimate; ask for it by error_bound=True and stop on tolerance_on="residual"'
             )
 

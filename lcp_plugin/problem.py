@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Hashable
 from functools import cached_property
 from os import PathLike
@@ -22,6 +21,7 @@ from .checks import (
     read_only,
     real_vector,
 )
+from .locks import Lock
 
 __all__ = ["LCP", "FloatVector"]
 
@@ -40,9 +40,9 @@ class LCP:
     Parameters
     ----------
     M : array or sparse array, shape (n, n)
-        Real, finite. Integers, booleans and single precision become float64. A canonical CSR array
-        (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as they are
-        while the problem lives; nothing given is ever modified.
+        Real, finite. Integers, booleans and single precision become float64. A dense M is copied. A canonical
+        CSR array of float64 (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as
+        they are while the problem lives, or give ``M.copy()``; nothing given is ever modified.
     q : array, shape (n,)
         Real, finite.
     lower, upper : scalar or array, shape (n,)
@@ -296,14 +296,14 @@ class _Shared:
     """What depends on M alone, computed once, whichever thread asks first."""
 
     def __init__(self) -> None:
-        self._lock = threading.RLock()
+        self._lock = Lock()
         self._values: dict[Hashable, Any] = {}
 
     def get(self, key: Hashable, compute: Callable[[], T]) -> T:
         try:
             value: T = self._values[key]
         except KeyError:
-            with self._lock:
+            with self._lock.held():
                 if key not in self._values:
                     self._values[key] = compute()
                 value = self._values[key]

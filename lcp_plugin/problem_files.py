@@ -54,6 +54,11 @@ def load(path: str | PathLike[str]) -> LCP:
     if not Path(prefix + "q.mtx").exists():
         raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q beside it")
     q = _read_vector(Path(prefix + "q.mtx"))
+    if q.shape != M.shape[:1]:  # before M becomes CSR, which takes memory for every row that it announces
+        raise UnreadableFile(
+            f"{prefix}M.mtx holds a matrix of {M.shape[0]} rows and {prefix}q.mtx an array of shape {q.shape}; "
+            "q must have one number a row"
+        )
     bounds = {}
     for name in ("lower", "upper"):
         if Path(f"{prefix}{name}.mtx").exists():

@@ -62,12 +62,13 @@ def status_of(proof: Any) -> Status:
 
 
 class StageRecord(NamedTuple):
-    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M."""
+    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M, what it left open."""
 
     name: str
     because: str
     iterations: int
     work: float
+    remark: str = ""
 
 
 ON_ERROR = {
@@ -175,7 +176,10 @@ class Result:
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
         advice = ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
-        return advice if self.is_solved or self.is_refuted else "; ".join([*self._small_contradiction(), advice])
+        if self.is_solved or self.is_refuted:
+            return advice
+        remarks = [stage.remark for stage in self.stages if stage.remark]
+        return "; ".join([*self._small_contradiction(), advice, *remarks])
 
     @property
     def is_refuted(self) -> bool:

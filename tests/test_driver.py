@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import signal
 import threading
 import warnings
@@ -322,6 +323,56 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert result.status is Status.INTERRUPTED
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "npsor", "lemke"])
+@pytest.mark.parametrize(
+    ("place", "options"),
+    [
+        ("driver.rehearse", {}),
+        ("driver._Run.__init__", {}),
+        ("driver.reference_residual", {}),
+        ("driver.warn_where_uncovered", {}),
+        ("pacing.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("choice.Auto.first", {}),
+        ("choice.Single.first", {}),
+    ],
+)
+def test_ctrl_c_during_the_set_up_returns_the_projected_start(
+    algorithm: str, place: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGINT before the first step, wherever it hits, gives INTERRUPTED with the start, and the next run is whole."""
+    path, _, name = f"lcp_plugin.{place}".rpartition(".")
+    owner, hits = pkgutil.resolve_name(path), []
+    original = getattr(owner, name)
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        if not hits:
+            hits.append(place)
+            signal.raise_signal(signal.SIGINT)
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    result = solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
+    if not hits:  # not every set-up passes everywhere
+        assert place in ("driver.warn_where_uncovered", "choice.Auto.first", "choice.Single.first")
+        return
+    assert result.status is Status.INTERRUPTED
+    assert result.z.tolist() == [0.0, 7.0]
+    assert result.iterations == 0
+    assert algorithm in result.algorithm
+    assert "INTERRUPTED" in result.explain()
+    assert solve(TWO, algorithm, **options).is_solved
+
+
+def test_ctrl_c_during_the_analysis_after_a_failure_keeps_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGINT while the reason of a failure is looked for gives the result that there is."""
+    monkeypatch.setattr("lcp_plugin.guarantees._of_one", lambda *_: signal.raise_signal(signal.SIGINT))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # that before the run
+        result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), "psor", max_iterations=30, z0=[1.0, 1.0])
+    assert result.status is Status.INTERRUPTED
+    assert result.iterations > 0
 
 
 def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:

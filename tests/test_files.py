@@ -604,6 +604,34 @@ def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_pat
     assert not re.search("unpack|codec|NoneType|index out of|invalid literal|object", str(caught.value))
 
 
+ENORMOUS = {
+    "rows of M": {"M": COORDINATES + "300000000 300000000 0\n"},
+    "rows of q": {"q": COORDINATES + "300000000 1 0\n"},
+    "rows of both": {"M": COORDINATES + "300000000 300000000 0\n", "q": COORDINATES + "300000000 1 0\n"},
+    "rows that q lacks": {"M": COORDINATES + "9999999 9999999 0\n"},
+    "rows of a bound": {"lower": COORDINATES + "1 300000000 0\n"},
+}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage")
+@pytest.mark.parametrize("what", ENORMOUS)
+def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:
+    """A file of a few bytes that announces 3e8 rows is refused before memory is taken for them."""
+    PROBLEM.save(tmp_path)
+    for name, content in ENORMOUS[what].items():
+        (tmp_path / f"{name}.mtx").write_text(content)
+    code = (
+        "import resource, sys\nfrom lcp_plugin import LCP, UnreadableFile\n"
+        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\nbefore = peak()\n"
+        "try:\n    LCP.load(sys.argv[1])\nexcept UnreadableFile as error:\n"
+        "    print((peak() - before) // 1024, error)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    megabytes, message = ran.stdout.split(" ", 1)
+    assert int(megabytes) < 50
+    assert ".mtx" in message
+
+
 # --- failing writes ----------------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate
+from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.algorithms.base import Step
 from lcp_plugin.algorithms.pivots.canonical_box import canonical_box, equilibrated
 from lcp_plugin.algorithms.pivots.covering_vectors import bimatrix_players, starts
@@ -361,3 +361,28 @@ def test_canonical_problem_is_the_problem(n: int, seed: int) -> None:
     inner = LCP(box.M, box.q, upper=box.upper) if box.q.size else None
     z = box.recover(best(inner).z if inner is not None else np.zeros(0))
     assert Certificate.of(problem, np.clip(z, lower, upper)).scaled_residual <= 1e-9
+
+
+EXTREME = {
+    "q beyond its row": ([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0]),
+    "q beyond, and no matter": ([[1e-145, 0.0], [0.0, 1.0]], [1e278, -1.0]),
+    "a product that overflows": ([[1e-200, 1e200], [1e200, 1e-200]], [-1e300, 1e-300]),
+    "subnormal": ([[5e-324, 0.0], [1.0, 5e-324]], [-1.0, -1e-310]),
+    "a solution of 1e600": ([[1e-300, 0.0], [0.0, 1.0]], [-1e300, -1.0]),
+}
+
+
+@pytest.mark.parametrize("name", EXTREME)
+def test_numbers_at_the_edge_raise_nothing(name: str) -> None:
+    """Data whose scaled tableau leaves the range of doubles end a run in words, with a finite z."""
+    problem = LCP(*EXTREME[name])
+    result = solve(problem, "lemke")
+    assert np.isfinite(result.z).all()
+    assert result.status in (Status.SOLVED, Status.STALLED, Status.PRECISION_LIMIT)
+
+
+def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
+    """A row far from being active whose q overflows in the scale of the row leaves the others solvable."""
+    result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
+    assert result.status is Status.SOLVED
+    assert result.z.tolist() == [0.0, 1.0]

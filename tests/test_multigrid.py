@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -325,8 +326,29 @@ def test_solve_many_takes_an_array_by_columns() -> None:
 @pytest.mark.parametrize("Q", [np.zeros(3), np.zeros((3, 2, 1)), 7.0, "text", {1: 2}])
 def test_solve_many_refuses_what_is_no_collection(Q: object) -> None:
     """One vector, a number or a text is refused as a whole."""
-    with pytest.raises(InvalidProblem, match=r"Q must be an array of shape \(n, k\) or a list of vectors, got"):
+    with pytest.raises(InvalidProblem, match=r"shape \(n, k\), n = 3, or a list of vectors of length 3, got"):
         solve_many(LCP(np.eye(3), np.zeros(3)), Q)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("Q", "words"),
+    [
+        (np.ones((25, 3)), r"got an array of shape \(25, 3\); its rows are vectors of that length: give Q\.T"),
+        (np.ones((4, 5)), r"n = 3, or a list .* of length 3, got an array of shape \(4, 5\)$"),
+        (list(np.ones((3, 25))), r"got a list of 3 with lengths 25; they are as many as rows: give the columns"),
+        ([[1.0, 2.0], np.ones(4)], r"got a list of 2 with lengths 2, 4$"),
+    ],
+)
+def test_solve_many_says_where_no_column_fits(Q: Any, words: str) -> None:
+    """A transposed Q, or one of another problem, is refused once and in words, not with an error a column."""
+    with pytest.raises(InvalidProblem, match=words):
+        solve_many(LCP(np.eye(3), np.zeros(3)), Q)
+
+
+def test_solve_many_keeps_the_error_of_one_column_in_its_place() -> None:
+    """A vector of another length, or with NaN, does not stop the rest."""
+    answers = solve_many(LCP(np.eye(3), np.zeros(3)), [-np.ones(3), np.ones(2), np.full(3, np.nan)])
+    assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "InvalidProblem"]
 
 
 def test_solve_many_raises_what_concerns_all_columns() -> None:

@@ -20,6 +20,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, checks, solve
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram
 
 A = np.array([[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]])
 Q = np.array([-1.0, 2.0, -3.0, 4.0])
@@ -210,13 +211,33 @@ def test_canonical_csr_is_not_copied() -> None:
     assert_read_only(p.csr.data, p.csr.indices, p.csr.indptr)
 
 
-def test_dense_doubles_are_not_copied() -> None:
-    """A C-ordered dense matrix of doubles is used in place through a read-only view."""
-    M = A.copy()
-    p = LCP(M, Q)
-    assert np.shares_memory(p.M, M)
-    assert M.flags.writeable
+def test_dense_matrices_are_copies_of_their_own() -> None:
+    """What the owner of a dense M writes into it later reaches neither the problem nor what was proved about it."""
+    M = np.array([[4.0, -1.0], [-1.0, 4.0]])
+    p = LCP(M, [-3.0, 5.0])
+    result = solve(p, error_bound=True)
+    M[0, 1] = M[1, 0] = 40.0
+    assert not np.shares_memory(p.M, M)
+    assert p.M[0, 1] == p.csr[0, 1] == -1.0
     assert_read_only(p.M)
+    again = solve(p, error_bound=True)
+    assert again.z.tobytes() == result.z.tobytes()
+    assert M.flags.writeable
+    assert M[0, 1] == 40.0
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "coo", "bsr"])
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, bool, np.int16, np.float32, np.float64])
+def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
+    """Entries given twice add up in double precision, however narrow the type they come in: 100 + 100 is 200."""
+    value, once = (1, 1.0) if kind is bool else (100, 100.0)
+    M = sp.coo_array((np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2))
+    if form != "coo":  # scipy would add them up on the way
+        data, indices, pointer = np.array([value] * 3, dtype=kind), np.array([0, 0, 1]), np.array([0, 2, 3])
+        kinds = {"csr": sp.csr_array, "csc": sp.csc_array, "bsr": sp.bsr_array}
+        M = kinds[form]((data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2))
+    assert LCP(M, [0.0, 0.0]).csr.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
+    assert QuadraticProgram(M, [0.0, 0.0]).P.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
 
 
 def test_vectors_are_copies_of_their_own() -> None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 
 import numpy as np
 import pytest
 from campaigns.search import Enumeration, random_problem, violations
 
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, UnsuitableProblem
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
 from lcp_plugin.certificates.exact import is_exact_solution
 from lcp_plugin.certificates.no_solution import Case, NoSolution
 from lcp_plugin.certificates.refutation import row_choices
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.search import Found, GaveUp, all_solutions, explore, search
+from lcp_plugin.search import Effort, Found, GaveUp, all_solutions, explore, search
+from lcp_plugin.search.exact_simplex import QUANTUM
 
 
 @pytest.mark.parametrize("block", range(8))
@@ -159,7 +161,7 @@ def test_limits_end_the_search_honestly() -> None:
 
 def test_the_search_can_be_stopped_between_cases() -> None:
     """`explore` gives the clock back after each case and the outcome last."""
-    steps = list(explore(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])))
+    steps = list(explore(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), Effort()))
     assert steps[:-1] == [None] * (len(steps) - 1)
     assert isinstance(steps[-1], Found)
 
@@ -171,3 +173,63 @@ def test_the_search_can_be_stopped_between_cases() -> None:
 def test_every_row_has_its_choices(bounds: tuple[float, float], choices: int) -> None:
     """One-sided rows have two choices, boxes three, free and fixed rows one."""
     assert len(row_choices(*bounds)) == choices
+
+
+BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)
+
+
+def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
+    """Where z leaves the range of doubles, the fractions hold it and the rounded z is refused in words."""
+    (solution,) = all_solutions(BEYOND_DOUBLES)
+    assert is_exact_solution(BEYOND_DOUBLES, solution.exact_z)
+    assert solution.exact_z == (1, Fraction(1e278) / Fraction(1e-145))
+    with pytest.raises(UnsuitableProblem, match=r"z\[1\] of the exact solution is about 2\^140[56], .* exact_z"):
+        solution.z  # noqa: B018
+    assert solution.w.tolist() == [0.0, 0.0]
+
+
+def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
+    """A run whose search finds a solution that no doubles can hold ends STALLED and says so."""
+    result = solve(BEYOND_DOUBLES)
+    assert result.status is Status.STALLED
+    assert np.isfinite(result.z).all()
+    assert "a search of all cases found a solution, but z[1] of the exact solution" in result.advice
+
+
+def busy(seed: int) -> LCP:
+    """17 free rows of 36 or so: a tableau of long numbers."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(35, 38))
+    M, q, lower = rng.standard_normal((n, n)), rng.standard_normal(n), np.zeros(n)
+    lower[rng.permutation(n)[:17]] = -np.inf
+    return LCP(M, q, lower=lower)
+
+
+def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
+    monkeypatch.setattr("lcp_plugin.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
+    runs = [solve(busy(0)) for _ in range(2)]
+    for result in runs:
+        assert result.status is Status.STALLED
+        assert result.stages[-1].name == "search"
+        assert re.search(r"not decided in \d+ cases of an exact search; all_solutions goes on$", result.advice)
+    assert runs[0].stages == runs[1].stages
+
+
+def test_a_search_yields_within_its_cases() -> None:
+    """However long the numbers are, no more than a few quanta of products lie between two yields."""
+    effort, longest, before = Effort(), 0, 0
+    for _ in explore(busy(0), effort):
+        longest, before = max(longest, effort.products - before), effort.products
+        if effort.products > 40 * QUANTUM:
+            break
+    assert effort.products > 40 * QUANTUM > 5 * QUANTUM * effort.cases
+    assert longest < 2 * QUANTUM
+
+
+def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answers are the same, bit for bit, however often the search yields."""
+    problem = LCP(*random_problem(np.random.default_rng([7, 1, 3]), largest=4)[:2])
+    plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
+    monkeypatch.setattr("lcp_plugin.search.exact_simplex.QUANTUM", 1)
+    assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain

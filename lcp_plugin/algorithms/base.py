@@ -39,6 +39,8 @@ class Step:
         The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
     proof : object, optional
         Of `certificates`: that the problem has no solution. The driver verifies it before it believes it.
+    remark : str
+        A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
     """
 
     z: FloatVector
@@ -48,6 +50,7 @@ class Step:
     work: float = 1.0
     is_settling: bool = False
     proof: Any = None
+    remark: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

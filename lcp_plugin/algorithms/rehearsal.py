@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 
 from ..certificates.residuals import Certificate
+from ..locks import Lock
 from ..problem import LCP
 from .base import Algorithm
 
 _rehearsed: set[tuple[type[Algorithm], str]] = set()
-_lock = threading.Lock()
+_lock = Lock()
 
 
 def rehearse(algorithm: Algorithm, problem: LCP) -> None:
@@ -20,7 +19,7 @@ def rehearse(algorithm: Algorithm, problem: LCP) -> None:
     key = (type(algorithm), width)
     if key in _rehearsed:
         return
-    with _lock:
+    with _lock.held():
         tiny = LCP([[1.0]], [-1.0])
         if width != tiny.index_width:
             return  # compiled on first use; such a matrix has two billion entries

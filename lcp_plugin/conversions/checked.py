@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, check_kind, frozen, read_only, real_array
+from ..checks import FloatVector, check_kind, frozen, in_doubles, read_only, real_array
 from ..errors import InvalidProblem
 from ..matrix_classes.symmetry import mismatch
 from ..problem import LCP
@@ -88,7 +88,7 @@ def _sparse_matrix(values: Any, need: str) -> sp.csr_array:
     try:
         if hasattr(values, "check_format"):
             values.check_format(full_check=True)
-        matrix = sp.csr_array(values, dtype=np.float64, copy=True)
+        matrix = sp.csr_array(in_doubles(values), copy=True)
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
     except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together

@@ -5,7 +5,6 @@ Nothing here is rigorous: what is solved is verified by those who ask (:mod:`.h_
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InvalidProblem
+from ..locks import Lock
 from ..problem import LCP, FloatVector
 from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
 from .factorisation import diagonal_pivot_factor, factor_fits
@@ -54,7 +54,7 @@ class ComparisonMatrix:
         comparison = sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
         self.matrix = scaled(comparison, rows, self.exponents)
         self.diagonal: FloatVector = self.matrix.diagonal()
-        self._lock = threading.RLock()
+        self._lock = Lock()
         self._whole: Solver | None = None
         self._hierarchy: Any = None
         self._multigrid_failed = False
@@ -88,7 +88,7 @@ class ComparisonMatrix:
             if x is not None:
                 return x
             self._multigrid_failed = True
-        with self._lock:
+        with self._lock.held():
             if self._whole is None:
                 self._whole = direct_solver(self.matrix)
         return None if self._whole is None else _finite(self._whole(rhs))
@@ -108,7 +108,7 @@ class ComparisonMatrix:
 
     def preconditioner(self) -> Solver:
         """Return one V-cycle of the cached hierarchy of the whole matrix."""
-        with self._lock:
+        with self._lock.held():
             if self._hierarchy is None:
                 self._hierarchy = hierarchy(self.matrix)
         return v_cycle(self._hierarchy)

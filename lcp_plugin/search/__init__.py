@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from itertools import islice
 
 import numpy as np
 
@@ -14,9 +12,10 @@ from ..certificates.exact import exact_slack
 from ..certificates.no_solution import NoSolution
 from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ..problem import LCP, FloatVector
+from .exact_simplex import Effort
 from .explorer import Explorer, Face
 
-__all__ = ["Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
+__all__ = ["Effort", "Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
@@ -30,7 +29,8 @@ class Solution:
     Attributes
     ----------
     z, w : ndarray, shape (n,)
-        Rounded to double precision, each entry by itself.
+        Rounded to double precision, each entry by itself. An entry beyond the largest double has no such rounding:
+        UnsuitableProblem, `exact_z` holds it.
     exact_z, exact_w : tuple of Fraction, shape (n,)
         The solution of the problem that the stored doubles state.
     pattern : tuple of str, shape (n,)
@@ -39,12 +39,20 @@ class Solution:
         Of the face of all solutions with this pattern; 0 is an isolated solution.
     """
 
-    z: FloatVector
-    w: FloatVector = field(repr=False)
-    exact_z: tuple[Fraction, ...] = field(repr=False)
+    exact_z: tuple[Fraction, ...]
     exact_w: tuple[Fraction, ...] = field(repr=False)
     pattern: tuple[str, ...] = field(repr=False)
     dimension: int
+
+    @property
+    def z(self) -> FloatVector:
+        """The solution in doubles, shape (n,)."""
+        return _in_doubles(self.exact_z, "z")
+
+    @property
+    def w(self) -> FloatVector:
+        """Its slack in doubles, shape (n,)."""
+        return _in_doubles(self.exact_w, "w")
 
     @property
     def is_isolated(self) -> bool:
@@ -96,24 +104,29 @@ def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NO
     >>> proof.verify()
     True
     """
-    outcome: Found | NoSolution | None = None
-    for outcome in islice(explore(problem, first_only=first_only), _checked_count("max_nodes", max_nodes) + 1):
+    limit, effort = _checked_count("max_nodes", max_nodes), Effort()
+    for outcome in explore(problem, effort, first_only=first_only):
         if outcome is not None:
             return outcome
-    return GaveUp(max_nodes)
+        if effort.cases > limit:
+            break
+    return GaveUp(limit)
 
 
-def explore(problem: LCP, *, first_only: bool = True) -> Iterator[Found | NoSolution | None]:
-    """Yield None after each case that was looked at, and at last what `search` returns; for callers with a clock."""
+def explore(problem: LCP, effort: Effort, *, first_only: bool = True) -> Iterator[Found | NoSolution | None]:
+    """Yield None after each case that was looked at, and within long ones, and at last what `search` returns.
+
+    For callers with a clock, or a limit of what they count in `effort`.
+    """
     _require_small(problem)
-    explorer = Explorer(problem, first_only=first_only)
+    explorer = Explorer(problem, effort, first_only=first_only)
     for _ in explorer.run():
         yield None
     if explorer.faces:
         yield Found(tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes)
     elif not first_only:
         # A search for all leaves out cases that lie in others; the proof must not.
-        yield from explore(problem)
+        yield from explore(problem, effort)
     else:
         yield NoSolution(problem, explorer.tree, explorer.nodes)
 
@@ -178,16 +191,25 @@ def _maximal(faces: Sequence[Face]) -> list[Face]:
 
 
 def _solution(problem: LCP, face: Face) -> Solution:
-    exact_w = exact_slack(problem, face.point)
-    z, w = (np.array([_rounded(value) for value in vector]) for vector in (face.point, exact_w))
-    return Solution(z, w, tuple(face.point), tuple(exact_w), face.pattern, face.dimension)
+    return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension)
 
 
-def _rounded(value: Fraction) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
+def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
+    """Return the values rounded one by one, or raise naming the first that is beyond the largest double."""
+    rounded = np.zeros(len(values))
+    for i, value in enumerate(values):
+        try:
+            rounded[i] = float(value)
+        except OverflowError:
+            raise UnsuitableProblem(
+                f"{name}[{i}] of the exact solution is about 2^{_exponent(value)}, beyond the largest double; take "
+                f"exact_{name}, or state the problem in other units"
+            ) from None
+    return rounded
+
+
+def _exponent(value: Fraction) -> int:
+    return abs(value.numerator).bit_length() - value.denominator.bit_length()
 
 
 def is_searchable(problem: LCP) -> bool:

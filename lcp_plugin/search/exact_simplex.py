@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -12,6 +14,39 @@ from ..problem import LCP
 
 Bound = int | None  # None: no bound
 
+DIGIT = 30  # bits
+PASS = 100  # products of digits that take as long as the look at an entry itself
+QUANTUM = 5_000_000  # products of digits between two yields: some ten milliseconds
+
+
+@dataclass
+class Effort:
+    """What a search has cost so far, counted: the same on every machine.
+
+    Attributes
+    ----------
+    cases : int
+        That were looked at.
+    entries : int
+        Of the tableau that were computed.
+    products : int
+        Of two digits of 30 bits, about, and what takes as long: the unit in which long numbers are paid for.
+    """
+
+    cases: int = 0
+    entries: int = 0
+    products: int = 0
+    due: int = 0
+
+    def add(self, entries: int, bits: int) -> bool:
+        """Count so many new entries of so many bits; return whether it is time to yield."""
+        self.entries += entries
+        self.products += entries * (PASS + (bits // DIGIT) ** 2)
+        if self.products < self.due:
+            return False
+        self.due = self.products + QUANTUM
+        return True
+
 
 class ExactSimplex:
     """Bounds on the variables x = (z, w) of w = M z + q, and a basic point that is within them.
@@ -19,6 +54,8 @@ class ExactSimplex:
     Variable i < n is z_i, variable n + i is w_i times a positive `row_scale`; all values are integers (nonbasic) or
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
     time; :meth:`refutation` then repairs the point or proves that there is none.
+
+    What pivots is a generator: it yields between two rows when enough was computed, and returns its answer.
 
     Notes
     -----
@@ -31,8 +68,9 @@ class ExactSimplex:
     that come and go); R. G. Bland, *New finite pivoting rules*, Math. Oper. Res. 2 (1977), doi:10.1287/moor.2.2.103.
     """
 
-    def __init__(self, problem: LCP) -> None:
+    def __init__(self, problem: LCP, effort: Effort) -> None:
         n = self.n = problem.n
+        self.effort = effort
         self.unit, bounds = _integer_bounds(problem)
         slack = [[None if math.isinf(value) else 0 for value in side] for side in slack_bounds(problem)]
         self.lower: list[Bound] = bounds[0] + slack[0]
@@ -43,7 +81,6 @@ class ExactSimplex:
         self.nonbasic = list(range(n))
         self.value = [_clipped(0, *self.bounds(x)) for x in range(2 * n)]  # of nonbasic ones
         self.numerator: list[int] = []  # of basic ones, over the denominator
-        self.pivots = 0
         self._evaluate()
 
     def bounds(self, x: int) -> tuple[Bound, Bound]:
@@ -55,7 +92,7 @@ class ExactSimplex:
         self.lower[x], self.upper[x] = lower, upper
         self.value[x] = _clipped(self.value[x], lower, upper)
 
-    def refutation(self) -> list[Fraction] | None:
+    def refutation(self) -> Generator[None, None, list[Fraction] | None]:
         """Move to a point within all bounds and return None, or return a Farkas vector y that there is none.
 
         sup (Mᵀy)ᵀz − yᵀw + qᵀy over the bounds is negative; shape (n,).
@@ -67,7 +104,7 @@ class ExactSimplex:
             column = self._entering(row, direction)
             if column is None:
                 return self.farkas(row, direction)
-            self._pivot(row, column, target)
+            yield from self._pivot(row, column, target)
             tries += 1
         return None
 
@@ -88,39 +125,39 @@ class ExactSimplex:
 
     def farkas(self, row: int, direction: int) -> list[Fraction]:
         """Return the multipliers y of the equations that make up a row; direction +1: it cannot rise to its bound."""
-        multipliers = [Fraction(0)] * self.n
+        multipliers = [0] * self.n
         if self.basic[row] >= self.n:
-            multipliers[self.basic[row] - self.n] = Fraction(direction * self.denominator)
+            multipliers[self.basic[row] - self.n] = direction * self.denominator
         for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
             if x >= self.n and entry:
-                multipliers[x - self.n] = Fraction(-direction * entry)
-        return [y * scale for y, scale in zip(multipliers, self.row_scale, strict=True)]
+                multipliers[x - self.n] = -direction * entry
+        return [Fraction(y * scale) for y, scale in zip(multipliers, self.row_scale, strict=True)]
 
-    def can_leave(self, x: int, direction: int) -> bool:
+    def can_leave(self, x: int, direction: int) -> Generator[None, None, bool]:
         """Return whether a variable can rise (+1) or fall (−1) within the bounds; the point may move to show it."""
         start = self.position(x)
         while (self.position(x) - start) * direction <= 0:
             step = self._improving(x, direction)
             if step is None:
                 return False
-            if not self._move(*step):
+            if not (yield from self._move(*step)):
                 return True
         return True
 
-    def go_to_vertex(self) -> None:
+    def go_to_vertex(self) -> Iterator[None]:
         """Move every nonbasic variable to a bound, as far as the set has one there."""
         for column in range(self.n):
             low, high = self.bounds(x := self.nonbasic[column])
-            if self.value[x] not in (low, high) and not self._move(column, -1):
-                self._move(column, 1)
+            if self.value[x] not in (low, high) and not (yield from self._move(column, -1)):
+                yield from self._move(column, 1)
 
-    def release_fixed(self) -> int:
+    def release_fixed(self) -> Generator[None, None, int]:
         """Pivot variables with equal bounds out of the basis; return the dimension that is left."""
         for row in range(self.n):
             if self._is_fixed(self.basic[row]):
                 for column, x in enumerate(self.nonbasic):
                     if self.rows[row][column] and not self._is_fixed(x):
-                        self._pivot(row, column, self.lower[self.basic[row]] or 0)
+                        yield from self._pivot(row, column, self.lower[self.basic[row]] or 0)
                         break
         return sum(not self._is_fixed(x) for x in self.nonbasic)
 
@@ -187,7 +224,7 @@ class ExactSimplex:
         column = self._entering(row, direction)
         return None if column is None else (column, direction if self.rows[row][column] > 0 else -direction)
 
-    def _move(self, column: int, direction: int) -> bool:
+    def _move(self, column: int, direction: int) -> Generator[None, None, bool]:
         """Move a nonbasic variable as far as all bounds allow; return False, unmoved, where nothing stops it."""
         entering = self.nonbasic[column]
         best: tuple[Fraction, int, int, int] | None = None
@@ -206,15 +243,17 @@ class ExactSimplex:
             self.value[entering] = best[3]
             self._evaluate()
         else:
-            self._pivot(best[2], column, best[3])
+            yield from self._pivot(best[2], column, best[3])
         return True
 
-    def _pivot(self, row: int, column: int, target: int) -> None:
+    def _pivot(self, row: int, column: int, target: int) -> Iterator[None]:
         """Exchange the row's basic variable, which comes to stand at the target, with the column's."""
         pivot, old = self.rows[row][column], self.denominator
         sign = 1 if pivot > 0 else -1
-        pivot_row = self.rows[row]
+        pivot_row, bits = self.rows[row], max(pivot.bit_length(), old.bit_length())
         for i, other in enumerate(self.rows):
+            if self.effort.add(len(other), bits):
+                yield
             if i != row:
                 factor = other[column]
                 if factor:
@@ -230,7 +269,6 @@ class ExactSimplex:
         leaving, entering = self.basic[row], self.nonbasic[column]
         self.basic[row], self.nonbasic[column] = entering, leaving
         self.value[leaving] = target
-        self.pivots += 1
         self._evaluate()
 
 
@@ -243,8 +281,11 @@ def _integer_bounds(problem: LCP) -> tuple[Fraction, list[list[Bound]]]:
     return power_of_two(exponent), [bounds[: problem.n], bounds[problem.n :]]
 
 
-def _integer_rows(problem: LCP, unit: Fraction) -> tuple[list[list[int]], list[Fraction]]:
-    """Return the rows of (M, q/unit) as integers without a common factor, and what each was multiplied by."""
+def _integer_rows(problem: LCP, unit: Fraction) -> tuple[list[list[int]], list[int]]:
+    """Return the rows of (M, q/unit) as integers without a common factor, and integers as what each was multiplied by.
+
+    The latter are in a unit of their own.
+    """
     matrix = integer_matrix(problem)
     rows, scales = [], []
     for i, q in enumerate(problem.q.tolist()):
@@ -257,7 +298,8 @@ def _integer_rows(problem: LCP, unit: Fraction) -> tuple[list[list[int]], list[F
         divisor = math.gcd(*row) or 1
         rows.append([entry // divisor for entry in row])
         scales.append(1 / (step * divisor))
-    return rows, scales
+    common = math.lcm(*(scale.denominator for scale in scales))
+    return rows, [scale.numerator * (common // scale.denominator) for scale in scales]
 
 
 def _clipped(value: int, lower: Bound, upper: Bound) -> int:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
 from ..certificates.no_solution import Case
 from ..certificates.refutation import FIXED, LOWER, UPPER, ZERO, row_choices
 from ..problem import LCP
-from .exact_simplex import Bound, ExactSimplex
+from .exact_simplex import Bound, Effort, ExactSimplex
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Face:
 class Explorer:
     """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
 
-    def __init__(self, problem: LCP, *, first_only: bool) -> None:
-        self.problem = problem
+    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool) -> None:
+        self.problem, self.effort = problem, effort
         self.first_only = first_only
         self.n = problem.n
         self.choices = list(map(row_choices, problem.lower.tolist(), problem.upper.tolist()))
-        self.simplex = ExactSimplex(problem)
+        self.simplex = ExactSimplex(problem, effort)
         self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
         self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
         self.faces: list[Face] = []
@@ -46,23 +46,27 @@ class Explorer:
         self.path: list[tuple[int, str]] = []
 
     def run(self) -> Iterator[None]:
-        """Look at one case a step, until the search ends; a face may have been added to `faces`."""
+        """Look at one case after the other until the search ends; yield after each, and within those that take long.
+
+        A face may have been added to `faces`.
+        """
         stack = [(0, -1, "", self.tree)]
         while stack:
             depth, row, choice, case = stack.pop()
             self._return_to(depth)
             if row >= 0:
                 self._choose(row, choice)
-            branches = self._examined(case)
+            branches = yield from self._examined(case)
             stack.extend((len(self.path), case.row, branch, case.branches[branch]) for branch in reversed(branches))
             self.nodes += 1
+            self.effort.cases += 1
             yield
             if self.first_only and self.faces:
                 return
 
-    def _examined(self, case: Case) -> list[str]:
+    def _examined(self, case: Case) -> Generator[None, None, list[str]]:
         """Close the case, record its face, or split it; return the branches to look at."""
-        case.y = self.simplex.refutation()
+        case.y = yield from self.simplex.refutation()
         if case.y is not None:
             return []
         decided = {i for i, _ in self.path}
@@ -70,7 +74,7 @@ class Explorer:
         closed, implied = self._conclusions()
         case.row, is_solution = self._row_to_split(undecided, closed, implied)
         if is_solution and (self.first_only or case.row < 0):
-            self._record(undecided)
+            yield from self._record(undecided)
             return []
         i = case.row
         for choice in self.choices[i]:
@@ -153,23 +157,25 @@ class Explorer:
             self.simplex.set_bounds(i, top, top)
             self.simplex.set_bounds(self.n + i, None, 0)
 
-    def _record(self, undecided: list[int]) -> None:
+    def _record(self, undecided: list[int]) -> Iterator[None]:
         """Add the face of the present pattern, completed by what the point satisfies where rows are undecided."""
         for i in undecided:
             self._choose(i, self._choice_at_point(i))
         simplex = self.simplex
-        simplex.refutation()
-        simplex.go_to_vertex()
+        yield from simplex.refutation()
+        yield from simplex.go_to_vertex()
         pattern = dict(self.path)
         complete = tuple(pattern.get(i, self.choices[i][0]) for i in range(self.n))
         point = simplex.point()
         before = [simplex.bounds(x) for x in range(2 * self.n)]
-        is_point = simplex.release_fixed() == 0
-        tight = tuple(self._tight(i, choice, is_point) for i, choice in enumerate(complete))
-        dimension = simplex.release_fixed()
+        is_point = (yield from simplex.release_fixed()) == 0
+        tight = []
+        for i, choice in enumerate(complete):
+            tight.append((yield from self._tight(i, choice, is_point)))
+        dimension = yield from simplex.release_fixed()
         for x, bounds in enumerate(before):
             simplex.set_bounds(x, *bounds)
-        self.faces.append(Face(complete, tight, point, dimension))
+        self.faces.append(Face(complete, tuple(tight), point, dimension))
 
     def _choice_at_point(self, i: int) -> str:
         values = self.simplex.numerators()
@@ -177,19 +183,25 @@ class Explorer:
             return ZERO
         return LOWER if values[self.n + i] > 0 else UPPER
 
-    def _tight(self, i: int, choice: str, is_point: bool) -> frozenset[str]:
+    def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
         """Return the choices of row i that hold at every point of the face, and fix what they fix."""
         if choice == FIXED or len(self.choices[i]) == 1:
             return frozenset(self.choices[i])
         if choice == ZERO:
             bottom, top = self.root_bounds[i]
-            found = [c for c, at, way in ((LOWER, bottom, 1), (UPPER, top, -1)) if self._stays(i, at, way, is_point)]
+            others = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
         else:
-            found = [ZERO] if self._stays(self.n + i, 0, 1 if choice == LOWER else -1, is_point) else []
-        return frozenset([choice, *found])
+            others = [(ZERO, self.n + i, 0, 1 if choice == LOWER else -1)]
+        found = [choice]
+        for other, x, at, direction in others:
+            if (yield from self._stays(x, at, direction, is_point)):
+                found.append(other)
+        return frozenset(found)
 
-    def _stays(self, x: int, at: Bound, direction: int, is_point: bool) -> bool:
-        if at is None or self.simplex.position(x) != at or (not is_point and self.simplex.can_leave(x, direction)):
+    def _stays(self, x: int, at: Bound, direction: int, is_point: bool) -> Generator[None, None, bool]:
+        if at is None or self.simplex.position(x) != at:
+            return False
+        if not is_point and (yield from self.simplex.can_leave(x, direction)):
             return False
         self.simplex.set_bounds(x, at, at)
         return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,11 +12,14 @@ from ..algorithms.base import Algorithm, Step, without_warnings
 from ..certificates.forced_bounds import find_forced_contradiction
 from ..certificates.infeasibility import decide_feasibility
 from ..certificates.residuals import MEASURES
+from ..errors import UnsuitableProblem
 from ..problem import LCP, FloatVector
-from . import LARGEST_CHOICES, LARGEST_SIZE, Found, NoSolution, explore
+from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore
+from .exact_simplex import QUANTUM
 
-NODES_A_STEP = 50
-MOST_NODES = 20_000
+CASES_A_STEP = 50
+MOST_CASES = 20_000
+MOST_PRODUCTS = 200 * QUANTUM  # some seconds
 LARGEST_PROGRAM = 5000  # rows of a linear program; beyond, single rows and forced bounds are looked at
 
 
@@ -56,22 +59,33 @@ class ExhaustiveSearch(Algorithm):
     name: ClassVar[str] = "search"
     assumption: ClassVar[str] = f"at most {LARGEST_CHOICES} rows that leave a choice, n ≤ {LARGEST_SIZE}"
     converges_on: ClassVar[str] = "every matrix"
-    cost: ClassVar[str] = f"{NODES_A_STEP} cases, each an exact linear program"
+    cost: ClassVar[str] = f"at most {CASES_A_STEP} cases, each an exact linear program"
     reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield z0 while it searches, then the solution, or z0 with the proof; end at 20 000 cases."""
+        """Yield z0 while it searches, then the solution, or z0 with the proof; end where that takes too much."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        for nodes, outcome in enumerate(explore(problem, first_only=True), start=1):
+        effort, told = Effort(), Effort()
+        for outcome in explore(problem, effort):
+            is_due = effort.cases - told.cases >= CASES_A_STEP or effort.products - told.products >= QUANTUM
+            if outcome is None and not is_due:
+                continue
+            step = Step(z0, work=(effort.entries - told.entries) / max(problem.nonzeros, 1))
+            told = replace(effort)
             if isinstance(outcome, Found):
-                yield Step(np.clip(outcome.solutions[0].z, problem.lower, problem.upper), work=float(NODES_A_STEP))
+                try:
+                    step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
+                except UnsuitableProblem as error:
+                    step.remark = f"a search of all cases found a solution, but {error}"
             elif isinstance(outcome, NoSolution):
-                yield Step(z0, proof=outcome.infeasibility or outcome, work=float(NODES_A_STEP))
-            elif nodes % NODES_A_STEP == 0:
-                yield Step(z0, work=float(NODES_A_STEP))
-            if nodes >= MOST_NODES:
+                step.proof = outcome.infeasibility or outcome
+            elif effort.cases >= MOST_CASES or effort.products >= MOST_PRODUCTS:
+                step.remark = f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
+            yield step
+            if step.remark:
                 return
+

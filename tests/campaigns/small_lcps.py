@@ -156,6 +156,44 @@ KINDS: dict[str, Callable[[int, Generator], Matrix]] = {
 }
 
 
+def anywhere(low: int, high: int) -> Callable[[Generator, tuple[int, ...]], Matrix]:
+    """Numbers of either sign, a third of them 0, whose exponents of two are anything from low to high."""
+
+    def draw(rng: Generator, shape: tuple[int, ...]) -> Matrix:
+        mantissa = rng.choice([1.0, 1.0, 1.5, rng.uniform(1.0, 2.0)], shape) * rng.choice([-1.0, 0.0, 1.0], shape)
+        return np.ldexp(mantissa, rng.integers(low, high + 1, shape))
+
+    return draw
+
+
+# What products and quotients overflow or underflow in: not in KINDS, as many of the answers are no doubles.
+EXTREMES: dict[str, Callable[[Generator, tuple[int, ...]], Matrix]] = {
+    "any exponent": anywhere(-1000, 1000),
+    "huge": anywhere(480, 1020),
+    "tiny": anywhere(-1074, -480),
+    "subnormal": anywhere(-1074, -1010),
+    "squares overflow": anywhere(-520, 520),
+    "ordinary beside huge": lambda rng, shape: np.where(
+        rng.random(shape) < 0.7, rng.integers(-3, 4, shape).astype(float), anywhere(-1000, 1000)(rng, shape)
+    ),
+}
+
+
+def extreme_problem(kind: str, rng: Generator) -> LCP:
+    """One to six rows with entries and bounds of any exponent."""
+    n, draw = int(rng.integers(1, LARGEST + 1)), EXTREMES[kind]
+    M, q = draw(rng, (n, n)), draw(rng, (n,))
+    if rng.random() < 0.5:  # the diagonal of a matrix for which methods have reasons
+        M[np.diag_indices(n)] = np.abs(M.diagonal())
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if rng.random() < 0.5:
+        ends = np.sort(draw(rng, (2, n)), axis=0)
+        shape = rng.choice(5, n, p=[0.4, 0.2, 0.15, 0.1, 0.15])  # plain, box or fixed, upper only, free, shifted
+        lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], ends[0])
+        upper = np.select([(shape == 1) | (shape == 2)], [ends[1]], np.inf)
+    return LCP(M, q, lower=lower, upper=upper)
+
+
 def random_problem(kind: str, rng: Generator) -> LCP:
     """Integers but for the last kind; q random, degenerate or planted; half of the problems with bounds."""
     n = int(rng.choice([0, 1, 1, *[n for n in range(2, LARGEST + 1) for _ in range(4)]]))

@@ -28,10 +28,10 @@ from collection.truth import SOLVABLE, ExactData, decide
 from exact import Exact
 from relations import EXACT, bits, scaled
 
-from lcp_plugin import LCP, LCPError, error_bound, prepare, solve, solve_many
+from lcp_plugin import LCP, LCPError, UnsuitableProblem, all_solutions, error_bound, prepare, solve, solve_many
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.algorithms.base import SWEEPS
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.errors import UnsuitableMatrix
 
 Generator = np.random.Generator
 
@@ -96,6 +96,26 @@ def small(rng: Generator, kind: str) -> Found:
     problem = small_lcps.random_problem(kind, rng)
     others = rng.choice(ALGORITHMS, 2, replace=False)
     yield from claims(delivered(problem, rng), decide(problem).verdict, ("auto", *map(str, others)))
+
+
+def extreme(rng: Generator, kind: str) -> Found:
+    """Numbers of any exponent: claims of the methods that eliminate, pivot and search; all solutions, exactly."""
+    problem = small_lcps.extreme_problem(kind, rng)
+    truth = decide(problem).verdict
+    yield from claims(delivered(problem, rng), truth, ("auto", "lemke", "newton", "interior_point"))
+    found = all_solutions(problem)
+    if bool(found) != (truth == SOLVABLE):
+        yield Finding(CLAIM, f"{len(found)} solutions, but {truth}")
+    data, largest = ExactData(problem), Fraction(sys.float_info.max)
+    for solution in found:
+        if not data.is_solution(solution.exact_z):
+            yield Finding(CLAIM, f"{solution} is none")
+        try:
+            is_as_told = bool(np.isfinite(solution.z).all())
+        except UnsuitableProblem:
+            is_as_told = max(map(abs, solution.exact_z)) > largest
+        if not is_as_told:
+            yield Finding(CLAIM, f"{solution} in doubles")
 
 
 def related(rng: Generator, kind: str) -> Found:
@@ -329,6 +349,7 @@ Case = Callable[[Generator, Any], Found]
 # name: case, kinds, how often one of the kinds comes in a round
 ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "small": (small, tuple(small_lcps.KINDS), 54),
+    "extreme": (extreme, tuple(small_lcps.EXTREMES), 12),
     "related": (related, tuple(EXACT), 45),
     "optional": (optional, ("auto", *REGISTRY), 57),
     "planted": (planted, tuple(small_lcps.KINDS), 18),

@@ -22,6 +22,7 @@ EQUILIBRATION_ROUNDS = 6
 NO_ENTRY = -(2**24)
 WIDE = 128  # bits between the smallest and the largest entry from which Ruiz's rounds end too early
 FITTING_ROUNDS = 40
+LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,11 @@ class CanonicalBox:
     offset: FloatVector
     rows: IndexVector
     step: FloatVector
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether nothing in it has left the range of doubles."""
+        return all(bool(np.isfinite(part).all()) for part in (self.M, self.q, self.recovery.data, self.offset))
 
     def recover(self, z: FloatVector) -> FloatVector:
         """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
@@ -83,6 +89,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
         # Such a row is always satisfied; minus its column asks z_i for what the other rows need, as a multiplier would.
         M = np.where(is_void[:, None], -M.T, M)
     row_scale, column_scale = equilibrated(M)
+    row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
     M = np.ldexp(M, row_scale[:, None] + column_scale[None, :]) * sign[:, None] * sign
     start = np.ldexp(base, -column_scale) * sign
     q = np.ldexp(problem.q, row_scale) * sign + M @ start

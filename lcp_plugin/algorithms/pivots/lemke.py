@@ -129,6 +129,8 @@ class Lemke(Algorithm):
         from .pivoting_path import Path
 
         box = canonical_box(part)
+        if not box.is_finite:  # a solution, if there is one, is out of the reach of a tableau of doubles
+            return
         path = Path(box.M, box.q, box.upper)
         if not np.any(box.q < 0.0):
             yield from self._solution(part, box, path)

@@ -120,7 +120,10 @@ def lexicographic_minimum(inverse, slope, candidates, count):  # type: ignore[no
 def ratio_test(  # type: ignore[no-untyped-def]
     basis, side, upper, values, noise, inverse, slope, magnitude, own_room, is_last, candidates
 ):
-    """Return (row that blocks the driven variable, distance); the row is OWN_BOUND or NO_ROW where none does."""
+    """Return (row that blocks the driven variable, distance); the row is OWN_BOUND or NO_ROW where none does.
+
+    A distance of NaN says that numbers have overflowed.
+    """
     n = slope.size
     farthest = own_room
     for p in range(n):
@@ -143,6 +146,8 @@ def ratio_test(  # type: ignore[no-untyped-def]
     if own_room <= farthest:
         candidates[count] = OWN_BOUND
         count += 1
+    if count == 0:  # NaN compares with nothing
+        return NO_ROW, np.nan
     row = lexicographic_minimum(inverse, slope, candidates, count)
     if row == OWN_BOUND:
         return row, own_room
@@ -230,7 +235,7 @@ def pivots(  # type: ignore[no-untyped-def]
             basis, side, upper, values, noise, inverse, slope, magnitude, own_room, driven == 2 * n, candidates
         )
         if row == NO_ROW:
-            return RAY, driven, direction, count, touched
+            return LOST if np.isnan(distance) else RAY, driven, direction, count, touched
         if row >= 0 and abs(slope[row]) < DOUBTFUL * magnitude[row] and not (is_fresh and count == 0):
             return LOST, driven, direction, count, touched
         for p in range(n):

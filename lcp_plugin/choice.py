@@ -291,8 +291,7 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     rows = np.flatnonzero(abs(twice).sum(axis=1))
     if rows.size > LARGEST_ANALYSIS:
         return False
-    with np.errstate(all="ignore"):  # what overflows is not shown to be semidefinite
-        return not rows.size or is_positive_semidefinite(twice[rows][:, rows]) is True
+    return not rows.size or is_positive_semidefinite(twice[rows][:, rows]) is True
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ..errors import InvalidOption, InvalidProblem
 from ..problem import FloatVector
 from .checked import checked_vector
+from .convexity import is_shown_convex
 
 if TYPE_CHECKING:
     from .qp_proofs import QPInfeasibility, QPUnboundedness
@@ -160,9 +161,27 @@ class QPSolution:
         return y
 
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x is stationary and P is shown to be positive semidefinite, up to rounding.
+
+        Only then the conditions are sufficient. Where it takes a factorisation to show that, it is made once; where
+        that would be too large (n above some 67 000, much fill) and no row shows it, this is False: `is_stationary` is
+        enough if you know the program to be convex.
+
+        Raises
+        ------
+        InvalidOption
+            Where the tolerance is no number ≥ 0.
+        """
+        return self.is_stationary(tolerance) and self._is_shown_convex
+
+    @cached_property
+    def _is_shown_convex(self) -> bool:
+        return is_shown_convex(self.program)
+
+    def is_stationary(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.
 
-        For a convex program the conditions are sufficient; otherwise x is stationary.
+        For a convex program the conditions are sufficient.
 
         Raises
         ------
@@ -175,14 +194,17 @@ class QPSolution:
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the program has no minimum: looked for, by linear programs, where this is not optimal."""
-        return None if self.is_optimal() else self.program.proof_of_no_minimum
+        """A proof that the program has no minimum: looked for, by linear programs, where x is not stationary."""
+        return None if self.is_stationary() else self.program.proof_of_no_minimum
 
     @property
     def status(self) -> str:
-        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown"."""
-        if self.is_optimal():
-            return "optimal"
+        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown".
+
+        "stationary" instead of "optimal" where P is not shown to be positive semidefinite.
+        """
+        if self.is_stationary():
+            return "optimal" if self.is_optimal() else "stationary"
         return "unknown" if self.proof is None else self.proof.verdict
 
     @cached_property

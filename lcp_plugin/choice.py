@@ -22,8 +22,8 @@
 Where a factor would fill in too much (n > 5000), newton and interior_point are left out. A row that contradicts its
 bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to have nothing more to offer.
 `feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at
-the end, until it stalls), `search` decides problems with at most 24 rows that leave a choice. No clock is asked: the
-same call gives the same answer bit for bit.
+the end, until it stalls), `search` looks at all cases of problems with at most 24 rows that leave a choice, until a
+counted number of operations on long numbers. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations

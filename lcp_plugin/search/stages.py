@@ -18,7 +18,7 @@ from .exact_simplex import QUANTUM
 
 CASES_A_STEP = 50
 MOST_CASES = 20_000
-MOST_PRODUCTS = 200 * QUANTUM  # some seconds
+MOST_PRODUCTS = 300 * QUANTUM  # some seconds
 
 
 @dataclass(frozen=True, kw_only=True)

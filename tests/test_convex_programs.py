@@ -333,6 +333,16 @@ def test_what_is_not_shown_convex_is_not_called_optimal(monkeypatch: pytest.Monk
         assert solution.status == word
 
 
+def test_a_saddle_hidden_by_a_large_entry_is_not_called_optimal() -> None:
+    """What may be the rounding of another entry is not refused, and a stationary point is not called optimal."""
+    P = np.zeros((3, 3))
+    P[0, 0], P[1:, 1:] = 1e20, [[1.0, 2.0], [2.0, 1.0]]
+    solution = LCP.from_qp(P, np.zeros(3), lower=-1.0, upper=1.0).origin.recover(np.zeros(3))
+    assert solution.is_stationary()
+    assert not solution.is_optimal()
+    assert solution.status == "stationary"
+
+
 def test_a_stationary_point_of_a_nonconvex_program_is_not_optimal() -> None:
     """The conditions hold at a saddle of a concave program, and nobody calls it optimal."""
     program = QuadraticProgram(-np.eye(2), [0.1, 0.0], lower=-1.0, upper=1.0)

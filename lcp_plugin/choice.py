@@ -22,8 +22,8 @@
 Where a factor would fill in too much (n > 5000), newton and interior_point are left out. A row that contradicts its
 bounds by itself brings `feasibility` to the front. To fail is to diverge, to stall, or to have nothing more to offer.
 `feasibility` looks for a proof that there is no solution (n ≤ 5000), lemke takes n ≤ 6000 (beyond, psor comes back at
-the end, until it stalls), `search` decides problems with at most 24 rows that leave a choice. No clock is asked: the
-same call gives the same answer bit for bit.
+the end, until it stalls), `search` looks at all cases of problems with at most 24 rows that leave a choice, until a
+counted number of operations on long numbers. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
@@ -291,8 +291,7 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
     if rows.size > LARGEST_ANALYSIS:
         return False
-    with np.errstate(all="ignore"):  # what overflows is not shown to be semidefinite
-        return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
+    return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

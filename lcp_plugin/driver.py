@@ -18,6 +18,7 @@ from .algorithms.rehearsal import rehearse
 from .certificates.residuals import GAINED, Certificate, ratio, reference_residual, scaled_residual
 from .checks import FloatVector
 from .choice import Choice, Policy, Single, Stage, policy_for
+from .deadline import time_limit
 from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
 from .pacing import CheckSchedule, Ending, ErrorWatch, Progress
@@ -118,7 +119,9 @@ def solve(
             run.errors.require_rigorous()
             if isinstance(policy, Single):
                 warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
-            result = run.judged(start, run.drive(start))
+            with time_limit(settings.max_seconds):
+                reason = run.drive(start)
+            result = run.judged(start, reason)
         except KeyboardInterrupt:
             run = run or _Run(problem, policy, settings, callback)
             return run.judged(start, Status.INTERRUPTED)

@@ -211,7 +211,7 @@ class LCP:
         Parameters
         ----------
         P : array or sparse array, shape (n, n)
-            Symmetric.
+            Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
         c : array, shape (n,)
         G, h : shapes (p, n) and (p,), optional
             Inequalities G x ≤ h.

@@ -15,6 +15,7 @@ from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
+from lcp_plugin.conversions.convexity import is_shown_convex
 from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_certificates import (
     QPInfeasibility,
@@ -270,13 +271,86 @@ def test_a_full_program_gives_a_full_matrix() -> None:
     """The KKT form of dense data is an ndarray, of sparse data CSR, and both hold the same numbers."""
     rng = np.random.default_rng(4)
     F, G = rng.standard_normal((30, 30)), rng.standard_normal((20, 30))
-    for P, few, kind in ((F + F.T, 0, np.ndarray), (np.diag(F[0]), 28, sp.csr_array)):
+    full = F @ F.T
+    for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
         C = np.triu(G, few)
         problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
         rows = problem.origin.rows.inequalities
         expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
         assert isinstance(problem.M, kind)
         assert np.array_equal(problem.csr.toarray(), expected)
+
+
+NONCONVEX = {
+    "concave": (-np.eye(2), "smallest eigenvalue of P is -1"),
+    "a saddle": ([[1.0, 2.0], [2.0, 1.0]], "smallest eigenvalue of P is -1"),
+    "a zero beside": ([[0.0, 1.0], [1.0, 5.0]], "smallest eigenvalue of P is -0.193"),
+    "small and clear": ([[1e-8, 2e-8], [2e-8, 1e-8]], "smallest eigenvalue of P is -1e-08"),
+    "large": (
+        sp.block_diag([sp.eye_array(6000), sp.csr_array([[1.0, 2.0], [2.0, 1.0]])], format="csr"),
+        r"P\[6000, 6000\] = 1, P\[6001, 6001\] = 1 and P\[6000, 6001\] = 2 show it",
+    ),
+    "large, one entry": (sp.diags_array(np.append(np.ones(6000), -1.0)), r"P\[6000, 6000\] = -1"),
+}
+
+
+@pytest.mark.parametrize("name", NONCONVEX)
+@pytest.mark.parametrize("form", ["auto", "direct", "kkt"])
+def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -> None:
+    """A negative eigenvalue beyond rounding is refused with a value and advice, whatever the form."""
+    P, words = NONCONVEX[name]
+    with pytest.raises(UnsupportedModel, match=f"not convex: (the )?{words}.*a stationary point need not be a minimum"):
+        LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form)
+
+
+@pytest.mark.parametrize("rank", [1, 3, 7])
+@pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
+@pytest.mark.parametrize("is_sparse", [False, True])
+def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool) -> None:
+    """A singular BᵀB computed in doubles, whose smallest eigenvalues are rounding of either sign, is accepted."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        B = rng.standard_normal((rank, 12)) * np.where(rng.random(12) < 0.3, 1e-9, 1.0)
+        P = scale * (B.T @ B)
+        P = np.maximum(P, P.T)
+        problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
+        assert is_shown_convex(problem.origin.program)
+        solution = problem.origin.recover(solve(problem, tolerance=1e-12))
+        assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
+        assert solution.is_stationary(1e-6) or scale > 1.0
+
+
+def test_what_is_not_shown_convex_is_not_called_optimal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stationary point is "stationary" where convexity could not be decided, and optimal where the rows show it."""
+    monkeypatch.setattr(QuadraticProgram, "is_convex", None)
+    full = QuadraticProgram([[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]], [-1.0, 0.0, 0.0])
+    dominant = QuadraticProgram([[4.0, 3.0], [3.0, 4.0]], [-1.0, 0.0])
+    for program, word in ((full, "stationary"), (dominant, "optimal")):
+        problem = lcp_from_qp(program)
+        solution = problem.origin.recover(solve(problem, tolerance=1e-12))
+        assert solution.is_stationary()
+        assert solution.is_optimal() == (word == "optimal")
+        assert solution.status == word
+
+
+def test_a_saddle_hidden_by_a_large_entry_is_not_called_optimal() -> None:
+    """What may be the rounding of another entry is not refused, and a stationary point is not called optimal."""
+    P = np.zeros((3, 3))
+    P[0, 0], P[1:, 1:] = 1e20, [[1.0, 2.0], [2.0, 1.0]]
+    solution = LCP.from_qp(P, np.zeros(3), lower=-1.0, upper=1.0).origin.recover(np.zeros(3))
+    assert solution.is_stationary()
+    assert not solution.is_optimal()
+    assert solution.status == "stationary"
+
+
+def test_a_stationary_point_of_a_nonconvex_program_is_not_optimal() -> None:
+    """The conditions hold at a saddle of a concave program, and nobody calls it optimal."""
+    program = QuadraticProgram(-np.eye(2), [0.1, 0.0], lower=-1.0, upper=1.0)
+    zero = np.zeros(2)
+    saddle = QPSolution(program, np.array([0.1, 0.0]), np.zeros(0), np.zeros(0), zero, zero)
+    assert saddle.is_stationary()
+    assert not saddle.is_optimal()
+    assert saddle.status == "stationary"
 
 
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.sparse as sp
 from families import BOUNDED, DIRECT
 
@@ -31,6 +32,8 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.certificates.error_bounds import ErrorBound
+from lcp_plugin.certificates.exact_linear import solve_exactly
+from lcp_plugin.deadline import time_limit
 from lcp_plugin.evidence import gallery
 from lcp_plugin.pacing import ErrorWatch
 
@@ -656,3 +659,24 @@ def test_an_uncovered_choice_is_warned_of_once() -> None:
         warnings.simplefilter("error")
         solve(trap, "npsor")
         solve(EXAMPLE.problem, "psor")
+
+
+def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A linear program inside a run gets the seconds that the caller left it, and no limit where there is none."""
+    asked: list[float] = []
+    original = scipy.optimize.linprog
+
+    def linprog(*arguments: Any, options: dict[str, Any], **named: Any) -> Any:
+        asked.append(options.get("time_limit", np.inf))
+        return original(*arguments, options=options, **named)
+
+    monkeypatch.setattr("scipy.optimize.linprog", linprog)
+    problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
+    first, limited = solve(problem), solve(problem, max_seconds=1000.0)
+    assert np.inf in asked
+    assert any(0.1 <= seconds <= 1000.0 for seconds in asked)
+    assert first.status is limited.status
+    assert first.z.tobytes() == limited.z.tobytes()
+    with time_limit(0.0):
+        assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is None
+    assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is not None

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..deadline import is_over
+
 # Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
 PRIMES = (33554393, 33554383, 33554371)
 LIMB = 22
@@ -52,6 +54,8 @@ def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
 
 def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
     """Return the solution of A x = b in fractions, or None where A is singular (modulo three primes).
+
+    None too where the time limit of a run passes meanwhile.
 
     Parameters
     ----------
@@ -98,12 +102,12 @@ def _inverse(matrix: Integers, prime: int) -> Integers | None:
     return work[:, k:]
 
 
-def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> list[Fraction]:
+def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> list[Fraction] | None:
     limbs = _limbs(A)
     residual = np.array([int(value) for value in b], dtype=object)
     x = np.zeros(len(A), dtype=object)
     modulus, digits, next_try = 1, 0, 4
-    while True:
+    while not is_over():
         digit = inverse @ (residual % prime).astype(np.int64) % prime
         residual = (residual - _product(limbs, digit)) // prime
         x += digit.astype(object) * modulus
@@ -115,6 +119,7 @@ def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> 
                 numerators, denominator = answer
                 return [Fraction(value, denominator) for value in numerators]
             next_try = digits + max(4, digits // 2)
+    return None
 
 
 def _limbs(A: IntegerRows) -> list[Integers]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..deadline import seconds_left
 from ..problem import LCP, FloatVector
 from .exact import Rational, integer_matrix, slack_bounds
 from .exact_linear import rank_profile, solve_exactly
@@ -275,6 +277,8 @@ def _linear_program(
     }
     if not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
+    if math.isfinite(left := seconds_left()):
+        options["time_limit"] = left
     result = linprog(
         cost, A_ub=rows[0], b_ub=rows[1], A_eq=equations, b_eq=right, bounds=bounds, method="highs", options=options
     )

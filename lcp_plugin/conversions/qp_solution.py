@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ..errors import InvalidOption, InvalidProblem
 from ..problem import FloatVector
 from .checked import checked_vector
+from .convexity import is_shown_convex
 from .qp_units import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
@@ -170,10 +171,28 @@ class QPSolution:
         return y
 
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x is stationary and P is shown to be positive semidefinite, up to rounding.
+
+        Only then the conditions are sufficient. Where it takes a factorisation to show that, it is made once; where
+        that would be too large (n above some 67 000, much fill) and no row shows it, this is False: `is_stationary` is
+        enough if you know the program to be convex.
+
+        Raises
+        ------
+        InvalidOption
+            Where the tolerance is no number ≥ 0.
+        """
+        return self.is_stationary(tolerance) and self._is_shown_convex
+
+    @cached_property
+    def _is_shown_convex(self) -> bool:
+        return is_shown_convex(self.program)
+
+    def is_stationary(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.
 
         Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
-        For a convex program the conditions are sufficient; otherwise x is stationary.
+        For a convex program the conditions are sufficient.
 
         Raises
         ------
@@ -188,14 +207,17 @@ class QPSolution:
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where this is not."""
-        return None if self.is_optimal() else self.program.refutation()
+        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where x is not stationary."""
+        return None if self.is_stationary() else self.program.refutation()
 
     @property
     def status(self) -> str:
-        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown"."""
-        if self.is_optimal():
-            return "optimal"
+        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown".
+
+        "stationary" instead of "optimal" where P is not shown to be positive semidefinite.
+        """
+        if self.is_stationary():
+            return "optimal" if self.is_optimal() else "stationary"
         return "unknown" if self.proof is None else self.proof.verdict
 
     @cached_property

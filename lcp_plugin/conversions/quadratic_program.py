@@ -21,6 +21,7 @@ from ..matrix_classes.definiteness import (
 )
 from ..problem import LCP
 from .checked import asymmetry_of, attach_origin, checked_matrix, checked_vector, symmetric
+from .convexity import refuse_nonconvex
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
 from .qp_units import Units
 from .simple_rows import FoldedRows, fold_simple_rows
@@ -211,7 +212,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     Parameters
     ----------
     program : QuadraticProgram
-        For one that is not convex the problem's solutions are the stationary points, good and bad.
+        Convex: UnsupportedModel where P clearly has a negative eigenvalue (to n = 5000, by one factorisation).
     form : {"auto", "direct", "dual", "kkt"}
         Rows with one nonzero become bounds first, empty rows and rows with h = ∞ go; then
 
@@ -246,9 +247,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     Notes
     -----
     Constraints that contradict one another are not looked for: such a program gives a problem without solution, or
-    with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. The
-    tolerance of ``solve`` speaks of the complementarity problem, `is_optimal` of what ``recover`` returns of the
-    program: where that is False, solve again with a smaller tolerance and ``z0=result.z``, or take form="kkt".
+    with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. Where
+    `is_stationary` of what ``recover`` returns is False, solve again with a smaller tolerance, or take form="kkt".
 
     References
     ----------
@@ -269,6 +269,12 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
         raise InvalidProblem(
             f"lcp_from_qp needs a QuadraticProgram, got {type(program).__name__}; write QuadraticProgram(P, c, …)"
         )
+    refuse_nonconvex(program)
+    return optimality_conditions(program, form)
+
+
+def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
+    """Return what `lcp_from_qp` does, of a program known to be convex."""
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
     rows = fold_simple_rows(program)

@@ -6,19 +6,16 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import scipy.sparse as sp
-
+from ..conversions.convexity import refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from ..conversions.quadratic_program import QuadraticProgram, optimality_conditions
 from ..conversions.substitution import Substitution, substitute_definitions
 from ..driver import solve as solve_lcp
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ..matrix_classes.definiteness import EPSILON, is_semidefinite_to_rounding
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample, Status
 
 KKT_TOLERANCE = 1e-6
-LARGEST_CHECKED = 5000  # variables; beyond, the convexity of what comes is the caller's word
 TIGHTER = 1e-4
 PROVES_ITSELF = "feasibility"  # the stage that looks for a proof on the complementarity problem
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
@@ -72,7 +69,7 @@ def solve_quadratic_program(
             solution = solution if substitution is None else substitution.recover(solution)
             if best is None or _error(solution) < _error(best[1]):
                 best = result, solution
-            if solution.is_optimal(kkt_goal(tolerance)) or ended_by_caller(result, options):
+            if solution.is_stationary(kkt_goal(tolerance)) or ended_by_caller(result, options):
                 return best
             guess = result.z
             options.pop("z0", None)
@@ -96,37 +93,22 @@ def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
     return result.status is Status.INTERRUPTED or limits.get(result.status) in options
 
 
-def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries."""
-    n = program.n
-    if n > LARGEST_CHECKED or program.is_convex is not False:
-        return
-    P = sp.csr_array(program.P)
-    shift = n * (n + 4) * EPSILON * float(abs(P).max())
-    # A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
-    if is_semidefinite_to_rounding(sp.csr_array(P + shift * sp.eye_array(n))) is False:
-        raise UnsupportedModel(
-            "this program is not convex: P has a negative eigenvalue, so that stationary points need not be minima; "
-            "state the objective as a convex one, or use a solver for nonconvex programs"
-        )
-
-
 def _forms(program: QuadraticProgram, algorithm: Any) -> Iterator[tuple[LCP, Substitution | None]]:
     """Yield problems and the substitution before each, the most promising first."""
     substitution = substitute_definitions(program)
     problem = _first_form(program if substitution is None else substitution.reduced, algorithm)
     yield problem, substitution
     if substitution is not None or problem.origin.form == "dual":
-        yield lcp_from_qp(program, "kkt"), None
+        yield optimality_conditions(program, "kkt"), None
 
 
 def _first_form(program: QuadraticProgram, algorithm: Any) -> LCP:
     """Return the form that auto chooses; for an algorithm that needs a diagonal the dual one where P allows it."""
-    problem = lcp_from_qp(program)
+    problem = optimality_conditions(program)
     name = getattr(algorithm, "name", algorithm)
     if problem.origin.form == "kkt" and name not in ANY_DIAGONAL:
         try:
-            return lcp_from_qp(program, "dual")
+            return optimality_conditions(program, "dual")
         except UnsuitableMatrix:
             pass
     return problem

@@ -65,7 +65,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         if solver_cache is not None:
             solver_cache[self.name()] = result.z
         proof = None
-        is_optimal = solution.is_optimal(kkt_goal(options["tolerance"]))
+        is_optimal = solution.is_stationary(kkt_goal(options["tolerance"]))
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
         if not is_optimal and (is_proven or not ended_by_caller(result, options)):
             proof = program.refutation(kkt_goal(options["tolerance"]))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import compress
 
 import numpy as np
 
@@ -48,6 +49,25 @@ class Effort:
         return True
 
 
+@dataclass
+class Solved:
+    """Equations of free rows, solved for free z: over one denominator, in the variables that were nonbasic then.
+
+    Attributes
+    ----------
+    z : dict of int to list of int
+        The row of each z: coefficients of the `nonbasic` ones, and a constant.
+    w : dict of int to list of int
+        The coefficients of the w of the equations in each basic variable that was left.
+    """
+
+    denominator: int
+    equations: list[int]
+    nonbasic: list[int]
+    z: dict[int, list[int]]
+    w: dict[int, list[int]]
+
+
 class ExactSimplex:
     """Bounds on the variables x = (z, w) of w = M z + q, and a basic point that is within them.
 
@@ -55,6 +75,7 @@ class ExactSimplex:
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
     time; :meth:`refutation` then repairs the point or proves that there is none.
 
+    Equations of free rows are solved at the beginning: no pivot looks at their w and the z that they determine again.
     What pivots is a generator: it yields between two rows when enough was computed, and returns its answer.
 
     Notes
@@ -81,6 +102,28 @@ class ExactSimplex:
         self.nonbasic = list(range(n))
         self.value = [_clipped(0, *self.bounds(x)) for x in range(2 * n)]  # of nonbasic ones
         self.numerator: list[int] = []  # of basic ones, over the denominator
+        self._solved = Solved(1, [], [], {}, {})
+        self._evaluate()
+
+    def solve_equations(self) -> Iterator[None]:
+        """Solve the equations of free rows for as many free z as they determine, and set both aside."""
+        for w in [w for w in self.basic if self._is_fixed(w)]:
+            row = self.basic.index(w)
+            column = next((k for k, z in enumerate(self.nonbasic) if self.rows[row][k] and self._is_free_z(z)), None)
+            if column is not None:
+                yield from self._pivot(row, column, 0)
+        gone = [x >= self.n for x in self.nonbasic]
+        if not any(gone):
+            return
+        kept = [not is_gone for is_gone in gone]
+        rows = dict(zip(self.basic, self.rows, strict=True))
+        self.nonbasic, equations = list(compress(self.nonbasic, kept)), list(compress(self.nonbasic, gone))
+        of_rest = {x: [*compress(row, kept), row[-1]] for x, row in rows.items()}
+        self.basic = [x for x in self.basic if x >= self.n]
+        of_z = {x: row for x, row in of_rest.items() if x < self.n}
+        of_w = {x: list(compress(rows[x], gone)) for x in self.basic}
+        self._solved = Solved(self.denominator, equations, self.nonbasic[:], of_z, of_w)
+        self.rows = [of_rest[x] for x in self.basic]
         self._evaluate()
 
     def bounds(self, x: int) -> tuple[Bound, Bound]:
@@ -131,6 +174,11 @@ class ExactSimplex:
         for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
             if x >= self.n and entry:
                 multipliers[x - self.n] = -direction * entry
+        if self._solved.equations:
+            of_w = [(multipliers[w - self.n], row) for w, row in self._solved.w.items() if multipliers[w - self.n]]
+            multipliers = [y * self._solved.denominator for y in multipliers]
+            for k, w in enumerate(self._solved.equations):
+                multipliers[w - self.n] = -sum(y * row[k] for y, row in of_w)
         return [Fraction(y * scale) for y, scale in zip(multipliers, self.row_scale, strict=True)]
 
     def can_leave(self, x: int, direction: int) -> Generator[None, None, bool]:
@@ -146,14 +194,14 @@ class ExactSimplex:
 
     def go_to_vertex(self) -> Iterator[None]:
         """Move every nonbasic variable to a bound, as far as the set has one there."""
-        for column in range(self.n):
+        for column in range(len(self.nonbasic)):
             low, high = self.bounds(x := self.nonbasic[column])
             if self.value[x] not in (low, high) and not (yield from self._move(column, -1)):
                 yield from self._move(column, 1)
 
     def release_fixed(self) -> Generator[None, None, int]:
         """Pivot variables with equal bounds out of the basis; return the dimension that is left."""
-        for row in range(self.n):
+        for row in range(len(self.basic)):
             if self._is_fixed(self.basic[row]):
                 for column, x in enumerate(self.nonbasic):
                     if self.rows[row][column] and not self._is_fixed(x):
@@ -176,10 +224,18 @@ class ExactSimplex:
 
     def point(self) -> list[Fraction]:
         """Return z of the present point, shape (n,)."""
-        return [Fraction(value, self.denominator) * self.unit for value in self.numerators()[: self.n]]
+        numerators, solved = self.numerators(), self._solved
+        values = [Fraction(value, self.denominator) for value in numerators[: self.n]]
+        for z, row in solved.z.items():
+            moved = sum(a * numerators[x] for a, x in zip(row, solved.nonbasic, strict=False))
+            values[z] = (Fraction(moved, self.denominator) + row[-1]) / solved.denominator
+        return [value * self.unit for value in values]
 
     def _is_fixed(self, x: int) -> bool:
         return self.lower[x] is not None and self.lower[x] == self.upper[x]
+
+    def _is_free_z(self, x: int) -> bool:
+        return x < self.n and self.lower[x] is None and self.upper[x] is None
 
     def _evaluate(self) -> None:
         moved = [(k, self.value[x]) for k, x in enumerate(self.nonbasic) if self.value[x]]

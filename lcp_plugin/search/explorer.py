@@ -50,6 +50,7 @@ class Explorer:
 
         A face may have been added to `faces`.
         """
+        yield from self.simplex.solve_equations()
         stack = [(0, -1, "", self.tree)]
         while stack:
             depth, row, choice, case = stack.pop()

@@ -19,7 +19,7 @@ from .exact_simplex import QUANTUM
 
 CASES_A_STEP = 50
 MOST_CASES = 20_000
-MOST_PRODUCTS = 200 * QUANTUM  # some seconds
+MOST_PRODUCTS = 300 * QUANTUM  # some seconds
 LARGEST_PROGRAM = 5000  # rows of a linear program; beyond, single rows and forced bounds are looked at
 
 

@@ -3,8 +3,9 @@
 Run ``python tests/campaigns/nonmonotone.py --cases 1000 --seed 0``. M is standard normal; some rows are free, some have
 two bounds; every second problem is of the kind that keeps an exhaustive search busy longest (17 free rows, some 20 that
 leave a choice). Each is solved by auto as it is, and with ``max_seconds=1``. Prints the longest times, and exits with 1
-where auto took more than 10 s, where the limit was missed by more than a second, where a status is false (the proof is
-verified, a SOLVED measured again in integers), or where anything is raised.
+where auto took more than 10 s (of the wall, or of the processors where that is less: a machine may be shared), where
+the limit was missed by more than a second, where a status is false (the proof is verified, a SOLVED measured again in
+integers), or where anything is raised.
 """
 
 from __future__ import annotations
@@ -59,9 +60,11 @@ def main(cases: int, seed: int) -> int:
     for case in range(cases):
         lcp = problem(np.random.default_rng([seed, case]), is_hard=case % 2 == 1)
         for (name, taken), limit, longest in zip(times.items(), (None, LIMIT), (LONGEST, TOO_LATE), strict=True):
-            began = time.perf_counter()
+            began, worked = time.perf_counter(), time.process_time()
             result = solve(lcp, max_seconds=limit)
             seconds = time.perf_counter() - began
+            if limit is None:
+                seconds = min(seconds, time.process_time() - worked)
             taken.append((seconds, f"case {case} (n = {lcp.n}): {result.status.name}, {result.algorithm}"))
             statuses[f"{name}: {result.status.name}"] += 1
             wrong = complaint(lcp, result) or ("too long" if seconds > longest else "")

@@ -1,0 +1,87 @@
+"""Is a quadratic program convex? Refused where it is clearly not, called optimal only where it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..errors import UnsupportedModel
+from ..matrix_classes.definiteness import EPSILON, is_semidefinite_to_rounding
+
+if TYPE_CHECKING:
+    from .quadratic_program import QuadraticProgram
+
+LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question alone
+LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
+CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
+
+
+def refuse_nonconvex(program: QuadraticProgram) -> None:
+    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries.
+
+    One factorisation up to n = 5000; beyond, a look at each entry beside its diagonal ones.
+
+    Raises
+    ------
+    UnsupportedModel
+        With the eigenvalue or the entries that show it.
+
+    Examples
+    --------
+    >>> from lcp_plugin.conversions.quadratic_program import QuadraticProgram
+    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))
+    Traceback (most recent call last):
+    lcp_plugin.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
+    """
+    P = program.P
+    if program.n <= LARGEST_CHECKED:
+        if program.is_convex is not False or is_semidefinite_beside_its_largest(P):
+            return
+        dense = P.toarray() if sp.issparse(P) else P
+        what = f"the smallest eigenvalue of P is {np.linalg.eigvalsh(dense)[0]:.3g}" if program.n <= LARGEST_MEASURED \
+            else "P has a negative eigenvalue"
+    else:
+        place = clearly_indefinite_at(P)
+        if place is None:
+            return
+        i, j = place
+        what = f"P[{i}, {i}] = {P[i, i]:.3g}, P[{j}, {j}] = {P[j, j]:.3g} and P[{i}, {j}] = {P[i, j]:.3g} show it"
+    raise UnsupportedModel(
+        f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
+        "objective, use a solver for nonconvex programs, or solve(LCP(P, c, lower=…, upper=…)) for a stationary point"
+    )
+
+
+def is_semidefinite_beside_its_largest(P: Any) -> bool:
+    """Return whether P is positive semidefinite up to the rounding of its largest entries.
+
+    A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
+    """
+    n = P.shape[0]
+    shift = n * (n + 4) * EPSILON * float(abs(P).max())
+    return is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(n))) is not False
+
+
+def is_shown_convex(program: QuadraticProgram) -> bool:
+    """Return whether P is shown to be positive semidefinite up to the rounding of each of its rows.
+
+    By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
+    """
+    P, d = program.P, program.P.diagonal()
+    if bool((d >= 0.0).all()) and bool((abs(P) @ np.ones(program.n) <= 2.0 * d).all()):  # Gershgorin
+        return True
+    return program.is_convex is True
+
+
+def clearly_indefinite_at(P: Any) -> tuple[int, int] | None:
+    """Return i, j with |p_ij| clearly above √(p_ii p_jj), or i, i with a negative p_ii; None where there are none."""
+    listed, d = sp.coo_array(P), P.diagonal()
+    scale = float(abs(d).max(initial=0.0)) * CLEAR
+    if d.min(initial=0.0) < -scale:
+        return int(d.argmin()), int(d.argmin())
+    root = np.sqrt(np.maximum(d, 0.0))
+    excess = np.abs(listed.data) - (1.0 + CLEAR) * root[listed.row] * root[listed.col]
+    worst = int(excess.argmax()) if excess.size else 0
+    return (int(listed.row[worst]), int(listed.col[worst])) if excess.size and excess[worst] > scale else None

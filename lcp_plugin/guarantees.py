@@ -178,6 +178,9 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     proof = _best_proof(problem, facts)
     if proof is not None:
         return _guaranteed(problem, facts, proof, paper)
+    quick = _quick(problem, facts)  # its weights are others
+    if quick is not None and quick.is_guaranteed:
+        return replace(quick, paper=paper)
     by_blocks = _theorem_by_blocks(problem, facts)
     if by_blocks is not None:
         return Guarantee(GUARANTEED, by_blocks, paper=paper)
@@ -342,10 +345,9 @@ def _paper_says(problem: LCP, facts: IterationFacts) -> str:
     if facts.family != PROJECTED_TYPE or facts.is_scaled:
         return ""
 
-    def compute() -> tuple[float, float]:
-        return nonnegative_radius(abs(problem.csr - sp.diags_array(problem.diagonal)))
-
-    bounds = problem.shared("spectral radius of |L + U|", compute)
+    bounds = problem.shared(
+        "spectral radius of |L + U|", lambda: nonnegative_radius(abs(problem.csr - sp.diags_array(problem.diagonal)))
+    )
     return theorem_4_2(facts, problem, bounds, _is_h_plus(problem))[1]
 
 

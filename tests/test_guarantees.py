@@ -393,6 +393,13 @@ def named_like_another(omega: float) -> Algorithm:
     return Richardson()
 
 
+def test_the_full_answer_proves_what_the_quick_one_does() -> None:
+    """Weights of 460 decades are no use to a row bound; those of the quick answer then serve the full one."""
+    problem, algorithm = with_matrix([[1.0, 1e300], [1e-310, 1.7e308]]), create("npsor", {"sweep": "symmetric"})
+    assert quick_guarantee(problem, algorithm).is_guaranteed
+    assert convergence_guarantee(problem, algorithm).is_guaranteed
+
+
 def test_bounds_are_asked_before_what_is_kept() -> None:
     """A modulus method guaranteed with M says nothing of a problem with upper bounds, where it cannot run."""
     problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])

@@ -24,6 +24,7 @@ from lcp_plugin.matrix_classes.definiteness import (
 )
 from lcp_plugin.matrix_classes.equilibration import row_numbers, scaled, scaling_exponents
 from lcp_plugin.matrix_classes.exact import (
+    exact_rows,
     has_nonnegative_pivots,
     has_positive_minors,
     has_positive_pivots,
@@ -422,6 +423,18 @@ def test_minors_that_rounding_hides_are_settled_in_integers(
     assert is_p_matrix_by_recursion(sp.csr_array(M)) is is_p
     monkeypatch.setattr(p_matrix, "LARGEST_WORK", 0.0)
     assert is_p_matrix_by_recursion(sp.csr_array(M)) is None
+
+
+def test_ten_rows_are_always_decided() -> None:
+    """However many minors rounding hides, and however long the numbers are, up to n = 10 there is an answer."""
+    rng = np.random.default_rng(0)
+    skew = np.triu(rng.standard_normal((10, 10)), 1)
+    M = np.ldexp(np.eye(10) + skew - skew.T, 900)
+    M[:, 5:] = np.ldexp(M[:, 5:], -1900)
+    M[5:, :] = np.nextafter(M[5:, :], 1.0)
+    A = sp.csr_array(M)
+    everything = list(range(512, 1024))
+    assert p_matrix._settled(exact_rows(A), everything) is has_positive_minors(exact_rows(A))
 
 
 def test_evidence_names_the_row() -> None:

@@ -25,7 +25,8 @@ LARGEST_SIZE = 20
 SCALED_TO_NOTHING = 2.0**-900  # more than what an entry loses that leaves the range when it is scaled
 OUTWARD = 1.0 + 2.0**-48  # more than the rounding of a bound
 EXACT_PAIRS = 2_000
-LARGEST_WORK = 4e12  # of exact arithmetic, in products of bits: some seconds, and enough for any matrix of 10 rows
+LARGEST_WORK = 2.5e12  # of exact arithmetic, in products of bits: some seconds, and enough for any matrix of 10 rows
+ROOT = 1
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -57,11 +58,17 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
 def _settled(rows: Rows, undecided: list[int]) -> bool | None:
     """Return whether all minors below the undecided nodes are positive, in integers; None where that costs too much."""
     n, bits = len(rows), max(entry.bit_length() for row in rows for entry in row)
-    work = 0.0
+
+    def work(node: int) -> float:
+        return (n**3 + 4.0 * 2.0 ** (n - node.bit_length() + 1)) * (n * float(bits)) ** 2
+
+    if work(ROOT) <= min(LARGEST_WORK, sum(map(work, undecided))):
+        undecided = [ROOT]
+    total = 0.0
     for node in sorted(undecided, reverse=True):  # the deepest first: they are the cheapest
         level = node.bit_length() - 1
-        work += (n**3 + 4.0 * 2.0 ** (n - level)) * (n * float(bits)) ** 2
-        if work > LARGEST_WORK:
+        total += work(node)
+        if total > LARGEST_WORK:
             return None
         kept = [i for i in range(n) if i >= level or node >> (level - 1 - i) & 1]
         matrix, before = [[rows[i][j] for j in kept] for i in kept], 1
@@ -128,7 +135,7 @@ def _breadth_first(values: FloatArray, bounds: FloatArray) -> list[int] | None:
 
     A node is a 1 and a digit for each row before its own: 1 where that row is eliminated, 0 where it is left out.
     """
-    nodes, undecided = np.ones(1, dtype=np.int64), []
+    nodes, undecided = np.array([ROOT], dtype=np.int64), []
     with np.errstate(all="ignore"):
         while values.shape[1]:
             pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]

@@ -225,7 +225,7 @@ class Result:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *self._stiffness()])
+        return "\n".join([*lines, *self._stiffness(), *self._complementarity()])
 
     __str__ = explain
 
@@ -255,6 +255,13 @@ class Result:
             return []
         return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
                 "error; error_bound=True bounds it"]
+
+    def _complementarity(self) -> list[str]:
+        """Return a line where z was accepted and a product of z and w is large."""
+        if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
+            return []
+        return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
+                'product counts, try another algorithm ("lemke" for a small problem) or a start z0 near a smaller z']
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""

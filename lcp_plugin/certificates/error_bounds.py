@@ -59,7 +59,7 @@ class ErrorBound:
     near : NearPoint or None
         The point near z* at which most is known; None where nothing is.
     seconds : float
-        What it took to compute.
+        Seconds that it took to compute.
     """
 
     componentwise: FloatVector = field(repr=False)

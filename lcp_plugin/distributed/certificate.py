@@ -15,6 +15,7 @@ from ..certificates.residuals import (
     SMALLEST,
     Certificate,
     euclidean_norm,
+    is_large_product,
     ratio,
     scaled_residual,
 )
@@ -52,6 +53,7 @@ class DistributedCertificate:
     bound_violation: float
     slack_violation: float
     complementarity: float
+    relative_complementarity: float
     backward_error: float
     worst_index: int
     is_at_rounding_level: bool
@@ -70,11 +72,12 @@ class DistributedCertificate:
             own = _OwnRows.at(problem, z, reference)
             maxima = (
                 own.scaled_residual, own.sure_residual(reference), own.natural_residual, own.bound_violation,
-                own.slack_violation, own.complementarity, own.backward_error, float(not own.is_at_rounding_level),
+                own.slack_violation, own.complementarity, own._complementarity_over(reference), own.backward_error,
+                float(not own.is_at_rounding_level),
                 scale.max(initial=-np.inf), -scale.min(initial=np.inf),
             )
             table = gathered(problem.comm, *maxima, own.euclidean_residual, own.worst_index)
-            scaled, sure, natural, bound, slack, complementarity, backward, is_more, most, minus_least = (
+            scaled, sure, natural, bound, slack, complementarity, product, backward, is_more, most, minus_least = (
                 table[:, : len(maxima)].max(axis=0).tolist()
             )
             spread = float(np.divide(most, -minus_least)) if problem.n else 1.0
@@ -83,7 +86,8 @@ class DistributedCertificate:
         return cls(
             problem, own.z, own.w, scaled_residual=scaled, relative_residual=ratio(sure, reference),
             natural_residual=natural, euclidean_residual=euclidean_norm(table[:, -2]), bound_violation=bound,
-            slack_violation=slack, complementarity=complementarity, backward_error=backward,
+            slack_violation=slack, complementarity=complementarity, relative_complementarity=product,
+            backward_error=backward,
             worst_index=int(worst[0]) if worst.size else -1,
             is_at_rounding_level=not is_more, scale_spread=spread,
         )
@@ -93,6 +97,13 @@ class DistributedCertificate:
         if measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
+
+    @property
+    def large_product(self) -> str:
+        """Where complementarity is large though the residual is small, in words; else empty."""
+        if not is_large_product(self.relative_complementarity, self.relative_residual):
+            return ""
+        return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
 
     @property
     def is_gained(self) -> bool:

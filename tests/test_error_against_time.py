@@ -31,6 +31,7 @@ from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.drawing import spread, styles
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.performance_profile import performance_profile
+from lcp_plugin.evidence.pictures import draw
 
 NAP = 0.06
 
@@ -276,6 +277,39 @@ def test_references_that_are_left_out_are_not_asked(monkeypatch: pytest.MonkeyPa
 
 
 # --- Telling --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
+def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) -> None:
+    """PDF holds TrueType fonts, as journals ask for; nobody's own settings of matplotlib change, nor matter."""
+    import matplotlib as mpl
+
+    report = error_against_time(scene(), ["pgs"], repeats=1)
+    with mpl.rc_context({"pdf.fonttype": 3}):
+        before = dict(mpl.rcParams)
+        report.plot(tmp_path / f"curves{ending}")
+        draw(solve(scene().problem, record=True), tmp_path / f"answer{ending}", scene())
+        assert dict(mpl.rcParams) == before
+    for name in ("curves", "answer"):
+        content = (tmp_path / f"{name}{ending}").read_bytes()
+        assert b"/Type3" not in content
+        assert (b"/TrueType" in content or b"/CIDFontType2" in content) == (ending == ".pdf")
+
+
+@pytest.mark.parametrize(
+    ("algorithms", "labels"),
+    [
+        ([("npsor", {"relaxation": 1.5}), "auto"], ["npsor relaxation=1.5", "auto"]),
+        (("npsor", {"relaxation": 1.5}), ["npsor relaxation=1.5"]),
+        ([("auto", {})], ["auto"]),
+        ({"mine": ("npsor", {"relaxation": 1.5}), 2: "psor"}, ["mine", "2"]),
+    ],
+)
+def test_options_may_stand_beside_a_name(algorithms: Any, labels: list[str]) -> None:
+    """A name with its options is an algorithm, alone, in a list, and under a label."""
+    report = error_against_time(scene(), algorithms, repeats=1)
+    assert [curve.label for curve in report.curves] == labels
+
 
 
 def test_csv_and_json_hold_every_digit(tmp_path: Path) -> None:

@@ -175,7 +175,8 @@ class Certificate:
         with np.errstate(all="ignore"):
             above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
             below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
-            products: FloatVector = np.abs(np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0)))
+            larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
+            products: FloatVector = np.abs(larger)
             return products
 
     @cached_property

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ..algorithms import REGISTRY, Algorithm, create, module_of
+from ..choice import policy_for
 from ..driver import solve
 from ..errors import ConvergenceWarning, InvalidOption, LCPError
 from ..problem import LCP, FloatVector
@@ -56,8 +57,9 @@ def contestants(algorithms: Any) -> list[Contestant]:
 
     Parameters
     ----------
-    algorithms : None, a sequence of names and Algorithm objects, or a mapping of labels to them
-        None: the comparison that the paper promises, without tuned options.
+    algorithms : None, a sequence, or a mapping of labels to its items
+        Of names, Algorithm objects and pairs of a name and a dictionary of its options. None: the comparison that the
+        paper promises, without tuned options.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def contestants(algorithms: Any) -> list[Contestant]:
     """
     if algorithms is None:
         return [*paper_settings(), *own_settings()]
-    if isinstance(algorithms, str | Algorithm):
+    if isinstance(algorithms, str | Algorithm | Contestant) or _is_with_options(algorithms):
         algorithms = [algorithms]
     if not isinstance(algorithms, Iterable):
         raise InvalidOption(f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]')
@@ -78,10 +80,26 @@ def contestants(algorithms: Any) -> list[Contestant]:
         if isinstance(one, Contestant):
             found[one.label] = one
             continue
-        made = one if isinstance(one, Algorithm) or one == "auto" else create(one, {})
-        name = label or _label(made)
+        made = _checked(one)
+        name = str(label) if label else _label(made)
         found[name] = Contestant(name, made, family_of(made))
     return list(found.values())
+
+
+def _is_with_options(one: Any) -> bool:
+    return isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], Mapping)
+
+
+def _checked(one: Any) -> str | Algorithm:
+    """Return "auto" or an algorithm, made of its name or of a pair of its name and its options."""
+    if isinstance(one, Algorithm):
+        return one
+    if not (isinstance(one, str) or _is_with_options(one)):
+        raise InvalidOption(
+            f'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {{"relaxation": 1.5}}), got {one!r}'
+        )
+    name, options = (one, {}) if isinstance(one, str) else one
+    return policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
 
 
 def _label(algorithm: str | Algorithm) -> str:

@@ -45,8 +45,9 @@ def error_against_time(
     ----------
     target : Scene or LCP
         A scene of the gallery says what is known about it; of a plain problem H₊ is examined here.
-    algorithms : names, Algorithm objects, or a mapping of labels to them; optional
-        By default the projected-type methods (ours and with the paper's settings), their relatives and ``"auto"``.
+    algorithms : sequence, or a mapping of labels to its items; optional
+        Of names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
+        methods (ours and with the paper's settings), their relatives and ``"auto"``.
     references : sequence of str
         Convex solvers to ask through cvxpy, of "daqp", "osqp", "scs", "piqp", "clarabel", "highs"; each becomes one
         point. Left out, with the reason, where M is not symmetric.
@@ -90,7 +91,7 @@ def error_against_time(
     _check(repeats, references, max_work)
     say = progress or (lambda _: None)
     say("what the error is")
-    yardstick = Yardstick.of(scene, is_declared=isinstance(target, Scene), max_seconds=max_seconds)
+    yardstick = Yardstick.of(scene, max_seconds)
     left_out = [*yardstick.left_out, *_march(scene)]
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
     runs: dict[str, _Runs] = {}
@@ -108,7 +109,7 @@ def error_against_time(
             problem = fresh(scene.problem)
             result = measured_run(problem, kept.contestant.algorithm, recorder, z0=scene.start, **limits)
             kept.add(recorder, result, yardstick)
-    points, more = _references(scene, references, max_seconds, yardstick, say, is_declared=isinstance(target, Scene))
+    points, more = _references(scene, references, max_seconds, yardstick, say)
     answers = [kept.certificate for kept in runs.values() if kept.certificate is not None]
     return Report(
         title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
@@ -133,7 +134,7 @@ def _as_scene(target: Any) -> Scene:
     if isinstance(target, Scene):
         return target
     if isinstance(target, LCP):
-        return Scene(problem=target, name="problem")
+        return Scene(problem=target, name="problem", is_declared=False)
     raise InvalidOption(
         f"error_against_time needs a Scene or an LCP, got {type(target).__name__}; "
         'write error_against_time(gallery.build("half_active"))'
@@ -177,14 +178,14 @@ class Yardstick:
     left_out: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, scene: Scene, *, is_declared: bool, max_seconds: float) -> Yardstick:
+    def of(cls, scene: Scene, max_seconds: float) -> Yardstick:
         """Return the best yardstick; it measures on a problem of its own and leaves the runs' problems alone."""
         problem = fresh(scene.problem)
         if scene.exact is not None:
             exact = scene.exact
             return cls(TRUE_ERROR, _with_residual(problem, lambda z: distance(z, exact)), ())
         unknown = (TRUE_ERROR, "the exact answer is not known")
-        if is_declared and not scene.is_h_plus:
+        if scene.is_declared and not scene.is_h_plus:
             reason = "M is not declared to be an H₊-matrix"
         else:
             bound, reason = _bound(problem, scene.start, max_seconds)
@@ -316,12 +317,12 @@ def _active_share(answers: list[Certificate]) -> float:
 
 
 def _references(
-    scene: Scene, names: Sequence[str], max_seconds: float, yardstick: Yardstick, say: Progress, *, is_declared: bool
+    scene: Scene, names: Sequence[str], max_seconds: float, yardstick: Yardstick, say: Progress
 ) -> tuple[tuple[ReferencePoint, ...], list[tuple[str, str]]]:
     """Return a point for each reference that gave an answer, and why the others did not."""
     if not names:
         return (), []
-    if is_declared and not scene.is_symmetric:
+    if scene.is_declared and not scene.is_symmetric:
         return (), [("quadratic programs", "M is not symmetric, so that no quadratic program has these conditions")]
     from .qp_reference import PLAIN, SOLVERS, Formulation, attempt
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import real_vector
-from ..errors import InvalidProblem, UnsuitableMatrix
+from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..matrix_classes import HCertificate, comparison_certificate, comparison_solve
 from ..problem import LCP, FloatVector
 from ..rounding import comparison_product, lower_end
@@ -126,6 +126,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     ------
     InvalidProblem
         Where `problem` is no LCP or z no real vector of length n.
+    InvalidOption
+        Where `sharp` is neither True nor False.
     UnsuitableMatrix
         Where M is neither proven H₊ nor found positive definite.
 
@@ -147,6 +149,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     """
     if not isinstance(problem, LCP):
         raise InvalidProblem(f"error_bound needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+    if not isinstance(sharp, bool | np.bool_):
+        raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z = real_vector(z, "z", problem.n)
     began = time.perf_counter()
     certificate = comparison_certificate(problem) if (problem.diagonal > 0.0).all() else None

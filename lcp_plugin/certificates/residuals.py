@@ -232,7 +232,7 @@ class Certificate:
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
-        if measure not in MEASURES:
+        if not isinstance(measure, str) or measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
 

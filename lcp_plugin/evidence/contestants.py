@@ -72,9 +72,10 @@ def contestants(algorithms: Any) -> list[Contestant]:
         return [*paper_settings(), *own_settings()]
     if isinstance(algorithms, str | Algorithm | Contestant) or _is_with_options(algorithms):
         algorithms = [algorithms]
-    if not isinstance(algorithms, Iterable):
+    listed = _listed(algorithms.items() if isinstance(algorithms, Mapping) else algorithms)
+    if listed is None:
         raise InvalidOption(f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]')
-    named = algorithms.items() if isinstance(algorithms, Mapping) else ((None, one) for one in algorithms)
+    named = listed if isinstance(algorithms, Mapping) else [(None, one) for one in listed]
     found: dict[str, Contestant] = {}
     for label, one in named:
         if isinstance(one, Contestant):
@@ -84,6 +85,30 @@ def contestants(algorithms: Any) -> list[Contestant]:
         name = str(label) if label else _label(made)
         found[name] = Contestant(name, made, family_of(made))
     return list(found.values())
+
+
+def checked_names(names: Any, option: str) -> list[str]:
+    """Return the names as a list.
+
+    Raises
+    ------
+    InvalidOption
+        Where they are a single word, or something else than words.
+    """
+    if isinstance(names, str):
+        raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
+    listed = _listed(names)
+    if listed is None or not all(isinstance(name, str) for name in listed):
+        raise InvalidOption(f"{option} must be a list of names, got {names!r}")
+    return listed
+
+
+def _listed(values: Any) -> list[Any] | None:
+    """Return what can be looped over as a list, else None; a sparse array only seems to be."""
+    try:
+        return list(values)
+    except TypeError:
+        return None
 
 
 def _is_with_options(one: Any) -> bool:

@@ -110,7 +110,7 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 
 def draw_curves(report: Report, against: str = "seconds") -> Any:
     """Return the figure of a report: log–log, each name below the point where its curve ends."""
-    if against not in AXES:
+    if not isinstance(against, str) or against not in AXES:
         raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
     with styled():
         figure, axes = new_figure()

@@ -8,7 +8,7 @@ set-up look cheaper than it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from ..certificates.residuals import Certificate
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample
-from .contestants import Contestant, WorkLimit, contestants, measured_run
+from .contestants import Contestant, WorkLimit, checked_names, contestants, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 from .gallery.scene import Scene
 
@@ -88,8 +88,8 @@ def error_against_time(
     ('true error', ['SOLVED', 'SOLVED'])
     """
     scene = _as_scene(target)
-    _check(repeats, references, max_work)
-    say = progress or (lambda _: None)
+    references = _checked(repeats, references, max_work, progress)
+    say = (lambda _: None) if progress is None else progress
     say("what the error is")
     yardstick = Yardstick.of(scene, max_seconds)
     left_out = [*yardstick.left_out, *_march(scene)]
@@ -141,20 +141,21 @@ def _as_scene(target: Any) -> Scene:
     )
 
 
-def _check(repeats: Any, references: Any, max_work: Any) -> None:
+def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:
+    """Return the references, after a look at everything."""
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
     if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
         raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
-    if isinstance(references, str):
-        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("{references}",)')
-    if not isinstance(references, Iterable):
-        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("osqp",)')
-    if references:
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be callable as progress(label), got {progress!r}")
+    names = checked_names(references, "references")
+    if names:
         from .qp_reference import check_reference
 
-        for name in references:
+        for name in names:
             check_reference(name)
+    return names
 
 
 def _title(scene: Scene) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
 from typing import Any
 
 import cvxpy as cp
@@ -97,12 +96,15 @@ def _listed(constraints: Any) -> list[Any]:
     """Return the constraints as a list, or raise naming what is none."""
     if isinstance(constraints, Constraint):
         return [constraints]
-    if isinstance(constraints, (str, cp.Expression)) or not isinstance(constraints, Iterable):
+    try:
+        if isinstance(constraints, (str, cp.Expression)):
+            raise TypeError("it can be looped over, but is no list")
+        listed = list(constraints)
+    except TypeError as error:
         raise UnsupportedModel(
             f"a ComplementarityProblem needs a list of constraints, got {constraints!r}; write "
             "[complements(x >= 0, F >= 0)]"
-        )
-    listed = list(constraints)
+        ) from error
     for constraint in listed:
         if not isinstance(constraint, Constraint):
             raise UnsupportedModel(

@@ -211,7 +211,7 @@ def test_where_a_bound_says_nothing_the_residual_is_drawn(monkeypatch: pytest.Mo
     report = error_against_time(convection(50), ["psor"], repeats=1)
     assert report.error_kind == "residual"
     assert report.curves[0].points[-1].error <= 1e-8
-    assert "that says nothing" in dict(report.left_out)["rigorous bound"]
+    assert "which says nothing" in dict(report.left_out)["rigorous bound"]
 
 
 def _iterate(problem: Any, count: int) -> Any:

@@ -220,7 +220,7 @@ def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple
     if known.near is not None:
         least, size = (float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high))
     if least > 0.0 and not least < size:
-        return None, f"near the best answer it is {least:.1e}, and its largest entry {size:.1e}: that says nothing"
+        return None, f"of an answer that reaches {size:.1e} it is {least:.1e}, which says nothing"
     return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""
 
 

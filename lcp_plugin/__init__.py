@@ -71,13 +71,14 @@ _HOME = {
     **{
         error: "errors"
         for error in (
-            "ConvergenceWarning", "InvalidOption", "InvalidProblem", "LCPError", "NotConverged", "UnknownAlgorithm",
-            "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",
+            "ConvergenceWarning", "InvalidOption", "InvalidProblem", "LCPError", "ModelWarning", "NotConverged",
+            "UnknownAlgorithm", "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",
         )
     },
 }
 
-__all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604 - the names are strings, built from the table
+_FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
+__all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
 
 def __getattr__(name: str) -> Any:
@@ -93,4 +94,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted([*__all__, *_FOR_TESTS])

@@ -337,7 +337,7 @@ def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
         return Single(algorithm)
-    if algorithm == "auto":
+    if isinstance(algorithm, str) and algorithm == "auto":
         if options:
             raise InvalidOption(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well, or see '

@@ -258,14 +258,17 @@ def bench(
 @app.command(
     epilog=_ending(
         "0 complete, 1 interrupted (the same command goes on), 2 bad input",
-        "report --out report --quick", "report half_active:n=2500 --out mine",
+        "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
     )
 )
 @_speaks_plainly
 def report(
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(help="Scenes, name:key=value,…; by default the usual choice.", autocompletion=scene_names),
+        typer.Argument(
+            help="Scenes, name:key=value,…, or files as solve takes them; by default the usual choice.",
+            autocompletion=scene_names,
+        ),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")

@@ -23,7 +23,7 @@ from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
 from .pacing import CheckSchedule, Ending, ErrorWatch, Progress
 from .problem import LCP
-from .result import PROVEN, Result, Sample, StageRecord, Status, status_of
+from .result import PROVEN, Bounded, Result, Sample, StageRecord, Status, status_of
 from .settings import CallersOwn, Settings, checked_start
 
 Callback = Callable[[Sample, FloatVector], Any]
@@ -75,8 +75,8 @@ def solve(
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
         run with status INTERRUPTED. What it raises is passed on.
     error_bound : bool
-        Bound |z − z*| in the result (and, with ``record=True``, along the run), the clock stopped. None where
-        nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
+        Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
+        clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
     **options
         Options of the named algorithm.
 
@@ -343,7 +343,7 @@ class _Run(Ending):
             if due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self._measure(step.z) if residual is None else residual
-                bound = self.errors.along_the_run(step.z)
+                bound = self.errors.along_the_run(step.z, self.work)
                 self.history.append(Sample(self.iteration, self.work, self.seconds, residual, name, bound))
             return wants_to_stop
 
@@ -363,10 +363,9 @@ class _Run(Ending):
             cleaned = certificate if finished is z else Certificate.of(problem, finished)
             if cleaned.relative_residual <= certificate.relative_residual < math.inf:
                 certificate = cleaned
-        with _Paused(self):
-            bound, no_bound = self.errors.final(certificate.z) if self.stages else (None, "")
         if self.settings.is_on_error:
-            is_solved = bound is not None and bound.proves(self.settings.tolerance)
+            with _Paused(self):
+                is_solved = self.errors.is_proved(certificate.z)
         else:
             is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
         if is_solved:
@@ -385,7 +384,7 @@ class _Run(Ending):
             z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
             iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
             tolerance=self.settings.tolerance, tolerance_on=self.settings.tolerance_on, measure=self.settings.measure,
-            history=tuple(self.history), error_bound=bound, no_error_bound=no_bound,
+            history=tuple(self.history), bounded=self.errors.final(certificate.z) if self.stages else Bounded(),
             infeasibility=self.proof,
             stages=tuple(
                 StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work, stage.remark)

@@ -49,7 +49,8 @@ def _split_sum(a, b):  # type: ignore[no-untyped-def]
 def _outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
-    return error + (abs(value) + error) * (2.0**-51 if error > 0.0 else 0.0) + (LEAST if is_tiny else 0.0)
+    widened = error + (abs(value) + error) * 2.0**-51 + (LEAST if is_tiny else 0.0)
+    return widened if error > 0.0 else 0.0
 
 
 @njit(inline="always")
@@ -61,9 +62,13 @@ def _difference(a, b):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _quotient(a, b, error):  # type: ignore[no-untyped-def]
-    """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error."""
+    """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error.
+
+    A quotient beyond the doubles is ±∞, and its distance 0: no bound of a row is larger.
+    """
     value = a / b
     is_exact = (error == 0.0) & ((a == 0.0) | ((_fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
+    is_exact |= (abs(value) == np.inf) & (abs(a) > 2.0 * error)
     least = LEAST if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
     return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * 2.0**-53 + least)
 

@@ -48,6 +48,10 @@ class ConvergenceWarning(UserWarning):
     """Nothing proves that the chosen algorithm converges on this matrix."""
 
 
+class ModelWarning(UserWarning):
+    """The model can be read, but probably says something else than was meant."""
+
+
 def did_you_mean(word: object, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words.
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +14,7 @@ from .certificates.contraction import unit_triangle_sums
 from .checks import FloatVector
 from .errors import UnsuitableMatrix
 from .problem import LCP
-from .result import Status
+from .result import Bounded, Status
 from .settings import Settings
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ LONGEST_FRONT = 2000
 CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next cheap bound
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
+SAMPLED_UP_TO = 100_000  # unknowns with which a sharp bound takes half a second
 OUT_OF_STEP = 2.0
 RISING = 10
 DIVERGED_BEYOND = 1e8
@@ -170,6 +173,9 @@ class ErrorWatch:
         self.problem, self.settings = problem, settings
         self.next_cheap = self.last_residual = self.last_cheap = self.last_sharp = math.inf
         self.sharp_from = math.inf
+        self.is_wanted = bool(settings.error_bound or settings.is_on_error)
+        self.sampled: ErrorBound | None = None  # the last sharp one for a sample
+        self.last_sampled, self.sample_from = math.inf, float(SHARP_WORTH)
         self.proof: tuple[FloatVector, ErrorBound] | None = None
         # ‖r‖∞ ≤ (1 + max Σ|m_ij|/d_i)‖z − z*‖∞: a larger residual belongs to a larger error.
         self.residual_per_error = 1.0
@@ -213,30 +219,59 @@ class ErrorWatch:
             return iteration >= self.sharp_from
         return residual <= SHARP_EVERY * self.last_sharp
 
-    def along_the_run(self, z: FloatVector) -> float | None:
-        """Return the cheap bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
-        if not (self.settings.error_bound or self.settings.is_on_error):
+    def along_the_run(self, z: FloatVector, work: float) -> float | None:
+        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it, after so much work.
+
+        Where the cheap one is far above the residual, a sharp one is computed as often as the run can afford it. The
+        point near z* that it knows bounds the error of the iterates that follow, too.
+        """
+        if not self.is_wanted:
             return None
         try:
             bound = self._bound(z, sharp=False)
         except UnsuitableMatrix:
             return None
-        return bound.infinity if bound.kind == "rigorous" else None
+        if bound.kind != "rigorous":
+            return None
+        from .certificates.error_bounds import LOOSE
 
-    def final(self, z: FloatVector) -> tuple[ErrorBound | None, str]:
-        """Return the bound that proves the tolerance, else the sharp one, or None and the reason; where wanted."""
-        if not (self.settings.error_bound or self.settings.is_on_error):
-            return None, ""
+        least = bound.infinity
+        if self.sampled is not None:
+            least = min(least, float(self.sampled.carried_to(z).max(initial=0.0)))
+        is_affordable = self.problem.n <= SAMPLED_UP_TO or work >= self.sample_from
+        if least > LOOSE * bound.residual and bound.residual <= SHARP_EVERY * self.last_sampled and is_affordable:
+            self.last_sampled, self.sample_from = bound.residual, work + max(SHARP_WORTH, work / 2.0)
+            self.sampled = self._bound(z, sharp=True)
+            least = min(least, self.sampled.infinity)
+        return least
+
+    def is_proved(self, z: FloatVector) -> bool:
+        """Return whether the tolerance on the error is proved for z, by a cheap bound or a sharp one."""
         if self.proof is not None and np.array_equal(self.proof[0], z):
-            return self.proof[1], ""
-        try:
-            cheap = self._bound(z, sharp=False) if self.settings.is_on_error else None
-            is_enough = cheap is not None and cheap.proves(self.settings.tolerance)
-            return cheap if is_enough else self._bound(z, sharp=True), ""
-        except UnsuitableMatrix as error:
-            return None, str(error)
+            return True
+        bound = self._bound(z, sharp=False)
+        if not bound.proves(self.settings.tolerance):
+            bound = self._bound(z, sharp=True)
+        self.proof = z, bound
+        return bound.proves(self.settings.tolerance)
+
+    def final(self, z: FloatVector) -> Bounded | Callable[[], Bounded]:
+        """Return how the bound of z is computed once somebody looks at it; nothing where none is wanted."""
+        if not self.is_wanted:
+            return Bounded()
+        known = self.proof[1] if self.proof is not None and np.array_equal(self.proof[0], z) else None
+        return Bounded(known) if known is not None and not known.is_loose else partial(_sharpest, self.problem, z)
 
     def _bound(self, z: FloatVector, *, sharp: bool) -> ErrorBound:
         from .certificates.error_bounds import error_bound
 
         return error_bound(self.problem, z, sharp=sharp)
+
+
+def _sharpest(problem: LCP, z: FloatVector) -> Bounded:
+    from .certificates.error_bounds import error_bound
+
+    try:
+        return Bounded(error_bound(problem, z))
+    except UnsuitableMatrix as error:
+        return Bounded(None, str(error))

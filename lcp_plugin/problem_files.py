@@ -23,7 +23,7 @@ VECTORS = ("q", "lower", "upper")
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
-    target = _checked_path(path)
+    target = checked_path(path)
     _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
         M = problem.csr
@@ -34,7 +34,8 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         _save_folder(problem, target)
 
 
-def _checked_path(path: Any) -> Path:
+def checked_path(path: Any) -> Path:
+    """Return the path, or raise InvalidOption or UnreadableFile where it can be none."""
     try:
         target = Path(path)
     except TypeError:
@@ -46,7 +47,7 @@ def _checked_path(path: Any) -> Path:
 
 def load(path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
-    source = _checked_path(path)
+    source = checked_path(path)
     if source.suffix.lower() == ".npz":
         return _load_npz(source)
     prefix = _matrix_market_prefix(source)
@@ -77,6 +78,8 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
     finished: dict[Path, Path] = {}
     try:
         for target, write in contents.items():
+            if not target.name:
+                raise UnreadableFile(f"cannot write {str(target)!r}: it names no file")
             temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
             with temporary.open("xb") as file:
                 finished[target] = temporary

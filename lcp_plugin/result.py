@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -101,7 +103,8 @@ class Sample:
     label : str
         The algorithm at work.
     error_bound : float or None
-        A proved bound of ‖z − z*‖∞, where asked for.
+        A proved bound of ‖z − z*‖∞, where asked for. Above 100 000 unknowns it is seldom the sharpest there is: a
+        sharp one costs a linear solve, and is computed only once the run has cost as much.
     """
 
     iteration: int
@@ -110,6 +113,13 @@ class Sample:
     residual: float | None
     label: str = ""
     error_bound: float | None = None
+
+
+class Bounded(NamedTuple):
+    """A bound of the error, or none and the reason."""
+
+    bound: ErrorBound | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +142,8 @@ class Result:
         As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
-    error_bound : ErrorBound or None
-        Only where asked for, and where M allows one.
-    no_error_bound : str
-        The reason where it was asked for and there is none.
+    bounded : Bounded, or a function that returns it
+        The error bound, or how it is computed once somebody looks at it.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
     infeasibility : Refutation or None
@@ -159,8 +167,24 @@ class Result:
     stages: tuple[StageRecord, ...] = field(default=(), repr=False)
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
-    error_bound: ErrorBound | None = field(default=None, repr=False)
-    no_error_bound: str = field(default="", repr=False)
+    bounded: Bounded | Callable[[], Bounded] = field(default=Bounded(), repr=False)
+
+    @property
+    def error_bound(self) -> ErrorBound | None:
+        """The bound of the error where asked for and where M allows one; the first look at it computes it.
+
+        What that took stands in ``error_bound.seconds``, and not in the run's.
+        """
+        return self._bounded.bound
+
+    @property
+    def no_error_bound(self) -> str:
+        """The reason where a bound was asked for and there is none."""
+        return self._bounded.reason
+
+    @cached_property
+    def _bounded(self) -> Bounded:
+        return self.bounded() if callable(self.bounded) else self.bounded
 
     @property
     def is_solved(self) -> bool:
@@ -231,7 +255,7 @@ class Result:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *self._stiffness()])
+        return "\n".join([*lines, *self._stiffness(), *self._complementarity()])
 
     __str__ = explain
 
@@ -276,6 +300,13 @@ class Result:
             return []
         return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error of up to about "
                 f"{error:.0e}, and ‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
+
+    def _complementarity(self) -> list[str]:
+        """Return a line where z was accepted and a product of z and w is large."""
+        if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
+            return []
+        return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
+                'product counts, try another algorithm ("lemke" for a small problem) or a start z0 near a smaller z']
 
     def to_json(self) -> str:
         """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""

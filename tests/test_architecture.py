@@ -117,6 +117,19 @@ def test_public_names_resolve() -> None:
         lcp_plugin.sovle  # noqa: B018
 
 
+def test_star_import_needs_no_hypothesis() -> None:
+    """``from lcp_plugin import *`` works without the extras; the strategies alone ask for hypothesis, in words."""
+    code = (
+        "import sys\nsys.modules['hypothesis'] = sys.modules['matplotlib'] = None\nfrom lcp_plugin import *\n"
+        "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
+        "try:\n    from lcp_plugin import strategies\nexcept ImportError as error:\n    print(error)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    solved, asked = run.stdout.splitlines()
+    assert solved == "SOLVED"
+    assert asked == "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+
+
 def table_rows() -> dict[str, list[str]]:
     """The README's algorithm table: name → cells."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("## Notation")[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,10 +14,9 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, Status, solve
+from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.certificates.residuals import reference_ends, reference_residual
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import gallery
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
@@ -505,3 +505,44 @@ def test_the_lie_test_sees_a_lie() -> None:
     scene = gallery.scaling_trap()
     exact = exactly(scene.problem, scene.start)
     assert max(map(abs, exact.scaled)) > Fraction(1e-8) * exact.reference
+
+
+UNBOUNDED = LCP([[0, 1], [0, 0]], [-1, 0])  # solved by (0, 1), and by every (z, 1)
+
+
+@pytest.mark.parametrize(
+    ("rows", "unit"), [((1.0, 1.0), 1.0), ((1e-9, 1e6), 1.0), ((1.0, 1.0), 1e-9), ((1e7, 1.0), 1e5)]
+)
+def test_a_large_product_beside_a_small_residual_is_told(rows: tuple[float, float], unit: float) -> None:
+    """Where z_i w_i = 1.5 and the residual is 1e-8, the certificate names the row, in any units."""
+    M, q = np.diag(rows) @ UNBOUNDED.M, np.diag(rows) @ UNBOUNDED.q * unit
+    problem = LCP(M, q)
+    certificate = Certificate.of(problem, np.array([1.5e8, 1.0 + 1e-8]) * unit)
+    assert certificate.relative_complementarity == pytest.approx(1.5, rel=1e-6)
+    assert "z[0] is" in certificate.large_product
+    assert f"({certificate.large_product})" in str(certificate)
+    mirrored = LCP(M, -q, lower=-np.inf, upper=0.0)
+    assert Certificate.of(mirrored, -certificate.z).large_product == certificate.large_product.replace("= ", "= -")
+    assert Certificate.of(problem, np.array([1.0, 1.0]) * unit).large_product == ""
+
+
+def test_a_result_speaks_of_a_large_product() -> None:
+    """SOLVED with complementarity 1.5 is not said without a word."""
+    result = solve(UNBOUNDED)
+    assert result.is_solved
+    assert "complementarity 1.5e+00: z[0] is" in result.explain()
+    assert "complementarity" not in solve(UNBOUNDED, "lemke").explain()
+
+
+@pytest.mark.parametrize("name", gallery.names())
+def test_no_scene_has_a_large_product(name: str) -> None:
+    """Ordinary problems raise no alarm, by whatever method solved them."""
+    scene = gallery.build(name)
+    for algorithm in ("auto", "psor", "npsor"):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ConvergenceWarning)
+                result = solve(scene.problem, algorithm, z0=scene.start, max_iterations=500)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
+        assert not result.is_solved or result.certificate.large_product == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import pkgutil
 import signal
 import threading
@@ -31,6 +32,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.certificates import error_bounds
 from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.certificates.exact_linear import solve_exactly
 from lcp_plugin.deadline import time_limit
@@ -490,6 +492,52 @@ def test_error_bound_goes_into_the_result() -> None:
     assert "rigorous" in result.explain()
     assert json.loads(result.to_json())["error_bound"] == result.error_bound.infinity
     assert solve(EXAMPLE.problem).error_bound is None
+
+
+def test_the_bound_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With error_bound=True a run ends without the bound; the first look computes it, on a clock of its own, once."""
+    calls: list[float] = []
+    bounded = error_bounds.error_bound
+
+    def counted(*args: Any, **options: Any) -> ErrorBound:
+        calls.append(1.0)
+        return bounded(*args, **options)
+
+    monkeypatch.setattr(error_bounds, "error_bound", counted)
+    result = solve(EXAMPLE.problem, error_bound=True)
+    assert not calls
+    copy = pickle.loads(pickle.dumps(result))
+    assert result.error_bound is result.error_bound is not None
+    assert len(calls) == 1
+    assert result.error_bound.seconds > 0.0
+    assert copy.error_bound.infinity == result.error_bound.infinity
+
+
+def test_a_proof_that_is_loose_is_sharpened_when_looked_at() -> None:
+    """Where tolerance_on="error" was reached by a plain bound far above the residual, the result has the sharp one."""
+    problem, exact = grid(60, 1e-4, level=9.0)
+    result = solve(problem, tolerance_on="error", tolerance=1e-3)
+    assert result.status is Status.SOLVED
+    plain, error = error_bound(problem, result.z, sharp=False), np.max(np.abs(result.z - exact))
+    assert plain.proves(1e-3)
+    assert plain.is_loose
+    assert result.error_bound is not None
+    assert error - 1e-9 <= result.error_bound.infinity <= 1.1 * error < 0.1 * plain.infinity  # q is rounded
+
+
+def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every sample's bound holds and is within twice the error; above some size only once a run has cost as much."""
+    problem, exact = grid(30, 1e-4, level=9.0)
+    samples: list[np.ndarray] = []
+    result = solve(problem, "pgs", error_bound=True, record=True, callback=lambda _, z: samples.append(z.copy()))
+    for sample in result.history:
+        error = np.max(np.abs(samples[sample.iteration] - exact))
+        assert error <= sample.error_bound <= 2.0 * error + 1e-9
+    assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
+    monkeypatch.setattr("lcp_plugin.pacing.SAMPLED_UP_TO", 100)
+    history = solve(problem, "pgs", error_bound=True, record=True).history
+    assert history[0].error_bound > 2.0 * result.history[0].error_bound
+    assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound
 
 
 def test_where_no_bound_exists_the_result_says_why() -> None:

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,6 +31,7 @@ from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.drawing import spread, styles
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.performance_profile import performance_profile
+from lcp_plugin.evidence.pictures import draw
 
 NAP = 0.06
 
@@ -163,11 +166,52 @@ def test_axis_is_the_true_error_then_a_bound_then_the_residual() -> None:
 
     solve(bumps.problem, "npsor", callback=record)
     assert all(point.error >= found[point.iteration] - 1e-12 for point in report.curves[0].points[:-1])
-    assert report.curves[0].points[5].error == error_bound(bumps.problem, _iterate(bumps, 5), sharp=False).infinity
+    plain = error_bound(bumps.problem, _iterate(bumps, 5), sharp=False).infinity
+    assert report.curves[0].points[5].error < min(0.2 * plain, (1.0 + 1e-9) * found[5])
     assert error_against_time(scene(), ["pgs"], repeats=1).error_kind == "true error"
     other = error_against_time(gallery.build("rotated_anisotropy", size=8), ["pgs"], repeats=1)
     assert other.error_kind == "residual"
     assert dict(other.left_out)["rigorous bound"] == "M is not declared to be an H₊-matrix"
+
+
+def convection(size: int) -> LCP:
+    """Convection–diffusion on a size × size grid, no constraint active; ⟨M⟩⁻¹ is millions of times as large as M⁻¹."""
+    o, eye = np.ones(size - 1), sp.eye_array(size)
+    along = sp.diags_array([-1.4 * o, 4.0 * np.ones(size), -0.6 * o], offsets=[-1, 0, 1])
+    across = sp.diags_array([-o, -o], offsets=[-1, 1])
+    return LCP(sp.csr_array(sp.kron(eye, along) + sp.kron(across, eye)), -np.ones(size * size))
+
+
+@pytest.mark.parametrize("size", [5, 50])
+def test_the_bound_that_is_drawn_is_the_sharp_one(size: int) -> None:
+    """Of a SOLVED convection–diffusion problem the error drawn is what it is, not what the plain bound makes of it."""
+    problem = convection(size)
+    z = solve(problem, "psor").z
+    error = float(np.max(np.abs(z - scipy.sparse.linalg.spsolve(problem.csr.tocsc(), -problem.q))))
+    report = error_against_time(problem, ["psor"], repeats=1)
+    assert report.error_kind == "rigorous bound"
+    assert report.curves[0].points[-1].error == pytest.approx(error, rel=1e-3)
+    assert error_bound(problem, z, sharp=False).infinity > 1e8 * error
+    if size == 5:
+        assert "rigorous bound 2.9e-09" in str(report)
+
+
+def test_iterative_solves_go_on_as_long_as_they_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where M is too large to factorise, a plain bound 1e13 times the error still becomes a sharp one."""
+    monkeypatch.setattr("lcp_plugin.certificates.reference_point.SPARSE_FACTOR_UP_TO", 0)
+    problem = convection(250)
+    z = solve(problem, "multigrid").z
+    error = float(np.max(np.abs(z - scipy.sparse.linalg.spsolve(problem.csr.tocsc(), -problem.q))))
+    assert error_bound(problem, z).infinity == pytest.approx(error, rel=0.01)
+
+
+def test_where_a_bound_says_nothing_the_residual_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rigorous bound as large as z itself is left out, and the report says so."""
+    monkeypatch.setattr("lcp_plugin.certificates.error_bounds.STEPS", 0)
+    report = error_against_time(convection(50), ["psor"], repeats=1)
+    assert report.error_kind == "residual"
+    assert report.curves[0].points[-1].error <= 1e-8
+    assert "which says nothing" in dict(report.left_out)["rigorous bound"]
 
 
 def _iterate(problem: Any, count: int) -> Any:
@@ -235,6 +279,39 @@ def test_references_that_are_left_out_are_not_asked(monkeypatch: pytest.MonkeyPa
 # --- Telling --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
+def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) -> None:
+    """PDF holds TrueType fonts, as journals ask for; nobody's own settings of matplotlib change, nor matter."""
+    import matplotlib as mpl
+
+    report = error_against_time(scene(), ["pgs"], repeats=1)
+    with mpl.rc_context({"pdf.fonttype": 3}):
+        before = dict(mpl.rcParams)
+        report.plot(tmp_path / f"curves{ending}")
+        draw(solve(scene().problem, record=True), tmp_path / f"answer{ending}", scene())
+        assert dict(mpl.rcParams) == before
+    for name in ("curves", "answer"):
+        content = (tmp_path / f"{name}{ending}").read_bytes()
+        assert b"/Type3" not in content
+        assert (b"/TrueType" in content or b"/CIDFontType2" in content) == (ending == ".pdf")
+
+
+@pytest.mark.parametrize(
+    ("algorithms", "labels"),
+    [
+        ([("npsor", {"relaxation": 1.5}), "auto"], ["npsor relaxation=1.5", "auto"]),
+        (("npsor", {"relaxation": 1.5}), ["npsor relaxation=1.5"]),
+        ([("auto", {})], ["auto"]),
+        ({"mine": ("npsor", {"relaxation": 1.5}), 2: "psor"}, ["mine", "2"]),
+    ],
+)
+def test_options_may_stand_beside_a_name(algorithms: Any, labels: list[str]) -> None:
+    """A name with its options is an algorithm, alone, in a list, and under a label."""
+    report = error_against_time(scene(), algorithms, repeats=1)
+    assert [curve.label for curve in report.curves] == labels
+
+
+
 def test_csv_and_json_hold_every_digit(tmp_path: Path) -> None:
     """The CSV has one line a point with all digits; JSON gives the same report back."""
     report = error_against_time(scene(), ["pgs", "gfp"], ("clarabel",), repeats=1)
@@ -296,9 +373,9 @@ def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
     [
         ({"repeats": 0}, "repeats must be a whole number ≥ 1, got 0"),
         ({"repeats": True}, "repeats must be"),
-        ({"references": "osqp"}, 'write \\("osqp",\\)'),
+        ({"references": "osqp"}, r"references must be a list of names, got the word 'osqp'; write \['osqp'\]"),
         ({"references": ("osqpp",)}, "unknown reference 'osqpp'; did you mean 'osqp'"),
-        ({"references": 5}, "references must be a sequence of names, got 5"),
+        ({"references": 5}, "references must be a list of names, got 5"),
         ({"max_work": "10"}, "max_work must be a number > 0, got '10'"),
         ({"max_work": math.nan}, "max_work must be a number > 0, got nan"),
         ({"max_work": 0}, "max_work must be a number > 0, got 0"),

@@ -45,6 +45,9 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
         assert not bound.proven_active[i] or exact[i] in ends, i
         assert not bound.proven_inactive[i] or (exact[i] not in ends and w[i] == 0), i
     assert bound.infinity == np.inf or max(errors) <= Fraction(bound.infinity)
+    for other in (z, np.zeros_like(z), 1.0 - 3.0 * z):
+        for value, truth, limit in zip(other, exact, bound.carried_to(other), strict=True):
+            assert limit == np.inf or abs(Fraction(float(value)) - truth) <= Fraction(float(limit))
     if bound.relative < np.inf:
         assert max(errors) <= Fraction(bound.relative) * Fraction(float(np.abs(z).max()))
 

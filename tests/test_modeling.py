@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from lcp_plugin import (
     LCP,
     ComplementarityProblem,
+    ModelWarning,
     UnsupportedModel,
     box,
     complements,
@@ -428,22 +429,116 @@ def test_violation_is_the_natural_residual_of_any_form() -> None:
     assert complements(box(y, -1, 1), M @ y + Q).violation() == pytest.approx(np.abs(y.value - inside).max())
 
 
-def bounded_with_equation() -> Any:
-    x, w = cp.Variable(3, nonneg=True), cp.Variable(3, nonneg=True)
-    return [complements(x, w), w == cp.multiply([2.0, 3.0, 4.0], x) - 1]
+def bounded_beside_a_box() -> Any:
+    x, w = cp.Variable(3), cp.Variable(3, nonneg=True, name="w")
+    return [complements(box(x, 0, 1), w), w == cp.multiply([2.0, 3.0, 4.0], x) - 1]
 
 
 def slack_pair_of_bounded() -> Any:
-    x = cp.Variable(2, nonneg=True)
+    w = cp.Variable(2, nonneg=True, name="w")
     A, B = np.array([[3.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 1.0], [1.0, 3.0]])
-    return [complements(A @ x - 1 >= 0, B @ x - 2 >= 0)]
+    return [complements(A @ w - 1 >= 0, B @ w - 2 >= 0)]
 
 
-@pytest.mark.parametrize("make", [bounded_with_equation, slack_pair_of_bounded])
+def defined_below_its_bound() -> Any:
+    x, w = cp.Variable(nonneg=True), cp.Variable(2, nonneg=True, name="w")
+    return [complements(x, 2 * x - 1), w[1] == 3, w[0] == x - 1]
+
+
+@pytest.mark.parametrize("make", [bounded_beside_a_box, slack_pair_of_bounded, defined_below_its_bound])
 def test_bounded_unknowns_do_not_go_with_equations(make: Any) -> None:
-    """A bounded unknown matched with an equation would relax it: refused, naming the variable."""
-    with pytest.raises(UnsupportedModel, match="has bounds but belongs to no pair"):
+    """A bounded unknown matched with an equation would relax it: refused, naming the entry."""
+    with pytest.raises(UnsupportedModel, match=r"^w\[0\] has bounds that the rest of the model does not imply"):
         model(*make())
+
+
+def pair_of_named(has_bound_x: bool, has_bound_w: bool) -> tuple[Any, Any, Any]:
+    x, w = cp.Variable(2, nonneg=has_bound_x, name="x"), cp.Variable(2, nonneg=has_bound_w, name="w")
+    return x, w, w == np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("has_bound_x", "state"),
+    [
+        (False, lambda x, w: complements(x >= 0, w >= 0)),
+        (False, lambda x, w: complements(w >= 0, x >= 0)),
+        (False, lambda x, w: complements(x >= 0, w)),
+        (True, lambda x, w: complements(x, w)),
+        (True, lambda x, w: complements(w, x)),
+        (True, lambda x, w: complements(w >= 0, x >= 0)),
+    ],
+)
+def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any) -> None:
+    """W == M @ x + q with w declared nonneg is the model that it is without the attribute."""
+    for has_bound_w in (False, True):
+        x, w, equation = pair_of_named(has_bound_x, has_bound_w)
+        problem = ComplementarityProblem([equation, state(x, w)])
+        problem.solve(tolerance=1e-12)
+        assert problem.status == "optimal"
+        np.testing.assert_allclose([x.value, w.value], [[2.5, 0.0], [0.0, 3.5]], atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_bounds_implied_from_above_are_recognised(sign: float) -> None:
+    """At upper bounds w ≤ 0 is what the pair implies; the opposite sign is not."""
+    x = cp.Variable(2, bounds=[-np.inf, 0.0])
+    w = cp.Variable(2, nonpos=sign > 0.0, nonneg=sign < 0.0, name="w")
+    constraints = [complements(x, w), w == 2 * x + [3.0, 1.0]]
+    if sign < 0.0:
+        with pytest.raises(UnsupportedModel, match=r"w\[0\] has bounds that the rest"):
+            model(*constraints)
+    else:
+        assert ComplementarityProblem(constraints).solve() == 0.0
+        np.testing.assert_allclose(x.value, [-1.5, -0.5], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(lambda h: 0.0, [2.5, 0.0, 0.0]), (lambda h: h[0] + 1, [2.5, 0.0, 3.5])]
+)
+def test_a_bound_that_an_equation_implies_may_be_stated(value: Any, expected: list[float]) -> None:
+    """complements(h[:2], …) with the rest of h given by an equation that keeps its bounds; each way to write it."""
+    for write in (lambda h: h, lambda h: h >= 0):
+        h = cp.Variable(3, nonneg=True)
+        F = np.array([[2.0, 1.0], [1.0, 2.0]]) @ h[:2] + [-5.0, 1.0]
+        ComplementarityProblem([complements(write(h[:2]), F), h[2] == value(h)]).solve(tolerance=1e-12)
+        np.testing.assert_allclose(h.value, expected, atol=1e-9)
+
+
+def test_an_equation_outside_the_bounds_is_told() -> None:
+    """h[2] == −1 with h nonneg has no solution, and the message says that, not something about pairs."""
+    h = cp.Variable(3, nonneg=True, name="h")
+    with pytest.raises(UnsupportedModel, match=r"equations and pairs keep h\[2\] outside its bounds, 0 and inf"):
+        model(complements(h[:2], h[:2] - 1), h[2] == -1)
+
+
+@pytest.mark.parametrize("other", [lambda x: x - 1, lambda x: -x + 1])
+def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
+    """complements(x, F) with x without bounds means F == 0: said where the model is solved, in the caller's line."""
+    x = cp.Variable(2, name="x")
+    problem = ComplementarityProblem([complements(x, other(x))])
+    with pytest.warns(ModelWarning, match=r"x has no bounds, so that complements\(x, F\) means F == 0") as caught:
+        problem.solve()
+    assert [warning.filename for warning in caught] == [__file__]
+    with pytest.warns(ModelWarning) as caught:
+        cp.Problem(cp.Minimize(0), [complements(other(x), x)]).solve(method="LCP")
+    assert [warning.filename for warning in caught] == [__file__]
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        lambda x: complements(x, x - 1 == 0),
+        lambda x: complements(x >= 0, x - 1),
+        lambda x: complements(box(x, -np.inf, np.inf), x - 1),
+        lambda x: x == 1,
+    ],
+)
+def test_what_is_meant_is_not_warned_of(state: Any) -> None:
+    """A free variable beside == 0, a box or a bound raises no warning, nor do bounds that are stated as infinite."""
+    x = cp.Variable(2)
+    assert ComplementarityProblem([state(x)]).solve() == 0.0
+    free = cp.Variable(2, bounds=[-np.inf, np.inf])
+    assert ComplementarityProblem([complements(free, free - 1)]).solve() == 0.0
 
 
 def test_an_inequality_opposite_two_bounds_is_refused() -> None:
@@ -504,6 +599,14 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
         np.testing.assert_allclose(x.value, value)
 
 
+def test_a_single_constraint_needs_no_list() -> None:
+    """ComplementarityProblem(complements(…)) is the problem with that one pair; any iterable of constraints will do."""
+    x = cp.Variable()
+    for constraints in (pair_of(x), (pair_of(x),), iter([pair_of(x)])):
+        ComplementarityProblem(constraints).solve(tolerance=1e-12)
+        assert x.value == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("act", "pattern"),
     [
@@ -513,6 +616,19 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
         (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
         (lambda p: complements(None, p.variables()[0]), "None"),
         (lambda p: complements(box(p.variables()[0], [0.0], 1), p.variables()[0]).violation(), "shape"),
+        (lambda p: complements(p.variables()[0] >= 0, -np.ones(3) >= 0), r"Booleans, \[False False False\].*Constant"),
+        (lambda p: complements(1 >= 0, p.variables()[0]), "first side of complements holds Booleans, True"),
+        (lambda p: complements([True, False, True], p.variables()[0]), "Booleans"),
+        (lambda p: box(-np.ones(3) >= 0, 0, 1), "expression of box holds Booleans"),
+        (lambda p: box(None, 0, 1), "no cvxpy expression"),
+        (lambda p: box([[1, 2], [3]], 0, 1), "no cvxpy expression"),
+        (lambda p: complements("x", p.variables()[0]), "no cvxpy expression"),
+        (lambda p: complements(p.constraints[0], p.variables()[0]), "constraint itself"),
+        (lambda p: ComplementarityProblem(p.variables()[0]), "list of constraints"),
+        (lambda p: ComplementarityProblem(None), "list of constraints, got None"),
+        (lambda p: ComplementarityProblem("pairs"), "list of constraints, got 'pairs'"),
+        (lambda p: ComplementarityProblem([True]), "its list holds True"),
+        (lambda p: ComplementarityProblem([p.constraints]), "its list holds"),
     ],
 )
 def test_misuse_is_told(act: Any, pattern: str) -> None:

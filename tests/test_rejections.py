@@ -15,7 +15,20 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, Certificate, Result, Sample, solve
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    ComplementarityProblem,
+    Result,
+    Sample,
+    convergence_guarantee,
+    cross_validate,
+    error_against_time,
+    error_bound,
+    gallery,
+    solve,
+    stability_atlas,
+)
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.algorithms.splittings.modulus import MGS, ModulusBased
 from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
@@ -31,6 +44,9 @@ from lcp_plugin.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
+from lcp_plugin.evidence.curves import Report
+from lcp_plugin.evidence.performance_profile import performance_profile
+from lcp_plugin.evidence.stability import Atlas
 
 BUILTIN_BASE = {
     InvalidProblem: ValueError,
@@ -605,3 +621,46 @@ def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 0, f"the process died with {done.returncode}: {done.stderr[-500:]}"
     assert re.match(r"InvalidProblem M is a damaged sparse array", done.stdout), done.stdout
+
+
+# --- Arguments of a wrong kind ------------------------------------------------------------------------------------
+
+WRONG: dict[str, Any] = {
+    "number": 3.5, "bytes": b"x", "object": object(), "array": np.zeros((3, 3)), "sparse": sp.eye_array(3),
+    "complex": 1j, "list": [[1]], "slice": slice(None), "dictionary": {1: 2}, "set": {1, 2},
+}  # fmt: skip
+TAKE: dict[str, Callable[[LCP, Any], object]] = {
+    "solve algorithm": lambda p, wrong: solve(p, wrong),
+    "convergence_guarantee algorithm": lambda p, wrong: convergence_guarantee(p, wrong),
+    "error_bound sharp": lambda p, wrong: error_bound(p, p.q, sharp=wrong),
+    "certificate measure": lambda p, wrong: Certificate.of(p, p.q).measured(wrong),
+    "error_against_time target": lambda p, wrong: error_against_time(wrong),
+    "error_against_time algorithms": lambda p, wrong: error_against_time(p, wrong),
+    "error_against_time one algorithm": lambda p, wrong: error_against_time(p, [wrong]),
+    "error_against_time its options": lambda p, wrong: error_against_time(p, [("psor", wrong)]),
+    "error_against_time references": lambda p, wrong: error_against_time(p, ["psor"], wrong),
+    "error_against_time progress": lambda p, wrong: error_against_time(p, ["psor"], progress=wrong),
+    "cross_validate reference": lambda p, wrong: cross_validate(p, reference=wrong),
+    "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
+    "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
+    "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
+    "stability_atlas progress": lambda p, wrong: stability_atlas(["psor"], ["sizes"], progress=wrong),
+    "gallery parse": lambda p, wrong: gallery.parse(wrong),
+    "gallery build": lambda p, wrong: gallery.build(wrong),
+    "report plot": lambda p, wrong: REPORT.plot(wrong),
+    "report against": lambda p, wrong: REPORT.plot(against=wrong),
+    "report csv": lambda p, wrong: REPORT.to_csv(wrong),
+    "report json": lambda p, wrong: REPORT.to_json(wrong),
+    "profile csv": lambda p, wrong: performance_profile([REPORT]).to_csv(wrong),
+    "atlas csv": lambda p, wrong: Atlas((), ()).to_csv(wrong),
+    "ComplementarityProblem": lambda p, wrong: ComplementarityProblem(wrong),
+}
+REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())
+
+
+@pytest.mark.parametrize("what", TAKE)
+@pytest.mark.parametrize("kind", WRONG)
+def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -> None:
+    """Whatever is handed over instead of what is needed ends in an LCPError, not in somebody else's TypeError."""
+    with pytest.raises(LCPError):
+        TAKE[what](Given().plain, WRONG[kind])

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from lcp_plugin import InvalidOption
+from lcp_plugin import LCP, InvalidOption
 from lcp_plugin.cli import app
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.curves import Curve, Point, Report
@@ -375,6 +375,25 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
         assert words in refused.output
 
 
+def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
+    """A file and a folder get a section each, with a proved bound; another content of the file is computed again."""
+    paths = [tmp_path / "own.npz", tmp_path / "folder"]
+    for path in paths:
+        LCP([[4, -1], [-1, 4]], [-3, 5]).save(path)
+    command = ["report", *map(str, paths), "--out", str(tmp_path / "r"), "--quick"]
+    run = CliRunner().invoke(app, command)
+    assert run.exit_code == 0, run.output
+    page = (tmp_path / "r" / "index.html").read_text(encoding="utf-8")
+    assert all(f"<h3>{path}</h3>" in page for path in paths)
+    assert page.count("axis: rigorous bound") == 2
+    LCP([[4, -1], [-1, 4]], [-3, 6]).save(paths[0])
+    assert "1 of 2 parts found from a former run" in CliRunner().invoke(app, command).output
+    for name, words in (("no.npz", "no such file"), ("own", "neither a file nor a scene")):
+        refused = CliRunner().invoke(app, ["report", name, "--out", str(tmp_path / "r")])
+        assert refused.exit_code == 2
+        assert words in refused.output
+
+
 @pytest.mark.parametrize("when", ["say", "write"])
 def test_interruption_between_two_parts_is_remembered(
     when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -433,7 +452,7 @@ def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pyte
     """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
     from lcp_plugin.evidence.report import plan as module
 
-    def stop(text: str, effort: Any, say: Any) -> dict[str, Any]:
+    def stop(*_: Any) -> dict[str, Any]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "_scene", stop)

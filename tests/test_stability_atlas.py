@@ -33,6 +33,7 @@ from lcp_plugin.evidence.stability.case import Case, grid, half_active, mostly_f
 from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exact_answer, relative_error
 from lcp_plugin.evidence.stability.honesty import lie_in
 from lcp_plugin.evidence.stability.stresses import FAMILIES
+from lcp_plugin.result import Bounded
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 FEW = settings(deadline=None, derandomize=True, max_examples=25, database=None)
@@ -156,14 +157,14 @@ def bound_of(result: Result, factor: float) -> Any:
         ({"status": Status.INFEASIBLE}, "INFEASIBLE, but there is a solution"),
         ({"status": Status.NO_SOLUTION}, "NO_SOLUTION, but there is a solution"),
         ({"status": Status.STALLED, "z": np.array([0.0, 0.0])}, ""),
-        ({"z": np.array([0.75 + 1e-9, 0.0]), "error_bound": "too small"}, "exceeds its rigorous bound"),
+        ({"z": np.array([0.75 + 1e-9, 0.0]), "bounded": "too small"}, "exceeds its rigorous bound"),
     ],
 )  # fmt: skip
 def test_a_lie_is_found_out(changes: dict[str, Any], lie: str) -> None:
     """What a result claims against the exact answer is named; what is true, or admits failure, is not."""
-    if changes.get("error_bound") == "too small":
-        changes = changes | {"error_bound": bound_of(forged(), 1e-6)}
-    found = lie_in(forged(**{"error_bound": None} | changes), EXACT)
+    if changes.get("bounded") == "too small":
+        changes = changes | {"bounded": Bounded(bound_of(forged(), 1e-6))}
+    found = lie_in(forged(**{"bounded": Bounded()} | changes), EXACT)
     assert lie in found if lie else found == ""
 
 

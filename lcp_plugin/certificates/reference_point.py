@@ -9,7 +9,7 @@ kept as a sum of two doubles, so that it can be nearer to z* than any double is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +18,8 @@ from ..matrix_classes import analyze
 from ..matrix_classes.comparison import hierarchy, krylov, shared_comparison, v_cycle
 from ..matrix_classes.factorisation import diagonal_pivot_factor, factor_fits
 from ..problem import LCP, FloatVector
-from .row_inequality import BoolVector, RowInequality
+from .row_inequality import BoolVector, RowInequality, distance_above
+from .upward import sum_above
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
@@ -26,6 +27,20 @@ KRYLOV_STEPS = 60
 ITERATIVE_TOLERANCE = 1e-2
 
 Solver = Callable[[FloatVector], FloatVector]
+
+
+class NearPoint(NamedTuple):
+    """A point ẑ = high + low near the solution, and a bound y of its own error; each of shape (n,)."""
+
+    high: FloatVector
+    low: FloatVector
+    y: FloatVector
+
+    def bound(self, z: FloatVector) -> FloatVector:
+        """Return |z − ẑ| + y ≥ |z − z*|; ∞ where z is not finite."""
+        with np.errstate(all="ignore"):
+            bound = sum_above(distance_above(self.high, self.low, z), self.y)
+        return np.where(np.isnan(bound), np.inf, bound)
 
 
 class ActiveSetSteps:

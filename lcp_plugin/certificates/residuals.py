@@ -23,6 +23,7 @@ Ends = tuple[float, float]  # a lower and an upper bound
 MEASURES = ("relative", "euclidean")
 BLOCK = 2**14  # rows
 _references: WeakKeyDictionary[LCP, Ends] = WeakKeyDictionary()
+LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
 
 
@@ -54,6 +55,9 @@ class Certificate:
         How far w has a sign that no z within the bounds could allow, in the unit of w.
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
+    relative_complementarity : float
+        The same with w_i/d_i for w_i, over ‖r(z°)‖∞². Invariant as the relative residual is. That is about the lesser
+        factor; where the other is huge, the product is large although the residual is small.
     worst_index : int
         The row of the largest scaled residual; −1 for an empty problem.
 
@@ -167,13 +171,39 @@ class Certificate:
         return _largest(np.maximum(positive, negative))
 
     @cached_property
-    def complementarity(self) -> float:
-        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+    def _products(self) -> FloatVector:
+        """The larger of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds, shape (n,)."""
         problem = self.problem
         with np.errstate(all="ignore"):
             above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
             below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
-            return _largest(np.abs(np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))))
+            larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
+            products: FloatVector = np.abs(larger)
+            return products
+
+    @cached_property
+    def complementarity(self) -> float:
+        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+        return _largest(self._products)
+
+    @cached_property
+    def relative_complementarity(self) -> float:
+        """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
+        return self._complementarity_over(reference_residual(self.problem))
+
+    def _complementarity_over(self, reference: float) -> float:
+        with np.errstate(all="ignore"):
+            return ratio(ratio(_largest(self._products / self.problem.residual_scale), reference), reference)
+
+    @property
+    def large_product(self) -> str:
+        """Which (z_i − bound_i) w_i is large though the residual is small, in words; empty where none is."""
+        if not is_large_product(self.relative_complementarity, self.relative_residual):
+            return ""
+        i = int(np.argmax(self._products / self.problem.residual_scale))
+        bound = self.problem.lower[i] if self.w[i] > 0.0 else self.problem.upper[i]
+        distance = abs(self.z[i] - bound)
+        return f"z[{i}] is {distance:.1e} from its bound and w[{i}] = {self.w[i]:.1e}: large beside the residual"
 
     @cached_property
     def rounding_floor(self) -> FloatVector:
@@ -204,20 +234,26 @@ class Certificate:
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
-        if measure not in MEASURES:
+        if not isinstance(measure, str) or measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
 
     def __str__(self) -> str:
         lines = [
-            ("relative residual", self.relative_residual),
-            ("natural residual", self.natural_residual),
-            ("bound violation", self.bound_violation),
-            ("slack violation", self.slack_violation),
-            ("complementarity", self.complementarity),
-            ("backward error", self.backward_error),
+            ("relative residual", self.relative_residual, ""),
+            ("natural residual", self.natural_residual, ""),
+            ("bound violation", self.bound_violation, ""),
+            ("slack violation", self.slack_violation, ""),
+            ("complementarity", self.complementarity, self.large_product),
+            ("backward error", self.backward_error, ""),
         ]
-        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
+        return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
+
+
+def is_large_product(relative_complementarity: float, relative_residual: float) -> bool:
+    """Return whether complementarity is worth a word beside a residual."""
+    least, factor = LARGE_PRODUCT
+    return relative_complementarity > max(least, factor * relative_residual)
 
 
 def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:

@@ -135,8 +135,7 @@ class RowInequality:
 
     def distance(self, z: FloatVector) -> FloatVector:
         """Return an upper bound of |z − (high + low)|, shape (n,)."""
-        forward = sum_above(sum_above(z, -self.high), -self.low)
-        return np.maximum(forward, sum_above(sum_above(-z, self.high), self.low))
+        return distance_above(self.high, self.low, z)
 
     def _linear(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d."""
@@ -146,6 +145,12 @@ class RowInequality:
             return sum_above(y, quotient_above(sum_above(w, minus_product), diagonal))
 
         return solved(self.slack), solved(self.negative_slack)
+
+
+def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:
+    """Return an upper bound of |z − (high + low)|, shape (n,)."""
+    forward = sum_above(sum_above(z, -high), -low)
+    return np.maximum(forward, sum_above(sum_above(-z, high), low))
 
 
 def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:

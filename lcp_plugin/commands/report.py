@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UnreadableFile
-from .target import scene_text
+from .target import scene_or_file
 from .terminal import PartsBar
 
 PARTS = "parts"
@@ -19,9 +19,9 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     Raises
     ------
     InvalidOption
-        Where a scene does not exist.
+        Where something is neither a scene nor a file.
     UnreadableFile
-        Where the folder cannot be made.
+        Where a file holds no problem, or the folder cannot be made.
     LCPError
         Where matplotlib or jinja2 is not installed: before anything is computed.
     """
@@ -35,7 +35,7 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     if out.exists() and not out.is_dir():
         raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
     began = time.perf_counter()
-    parts = plan([scene_text(scene) or scene for scene in scenes], quick=quick)
+    parts = plan([scene_or_file(scene) for scene in scenes], quick=quick)
     with PartsBar(len(parts)) as bar:
         collected = collect(parts, out / PARTS, bar)
     try:

@@ -21,6 +21,17 @@ def read_target(target: str, size: int | None = None) -> tuple[LCP, Any]:
     return LCP.load(target), None
 
 
+def scene_or_file(target: str) -> Any:
+    """Return a scene's text, or the scene that a file or a folder makes, called as it was given."""
+    from ..evidence.gallery.scene import Scene
+
+    text = scene_text(target)
+    if text is not None:
+        return text
+    problem, _ = read_target(target)
+    return Scene(problem=problem, name=target, description=f"your own problem, {problem!r}", is_declared=False)
+
+
 def scene_text(target: str, size: int | None = None) -> str | None:
     """Return what `gallery.parse` reads, name:key=value,…, or None where the target is no scene.
 

@@ -126,7 +126,7 @@ def lcp_from_absolute_value(A: Any, b: ArrayLike, B: Any = None, form: str = "pl
     >>> problem.origin.recover([2.0])
     AbsoluteValueSolution(x=array([-2.]))
     """
-    if form not in FORMS:
+    if not isinstance(form, str) or form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
     right = checked_vector(b, "b", None)
     n = right.size

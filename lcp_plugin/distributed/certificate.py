@@ -16,6 +16,7 @@ from ..certificates.residuals import (
     Certificate,
     Ends,
     euclidean_norm,
+    is_large_product,
     ratio_upwards,
     residual_ends_of,
     scaled_residual,
@@ -55,6 +56,7 @@ class DistributedCertificate:
     bound_violation: float
     slack_violation: float
     complementarity: float
+    relative_complementarity: float
     backward_error: float
     worst_index: int
     is_at_rounding_level: bool
@@ -73,12 +75,13 @@ class DistributedCertificate:
             own = _OwnRows.at(problem, z)
             maxima = (
                 own.scaled_residual, own.proved_residual, own.natural_residual, own.bound_violation,
-                own.slack_violation, own.complementarity, own.backward_error, float(not own.is_at_rounding_level),
+                own.slack_violation, own.complementarity, own._complementarity_over(most_of_reference),
+                own.backward_error, float(not own.is_at_rounding_level),
                 scale.max(initial=-np.inf), -scale.min(initial=np.inf),
             )
             worst = problem.first + own.worst_index if own.z.size else -1
             table = gathered(problem.comm, *maxima, own.euclidean_residual, worst)
-            scaled, proved, natural, bound, slack, complementarity, backward, is_more, most, minus_least = (
+            scaled, proved, natural, bound, slack, complementarity, product, backward, is_more, most, minus_least = (
                 table[:, : len(maxima)].max(axis=0).tolist()
             )
             spread = float(np.divide(most, -minus_least)) if problem.n else 1.0
@@ -89,7 +92,8 @@ class DistributedCertificate:
             relative_residual=np.nan if most_of_reference == np.inf else ratio_upwards(proved, least),
             natural_residual=natural, bound_violation=bound,
             euclidean_residual=euclidean_norm(table[:, -2]) * (1.0 + gamma(len(table) + 8)),
-            slack_violation=slack, complementarity=complementarity, backward_error=backward,
+            slack_violation=slack, complementarity=complementarity, relative_complementarity=product,
+            backward_error=backward,
             worst_index=int(rows[0]) if rows.size else -1,
             is_at_rounding_level=not is_more, scale_spread=spread,
         )
@@ -99,6 +103,13 @@ class DistributedCertificate:
         if measure not in MEASURES:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
+
+    @property
+    def large_product(self) -> str:
+        """Where complementarity is large though the residual is small, in words; else empty."""
+        if not is_large_product(self.relative_complementarity, self.relative_residual):
+            return ""
+        return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
 
     @property
     def is_gained(self) -> bool:

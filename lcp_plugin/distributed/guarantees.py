@@ -64,9 +64,9 @@ class DistributedErrorBound(ErrorBound):
         How many rows there are, and how many of them are proven to be what, over all ranks.
     """
 
-    n: int
-    active: int
-    inactive: int
+    n: int = 0
+    active: int = 0
+    inactive: int = 0
 
     @property
     def is_active_set_proven(self) -> bool:
@@ -172,5 +172,5 @@ def _counted(
     counts = total(problem.comm, float(np.count_nonzero(active)), float(np.count_nonzero(inactive)))
     return DistributedErrorBound(
         y, worst, relative, "rigorous", "v-certificate", active, inactive,
-        problem.n, int(counts[0]), int(counts[1]),
+        n=problem.n, active=int(counts[0]), inactive=int(counts[1]),
     )

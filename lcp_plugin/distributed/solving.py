@@ -21,7 +21,7 @@ from ..checks import finite_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..pacing import CheckSchedule, Ending, Progress
 from ..problem import LCP, FloatVector
-from ..result import Result, Sample, StageRecord, Status
+from ..result import Bounded, Result, Sample, StageRecord, Status
 from ..settings import Settings
 from . import algorithms
 from .certificate import DistributedCertificate, reference_residual_of, residual_of
@@ -252,7 +252,7 @@ class _Run(Ending):
             algorithm=name if name == ran else f"{name}: {ran}", iterations=max(self.iteration, 0), work=self.work,
             seconds=seconds, setup_seconds=self.setup_seconds, tolerance=settings.tolerance,
             tolerance_on=settings.tolerance_on, measure=settings.measure, history=tuple(self.history),
-            stages=tuple(self.stages), error_bound=bound, no_error_bound=no_bound,
+            stages=tuple(self.stages), bounded=Bounded(bound, no_bound),
         )
 
     def _bound(self, z: FloatVector) -> tuple[ErrorBound | None, str]:

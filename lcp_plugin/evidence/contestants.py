@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ..algorithms import REGISTRY, Algorithm, create, module_of
+from ..choice import policy_for
 from ..driver import solve
 from ..errors import ConvergenceWarning, InvalidOption, LCPError
 from ..problem import LCP, FloatVector
@@ -56,8 +57,9 @@ def contestants(algorithms: Any) -> list[Contestant]:
 
     Parameters
     ----------
-    algorithms : None, a sequence of names and Algorithm objects, or a mapping of labels to them
-        None: the comparison that the paper promises, without tuned options.
+    algorithms : None, a sequence, or a mapping of labels to its items
+        Of names, Algorithm objects and pairs of a name and a dictionary of its options. None: the comparison that the
+        paper promises, without tuned options.
 
     Raises
     ------
@@ -68,20 +70,61 @@ def contestants(algorithms: Any) -> list[Contestant]:
     """
     if algorithms is None:
         return [*paper_settings(), *own_settings()]
-    if isinstance(algorithms, str | Algorithm):
+    if isinstance(algorithms, str | Algorithm | Contestant) or _is_with_options(algorithms):
         algorithms = [algorithms]
-    if not isinstance(algorithms, Iterable):
+    listed = _listed(algorithms.items() if isinstance(algorithms, Mapping) else algorithms)
+    if listed is None:
         raise InvalidOption(f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]')
-    named = algorithms.items() if isinstance(algorithms, Mapping) else ((None, one) for one in algorithms)
+    named = listed if isinstance(algorithms, Mapping) else [(None, one) for one in listed]
     found: dict[str, Contestant] = {}
     for label, one in named:
         if isinstance(one, Contestant):
             found[one.label] = one
             continue
-        made = one if isinstance(one, Algorithm) or one == "auto" else create(one, {})
-        name = label or _label(made)
+        made = _checked(one)
+        name = str(label) if label else _label(made)
         found[name] = Contestant(name, made, family_of(made))
     return list(found.values())
+
+
+def checked_names(names: Any, option: str) -> list[str]:
+    """Return the names as a list.
+
+    Raises
+    ------
+    InvalidOption
+        Where they are a single word, or something else than words.
+    """
+    if isinstance(names, str):
+        raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
+    listed = _listed(names)
+    if listed is None or not all(isinstance(name, str) for name in listed):
+        raise InvalidOption(f"{option} must be a list of names, got {names!r}")
+    return listed
+
+
+def _listed(values: Any) -> list[Any] | None:
+    """Return what can be looped over as a list, else None; a sparse array only seems to be."""
+    try:
+        return list(values)
+    except TypeError:
+        return None
+
+
+def _is_with_options(one: Any) -> bool:
+    return isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], Mapping)
+
+
+def _checked(one: Any) -> str | Algorithm:
+    """Return "auto" or an algorithm, made of its name or of a pair of its name and its options."""
+    if isinstance(one, Algorithm):
+        return one
+    if not (isinstance(one, str) or _is_with_options(one)):
+        raise InvalidOption(
+            f'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {{"relaxation": 1.5}}), got {one!r}'
+        )
+    name, options = (one, {}) if isinstance(one, str) else one
+    return policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
 
 
 def _label(algorithm: str | Algorithm) -> str:

@@ -8,10 +8,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..problem_files import write_whole
+from ..problem_files import checked_path, write_whole
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -214,7 +213,7 @@ class Report:
 
         figure = draw_curves(self, against)
         if path is not None:
-            save(figure, Path(path))
+            save(figure, checked_path(path))
         return figure
 
     def __str__(self) -> str:
@@ -265,4 +264,4 @@ def csv_text(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
 
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write the whole file or nothing."""
-    write_whole({Path(path): lambda file: file.write(text.encode("utf-8"))})
+    write_whole({checked_path(path): lambda file: file.write(text.encode("utf-8"))})

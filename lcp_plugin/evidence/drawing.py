@@ -38,7 +38,7 @@ STYLE: Any = {
     "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
     "axes.labelcolor": "#333333", "xtick.color": "#555555", "ytick.color": "#555555", "axes.grid": True,
     "grid.color": "#e9e9e9", "grid.linewidth": 0.7, "axes.axisbelow": True, "svg.fonttype": "path",
-    "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
+    "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
 }
 SIZE = (4.7, 4.1)
 LABEL_SIZE = 8.0
@@ -77,7 +77,8 @@ def save(figure: Any, path: Path) -> None:
     """Write the figure, whole or not at all."""
     check_format(path)
     kind = path.suffix[1:].lower()
-    write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})
+    with styled():  # a font is chosen when the file is written
+        write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})
 
 
 def styled() -> Any:
@@ -109,7 +110,7 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 
 def draw_curves(report: Report, against: str = "seconds") -> Any:
     """Return the figure of a report: log–log, each name below the point where its curve ends."""
-    if against not in AXES:
+    if not isinstance(against, str) or against not in AXES:
         raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
     with styled():
         figure, axes = new_figure()

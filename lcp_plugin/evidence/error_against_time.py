@@ -8,7 +8,7 @@ set-up look cheaper than it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from ..certificates.residuals import Certificate
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..problem import LCP, FloatVector
 from ..result import Result, Sample
-from .contestants import Contestant, WorkLimit, contestants, measured_run
+from .contestants import Contestant, WorkLimit, checked_names, contestants, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 from .gallery.scene import Scene
 
@@ -45,8 +45,9 @@ def error_against_time(
     ----------
     target : Scene or LCP
         A scene of the gallery says what is known about it; of a plain problem H₊ is examined here.
-    algorithms : names, Algorithm objects, or a mapping of labels to them; optional
-        By default the projected-type methods (ours and with the paper's settings), their relatives and ``"auto"``.
+    algorithms : sequence, or a mapping of labels to its items; optional
+        Of names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
+        methods (ours and with the paper's settings), their relatives and ``"auto"``.
     references : sequence of str
         Convex solvers to ask through cvxpy, of "daqp", "osqp", "scs", "piqp", "clarabel", "highs"; each becomes one
         point. Left out, with the reason, where M is not symmetric.
@@ -63,7 +64,8 @@ def error_against_time(
     -------
     Report
         The error is the true one where the scene knows z*, else a rigorous bound where the scene declares M to be an
-        H₊-matrix (of a plain problem: where M allows one), else the relative residual; ``error_kind`` says which.
+        H₊-matrix (of a plain problem: where M allows one) and that bound is smaller than the answer, else the relative
+        residual; ``error_kind`` says which, ``left_out`` why.
 
     Raises
     ------
@@ -75,6 +77,9 @@ def error_against_time(
     Points lie at geometric intervals of the iterations. The first is the set-up, the last the answer with its final
     check. Iterations, work, errors and residuals are the same in every run of the same call; seconds are not.
 
+    The rigorous bound of every point is its distance to one point ẑ and the bound of ẑ's own error: an answer of
+    ``"auto"``, found beforehand and made nearer to z* by the sharp bound of :func:`lcp_plugin.error_bound`.
+
     Examples
     --------
     >>> from lcp_plugin.evidence import gallery
@@ -83,9 +88,10 @@ def error_against_time(
     ('true error', ['SOLVED', 'SOLVED'])
     """
     scene = _as_scene(target)
-    _check(repeats, references, max_work)
-    say = progress or (lambda _: None)
-    yardstick = Yardstick.of(scene, is_declared=isinstance(target, Scene))
+    references = _checked(repeats, references, max_work, progress)
+    say = (lambda _: None) if progress is None else progress
+    say("what the error is")
+    yardstick = Yardstick.of(scene, max_seconds)
     left_out = [*yardstick.left_out, *_march(scene)]
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
     runs: dict[str, _Runs] = {}
@@ -103,7 +109,7 @@ def error_against_time(
             problem = fresh(scene.problem)
             result = measured_run(problem, kept.contestant.algorithm, recorder, z0=scene.start, **limits)
             kept.add(recorder, result, yardstick)
-    points, more = _references(scene, references, max_seconds, yardstick, say, is_declared=isinstance(target, Scene))
+    points, more = _references(scene, references, max_seconds, yardstick, say)
     answers = [kept.certificate for kept in runs.values() if kept.certificate is not None]
     return Report(
         title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
@@ -128,27 +134,28 @@ def _as_scene(target: Any) -> Scene:
     if isinstance(target, Scene):
         return target
     if isinstance(target, LCP):
-        return Scene(problem=target, name="problem")
+        return Scene(problem=target, name="problem", is_declared=False)
     raise InvalidOption(
         f"error_against_time needs a Scene or an LCP, got {type(target).__name__}; "
         'write error_against_time(gallery.build("half_active"))'
     )
 
 
-def _check(repeats: Any, references: Any, max_work: Any) -> None:
+def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:
+    """Return the references, after a look at everything."""
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
     if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
         raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
-    if isinstance(references, str):
-        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("{references}",)')
-    if not isinstance(references, Iterable):
-        raise InvalidOption(f'references must be a sequence of names, got {references!r}; write ("osqp",)')
-    if references:
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be callable as progress(label), got {progress!r}")
+    names = checked_names(references, "references")
+    if names:
         from .qp_reference import check_reference
 
-        for name in references:
+        for name in names:
             check_reference(name)
+    return names
 
 
 def _title(scene: Scene) -> str:
@@ -172,17 +179,17 @@ class Yardstick:
     left_out: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, scene: Scene, *, is_declared: bool) -> Yardstick:
+    def of(cls, scene: Scene, max_seconds: float) -> Yardstick:
         """Return the best yardstick; it measures on a problem of its own and leaves the runs' problems alone."""
         problem = fresh(scene.problem)
         if scene.exact is not None:
             exact = scene.exact
             return cls(TRUE_ERROR, _with_residual(problem, lambda z: distance(z, exact)), ())
         unknown = (TRUE_ERROR, "the exact answer is not known")
-        if is_declared and not scene.is_h_plus:
+        if scene.is_declared and not scene.is_h_plus:
             reason = "M is not declared to be an H₊-matrix"
         else:
-            bound, reason = _bound(problem)
+            bound, reason = _bound(problem, scene.start, max_seconds)
             if bound is not None:
                 return cls(BOUND, _with_residual(problem, bound), (unknown,))
         own = lambda z: Certificate.of(problem, z).relative_residual  # noqa: E731
@@ -198,17 +205,23 @@ def _with_residual(problem: LCP, error: Measure) -> Callable[[FloatVector], tupl
     return lambda z: (error(z), Certificate.of(problem, z).relative_residual)
 
 
-def _bound(problem: LCP) -> tuple[Measure | None, str]:
+def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple[Measure | None, str]:
     """Return the rigorous bound of ‖z − z*‖∞, or None and the reason."""
     from ..certificates.error_bounds import error_bound
 
     try:
-        first = error_bound(problem, problem.nearest_to_zero, sharp=False)
+        if error_bound(problem, problem.nearest_to_zero, sharp=False).kind != "rigorous":
+            return None, "only an estimate is to be had for this matrix"
     except UnsuitableMatrix as error:
         return None, str(error)
-    if first.kind != "rigorous":
-        return None, "only an estimate is to be had for this matrix"
-    return (lambda z: error_bound(problem, z, sharp=False).infinity), ""
+    answer = measured_run(problem, "auto", WorkLimit(math.inf), z0=start, max_seconds=max_seconds).z
+    known = error_bound(problem, answer)
+    least, size = known.infinity, float(np.abs(answer).max(initial=0.0))
+    if known.near is not None:
+        least, size = (float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high))
+    if least > 0.0 and not least < size:
+        return None, f"of an answer that reaches {size:.1e} it is {least:.1e}, which says nothing"
+    return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""
 
 
 # --- Running --------------------------------------------------------------------------------------------------
@@ -305,12 +318,12 @@ def _active_share(answers: list[Certificate]) -> float:
 
 
 def _references(
-    scene: Scene, names: Sequence[str], max_seconds: float, yardstick: Yardstick, say: Progress, *, is_declared: bool
+    scene: Scene, names: Sequence[str], max_seconds: float, yardstick: Yardstick, say: Progress
 ) -> tuple[tuple[ReferencePoint, ...], list[tuple[str, str]]]:
     """Return a point for each reference that gave an answer, and why the others did not."""
     if not names:
         return (), []
-    if is_declared and not scene.is_symmetric:
+    if scene.is_declared and not scene.is_symmetric:
         return (), [("quadratic programs", "M is not symmetric, so that no quadratic program has these conditions")]
     from .qp_reference import PLAIN, SOLVERS, Formulation, attempt
 

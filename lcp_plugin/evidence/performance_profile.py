@@ -7,10 +7,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
+from ..problem_files import checked_path
 from .curves import Curve, Report, csv_text, finite_content, write_text
 
 LEAST = {"work": 1.0, "seconds": 1e-9}
@@ -76,7 +76,7 @@ class Profile:
 
         figure = draw_profile(self)
         if path is not None:
-            save(figure, Path(path))
+            save(figure, checked_path(path))
         return figure
 
 

@@ -253,7 +253,7 @@ def attempts(formulation: Formulation, reference: str, max_seconds: float) -> It
 
 def check_reference(reference: object) -> None:
     """Raise InvalidOption where there is no such reference."""
-    if reference != "auto" and reference not in SOLVERS:
+    if not isinstance(reference, str) or (reference != "auto" and reference not in SOLVERS):
         raise InvalidOption(f"unknown reference {reference!r}{did_you_mean(reference, ['auto', *SOLVERS])}")
 
 

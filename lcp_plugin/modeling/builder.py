@@ -16,6 +16,7 @@ from .compiled_model import Model, Report
 from .constraint import Complements, Side, attribute_bounds, bounds_of
 from .elimination import Affine, Elimination, eliminate_definitions, is_definition
 from .extract import AffineMap, affine_map
+from .implied_bounds import KnownRanges
 from .matching import matched_for_monotony
 
 PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
@@ -51,6 +52,10 @@ class Builder:
         self.slacks: list[tuple[AffineMap, int]] = []
         self.reports: list[Report] = []
         self.is_defined = np.zeros(self.count, dtype=bool)
+        #: Sides that are one unknown each and whose sign the pair knows: columns, weights, offset, sign.
+        self.signed: list[tuple[NDArray[np.int64], FloatVector, FloatVector, FloatVector]] = []
+        #: Variables that are paired as if they had bounds, and have none.
+        self.unbounded: list[Side] = []
 
     def add_equation(self, constraint: Any) -> None:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
@@ -140,6 +145,13 @@ class Builder:
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         self.is_paired[columns] = True
         self.rows.append(_Rows(columns, function, sign))
+        has_low, has_high = np.isfinite(low), np.isfinite(high)
+        opposite = self._single_columns(function)
+        if opposite is not None:
+            known = np.where(has_low & ~has_high, sign, np.where(has_high & ~has_low, -sign, 0.0))
+            self.signed.append((*opposite, function.offset, known))
+        if side.kind == other.kind == "value" and not (has_low | has_high).any() and not _states_bounds(side):
+            self.unbounded.append(side)
         shape = side.expression.shape
         self.reports.append(Report(pair, columns, shape, True, sign))
         if side.constraint is not None:
@@ -196,9 +208,9 @@ class Builder:
         functions = [self.matrix(rows.function) for rows in self.rows], [rows.function.offset for rows in self.rows]
         if not count:
             return self._assembled(*functions, columns, signs, None)
-        self._refuse_bounded(free)
         owner = np.repeat(np.arange(len(owners)), [size for _, size, _ in owners])
         equations, pairs = _stacked(blocks, offsets, owner, self.count), _stacked(*functions, None, self.count)
+        self._drop_implied_bounds(free, equations)
         found = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
         elimination, left, pairs = (None, equations, pairs) if found is None else found
         kept = np.arange(self.count) if elimination is None else elimination.kept
@@ -275,19 +287,36 @@ class Builder:
                 self.reports.append(Report(constraint, part, shape, False))
             first += size
 
-    def _refuse_bounded(self, free: NDArray[np.int64]) -> None:
-        """Raise where an unknown that goes with an equation has a bound, at which the equation need not hold."""
+    def _drop_implied_bounds(self, free: NDArray[np.int64], equations: Affine) -> None:
+        """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
         bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
-        if bounded.size:
-            name = next(
-                variable.name()
-                for variable in reversed(self.variables)
-                if self.offsets[variable.id] <= bounded[0]
-            )
+        if not bounded.size:
+            return
+        known = KnownRanges(self.count)
+        with np.errstate(all="ignore"):
+            for signed in self.signed:
+                known.of_signed(*signed)
+            known.of_equations(equations.matrix, equations.offset, self.lower, self.upper, self.is_paired)
+        wrong = bounded[known.contradict(self.lower, self.upper)[bounded]]
+        if wrong.size:
             raise UnsupportedModel(
-                f"the variable {name} has bounds but belongs to no pair, only to equations; drop its bounds where a "
-                "pair implies them, or pair it"
+                f"equations and pairs keep {self._entry(wrong[0])} outside its bounds, {self.lower[wrong[0]]:g} and "
+                f"{self.upper[wrong[0]]:g}: no point satisfies the model; correct one of them"
             )
+        left = bounded[~known.imply(self.lower, self.upper)[bounded]]
+        if left.size:
+            entry = self._entry(left[0])
+            raise UnsupportedModel(
+                f"{entry} has bounds that the rest of the model does not imply, and no pair says what gives way at "
+                f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"
+            )
+        self.lower[bounded], self.upper[bounded] = -np.inf, np.inf
+
+    def _entry(self, column: np.int64) -> str:
+        """Return how the unknown is written: h[2]."""
+        variable = next(one for one in reversed(self.variables) if self.offsets[one.id] <= column)
+        place = np.unravel_index(column - self.offsets[variable.id], variable.shape, order="F")
+        return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
     def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
         if free.size == equations:
@@ -317,6 +346,12 @@ def _columns_of(count: int, elimination: Elimination | None, matched: NDArray[np
     columns[elimination.rows] = elimination.columns
     columns[columns < 0] = matched
     return columns
+
+
+def _states_bounds(side: Side) -> bool:
+    """Return whether some variable below the side has bounds, be they infinite."""
+    names = ("nonneg", "nonpos", "pos", "neg", "bounds")
+    return any(variable.attributes.get(name) for variable in side.expression.variables() for name in names)
 
 
 def _variables(constraints: list[Any]) -> list[Any]:

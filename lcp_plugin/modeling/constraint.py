@@ -70,7 +70,7 @@ def box(expression: Any, lower: Any, upper: Any) -> Box:
     >>> x = cp.Variable(2)
     >>> pair = complements(box(x, -1, 1), x - 3)
     """
-    return Box(cp.Variable.cast_to_const(expression), lower, upper)
+    return Box(_expression(expression, "the expression of box"), lower, upper)
 
 
 def complements(first: Any, second: Any) -> Complements:
@@ -121,6 +121,8 @@ def complements(first: Any, second: Any) -> Complements:
 def _side(given: Any, which: str) -> Side:
     if given is None:
         raise UnsupportedModel(f"the {which} side of complements is None; it must be an inequality or an expression")
+    if isinstance(given, Complements):
+        raise UnsupportedModel(f"the {which} side of complements is {given!r}, which is a constraint itself")
     if isinstance(given, Box):
         return Side(given.expression, "box", None, given.lower, given.upper)
     if isinstance(given, Inequality):
@@ -133,10 +135,31 @@ def _side(given: Any, which: str) -> Side:
         raise UnsupportedModel(
             f"the {which} side of complements is {given}; it must be an inequality, an equality or an expression"
         )
+    return Side(_expression(given, f"the {which} side of complements"), "value")
+
+
+def _expression(given: Any, what: str) -> Any:
+    """Return what was given as a cvxpy expression."""
+    if not isinstance(given, cp.Expression) and _kind(given) == "b":
+        raise UnsupportedModel(
+            f"{what} holds Booleans, {given}: numbers were compared before this package saw them; write the numbers "
+            "alone, or cp.Constant(numbers) >= 0"
+        )
     try:
-        return Side(cp.Variable.cast_to_const(given), "value")
-    except (TypeError, ValueError) as error:
-        raise UnsupportedModel(f"the {which} side of complements is no cvxpy expression: {given!r}") from error
+        expression = cp.Variable.cast_to_const(given)
+    except Exception as error:  # whatever cvxpy makes of it
+        raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}") from error
+    if given is None or (isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"):
+        raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}")
+    return expression
+
+
+def _kind(values: Any) -> str:
+    """Return numpy's letter for what an array, or what would become one, holds; "O" where it is none."""
+    try:
+        return values.dtype.kind if hasattr(values, "dtype") else np.asarray(values).dtype.kind
+    except ValueError:
+        return "O"
 
 
 class Complements(Constraint):  # type: ignore[misc]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import warnings
 import weakref
 from typing import Any
 
@@ -9,7 +11,7 @@ import cvxpy as cp
 import numpy as np
 from cvxpy.constraints.zero import Equality, Zero
 
-from ..errors import UnsupportedModel
+from ..errors import ModelWarning, UnsupportedModel
 from ..problem import LCP, FloatVector
 from .builder import Builder
 from .compiled_model import Model
@@ -55,7 +57,22 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
                 f"complements({constraint}, F >= 0)"
             )
+    for side in builder.unbounded:
+        warnings.warn(
+            f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
+            "nonneg=True, or write F == 0 if that is what is meant",
+            ModelWarning, stacklevel=_level_of_caller(),
+        )
     return builder.finished()
+
+
+def _level_of_caller() -> int:
+    """Return the stacklevel at which somebody else's code called this package, or cvxpy, which called it."""
+    own = {__package__.partition(".")[0], cp.__name__}
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def stated_in_cvxpy(problem: LCP) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
+from cvxpy.constraints.constraint import Constraint
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
@@ -60,7 +61,12 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
     Parameters
     ----------
     constraints : list
-        Of :func:`complements` and equalities.
+        Of :func:`complements` and equalities; a single one need not stand in a list.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where something in the list is no constraint.
 
     Examples
     --------
@@ -72,8 +78,8 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
     (0.0, 'optimal', 1.5)
     """
 
-    def __init__(self, constraints: list[Any]) -> None:
-        super().__init__(cp.Minimize(0), constraints)
+    def __init__(self, constraints: Any) -> None:
+        super().__init__(cp.Minimize(0), _listed(constraints))
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> Any:
         """Solve as ``cp.Problem.solve(method="LCP")`` does; see :func:`solve_model`."""
@@ -84,6 +90,28 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
     def copy(self, args: Any = None, id_objects: Any = None) -> ComplementarityProblem:
         """Return a problem with the same constraints."""
         return ComplementarityProblem(list(self.constraints if args is None else args[1]))
+
+
+def _listed(constraints: Any) -> list[Any]:
+    """Return the constraints as a list, or raise naming what is none."""
+    if isinstance(constraints, Constraint):
+        return [constraints]
+    try:
+        if isinstance(constraints, (str, cp.Expression)):
+            raise TypeError("it can be looped over, but is no list")
+        listed = list(constraints)
+    except TypeError as error:
+        raise UnsupportedModel(
+            f"a ComplementarityProblem needs a list of constraints, got {constraints!r}; write "
+            "[complements(x >= 0, F >= 0)]"
+        ) from error
+    for constraint in listed:
+        if not isinstance(constraint, Constraint):
+            raise UnsupportedModel(
+                f"a ComplementarityProblem needs constraints, and its list holds {constraint!r}; write complements(…) "
+                "or an equality of expressions"
+            )
+    return listed
 
 
 def solve_model(

@@ -6,6 +6,13 @@ strategies shrink towards the 1 × 1 identity, or the simplest matrix of their c
 some thirty rows are practical: hypothesis draws every entry and refuses what is too much for it.
 """
 
+try:
+    import hypothesis  # noqa: F401 - to say what is missing before the modules below do
+except ImportError as error:
+    raise ImportError(
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+    ) from error
+
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
 from .dominant import h_plus_matrices, m_matrices, strictly_dominant_matrices, z_matrices
 from .judge import assert_solves

@@ -121,6 +121,8 @@ def parse(text: str) -> Scene:
     >>> parse("obstacle_2d:size=20,shifted=true")
     Scene(obstacle_2d: size=20, shifted=True)
     """
+    if not isinstance(text, str):
+        raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
     name, _, settings = text.strip().partition(":")
     name = name.strip()
     _entry(name)
@@ -137,7 +139,7 @@ def parse(text: str) -> Scene:
 
 
 def _entry(name: str) -> _Entry:
-    if name not in _SCENES:
+    if not isinstance(name, str) or name not in _SCENES:
         raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES)}")
     return _SCENES[name]
 

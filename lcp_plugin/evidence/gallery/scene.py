@@ -35,6 +35,8 @@ class Scene:
         Start vector prescribed by the source.
     is_symmetric, is_h_plus : bool
         True where M is known to be so.
+    is_declared : bool
+        False where nobody has said what M is, as of anybody's own problem; what counts is then found out.
     active_share : float, optional
         Share of components at a bound, in [0, 1]: of `exact`, or of `continuum` where that is all we know.
     grid : optional
@@ -75,6 +77,7 @@ class Scene:
     start: FloatVector | None = None
     is_symmetric: bool = False
     is_h_plus: bool = False
+    is_declared: bool = True
     active_share: float | None = None
     grid: tuple[int, ...] | None = None
     coordinates: tuple[FloatVector, ...] | None = None

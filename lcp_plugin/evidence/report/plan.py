@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -9,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from ..gallery import names, parse
+from ..gallery.scene import Scene
 
 SCENES = (
     "paper_example_1:n=10000",
@@ -65,26 +67,27 @@ QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, i
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of the report: its kind, its name within the kind, and how it is computed."""
+    """One piece of the report: its kind, its name within the kind, how it is computed, and a hash of its own data."""
 
     kind: str
     name: str
     compute: Callable[[SAY], dict[str, Any]]
     effort: Effort
+    data: str = ""
 
     @property
     def settings(self) -> str:
         """Everything that the content depends on, as text."""
-        return json.dumps([self.kind, self.name, asdict(self.effort)])
+        return json.dumps([self.kind, self.name, asdict(self.effort), self.data])
 
 
-def plan(scenes: Sequence[str] = (), *, quick: bool = False) -> list[Part]:
+def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Part]:
     """Return the parts of a report.
 
     Parameters
     ----------
-    scenes : sequence of str
-        As on a command line, ``name:key=value``; by default the report's own choice.
+    scenes : sequence of str and Scene
+        As on a command line, ``name:key=value``, or with a problem of one's own; by default the report's own choice.
     quick : bool
         Small sizes and few repeats: to see what it looks like.
 
@@ -95,10 +98,14 @@ def plan(scenes: Sequence[str] = (), *, quick: bool = False) -> list[Part]:
     """
     effort = QUICK if quick else FULL
     own = [text for text in (QUICK_SCENES if quick else SCENES) if text.partition(":")[0] in names()]
-    chosen = list(dict.fromkeys(scenes)) or own
-    for text in scenes:
-        parse(text)
-    parts = [Part("scene", text, partial(_scene, text, effort), effort) for text in chosen]
+    chosen = {scene if isinstance(scene, str) else scene.name: scene for scene in scenes or own}
+    for scene in scenes:
+        if isinstance(scene, str):
+            parse(scene)
+    parts = [
+        Part("scene", name, partial(_scene, name, scene, effort), effort, _hash(scene))
+        for name, scene in chosen.items()
+    ]
     if not scenes:
         parts += [
             Part("check", text, partial(_check, text, effort), effort) for text in CHECKED[: 5 if quick else None]
@@ -114,12 +121,21 @@ def _families(effort: Effort) -> list[str]:
     return [family for family in FAMILIES if not (effort.is_quick and family in TOO_LONG_FOR_QUICK)]
 
 
-def _scene(text: str, effort: Effort, say: SAY) -> dict[str, Any]:
+def _hash(scene: str | Scene) -> str:
+    """Return a hash of the problem, as the content of a file may be another one next time; nothing of a text."""
+    if isinstance(scene, str):
+        return ""
+    problem = scene.problem
+    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
+def _scene(name: str, given: str | Scene, effort: Effort, say: SAY) -> dict[str, Any]:
     from ..contestants import comparison
     from ..error_against_time import best_answer, error_against_time
     from ..sketches import sketch_of
 
-    scene = parse(text)
+    scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
     say("tuning Ω and relaxations")
     entrants = comparison(scene.problem, start=scene.start, tolerance=1e-8, max_work=TRIAL * max_work)
@@ -130,7 +146,7 @@ def _scene(text: str, effort: Effort, say: SAY) -> dict[str, Any]:
     say("sketch")
     answer = best_answer(scene)
     return {
-        "text": text,
+        "text": name,
         "report": report.to_content(),
         "dominance": _dominance(scene.problem),
         "sketch": None if answer is None else sketch_of(scene, answer),

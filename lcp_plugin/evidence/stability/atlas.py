@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,8 +24,9 @@ from ...errors import (
     UnsuitableProblem,
     did_you_mean,
 )
-from ...problem_files import write_whole
 from ...result import Result
+from ..contestants import checked_names
+from ..curves import write_text
 from .case import Case
 from .exact_answers import relative_error
 from .honesty import lie_in
@@ -167,7 +167,7 @@ class Atlas:
         writer = csv.DictWriter(text, [field.name for field in fields(Cell)], lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(cell) for cell in self.cells)
-        write_whole({Path(path): lambda file: file.write(text.getvalue().encode())})
+        write_text(path, text.getvalue())
 
     def __add__(self, other: Atlas) -> Atlas:
         return Atlas(self.cells + other.cells, self.skipped + other.skipped)
@@ -214,6 +214,8 @@ def stability_atlas(
     >>> [cell.status for cell in atlas.cells], atlas.lies
     (['SOLVED', 'SOLVED', 'SOLVED'], ())
     """
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
     names, families = _checked_algorithms(algorithms), _checked_families(stresses)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
     cells: list[Cell] = []
@@ -236,7 +238,7 @@ def _runs(cases: list[tuple[str, Case]], names: list[str]) -> Iterator[tuple[str
 
 def _checked_algorithms(algorithms: Iterable[str] | None) -> list[str]:
     known = ["auto", *REGISTRY]
-    names = known if algorithms is None else _words(algorithms, "algorithms")
+    names = known if algorithms is None else checked_names(algorithms, "algorithms")
     for name in names:
         if name not in known:
             raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, known)}")
@@ -244,19 +246,11 @@ def _checked_algorithms(algorithms: Iterable[str] | None) -> list[str]:
 
 
 def _checked_families(stresses: Iterable[str] | None) -> list[str]:
-    names = list(FAMILIES) if stresses is None else _words(stresses, "stresses")
+    names = list(FAMILIES) if stresses is None else checked_names(stresses, "stresses")
     for name in names:
         if name not in FAMILIES:
             raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
     return names
-
-
-def _words(names: Iterable[str], option: str) -> list[str]:
-    if isinstance(names, str):
-        raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
-    if not isinstance(names, Iterable):
-        raise InvalidOption(f"{option} must be a list of names, got {names!r}")
-    return list(names)
 
 
 def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:

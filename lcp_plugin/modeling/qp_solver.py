@@ -30,7 +30,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """
 
     MIP_CAPABLE = False
-    BOUNDED_VARIABLES = True
+    BOUNDED_VARIABLES = False
 
     def __call__(self) -> _LCPQuadraticSolver:
         """Return itself, so that ``QPSolver`` and ``QPSolver()`` mean the same."""

@@ -349,11 +349,11 @@ def test_infeasible_and_unbounded_carry_their_proof() -> None:
     problem.solve(solver=QPSolver, algorithm=INTERIOR)
     assert problem.status == "infeasible"
     assert x.value is None
-    assert problem.solver_stats.extra_stats.holds()
+    assert problem.solver_stats.extra_stats.infeasibility.verify()
     problem = cp.Problem(cp.Minimize(cp.square(x[0]) - x[1]), [x[1] - x[2] <= 0])
     assert problem.solve(solver=QPSolver, algorithm=INTERIOR) == -INF
     assert problem.status == "unbounded"
-    assert problem.solver_stats.extra_stats.holds()
+    assert problem.solver_stats.extra_stats.infeasibility.verify()
 
 
 def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:

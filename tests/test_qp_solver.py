@@ -174,5 +174,5 @@ def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
     problem = without_minimum(kind, 90)
     problem.solve(solver=QPSolver, callback=lambda sample, z: labels.add(sample.label))
     assert problem.status == kind
-    assert problem.solver_stats.extra_stats.holds()
+    assert problem.solver_stats.extra_stats.infeasibility.verify()
     assert not labels & {"newton", "lemke", "search"}

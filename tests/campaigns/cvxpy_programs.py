@@ -30,6 +30,7 @@ KINDS = ("free", "signed", "bounded", "parameterised")
 OUTCOMES = ("agreed", "wrong value", "wrong status", "undecided", "not judged")
 
 Draw = np.random.Generator
+ALL_OF_THEM = int(tuple(map(int, cp.__version__.split(".")[:2])) >= (1, 7))
 Atom = Callable[[Any, Draw], Any]
 
 
@@ -50,6 +51,11 @@ def dot_sort(e: Any, draw: Draw) -> Any:
 def regulariser(e: Any, draw: Draw) -> Any:
     """Return the square of something convex and nonnegative."""
     return cp.square(cp.pos(e[0] - draw.normal()) + cp.norm1(e))
+
+
+def largest(e: Any, draw: Draw) -> Any:
+    """Return the sum of the largest entries; of all of them only where this cvxpy can evaluate that."""
+    return cp.sum_largest(e, int(draw.integers(1, e.size + ALL_OF_THEM))) if e.size >= 2 - ALL_OF_THEM else cp.max(e)
 
 
 def steps(e: Any, draw: Draw) -> Any:
@@ -76,8 +82,8 @@ CONVEX: dict[str, Atom] = {
     "quad_form": quadratic_form,
     "quad_over_lin": lambda e, draw: cp.quad_over_lin(e, draw.uniform(0.5, 3.0)),
     "huber": lambda e, draw: cp.sum(cp.huber(e, draw.uniform(0.2, 2.0))),
-    "sum_largest": lambda e, draw: cp.sum_largest(e, int(draw.integers(1, e.size + 1))),
-    "sum_smallest": lambda e, draw: -cp.sum_smallest(e, int(draw.integers(1, e.size + 1))),
+    "sum_largest": largest,
+    "sum_smallest": lambda e, draw: -cp.sum_smallest(e, int(draw.integers(1, e.size))) if e.size > 1 else -cp.min(e),
     "min": lambda e, draw: -cp.min(e),
     "minimum": lambda e, draw: -cp.sum(cp.minimum(e, draw.normal(size=e.size))),
     "tv": steps,
@@ -93,15 +99,23 @@ CONVEX: dict[str, Atom] = {
     "diff": lambda e, draw: cp.sum_squares(cp.diff(e)) if e.size > 1 else cp.square(e[0]),
     "weighted hinge": parametric_hinge,
     "scaled square": lambda e, draw: cp.sum_squares(e) / draw.uniform(0.5, 3.0),
+    "dotsort": dot_sort,
     "linear": lambda e, draw: draw.normal(size=e.size) @ e,
 }
 PIECEWISE_LINEAR = (
     "abs", "pos", "neg", "max", "maximum", "norm1", "norm_inf", "sum_largest", "sum_smallest", "min", "minimum", "tv",
     "hinge", "pinball", "cumsum", "cummax", "ptp", "mean", "nested maximum", "weighted hinge",
+    "dotsort",
 )  # fmt: skip
-if hasattr(cp, "dotsort"):
-    CONVEX["dotsort"] = dot_sort
-    PIECEWISE_LINEAR += ("dotsort",)
+
+
+def is_quadratic(name: str) -> bool:
+    """Return whether this release of cvxpy writes the atom as a quadratic program; it learned some of them late."""
+    return bool(cp.Problem(cp.Minimize(CONVEX[name](cp.Variable(3), np.random.default_rng(0)))).is_qp())
+
+
+CONVEX = {name: CONVEX[name] for name in CONVEX if is_quadratic(name)}
+PIECEWISE_LINEAR = tuple(name for name in PIECEWISE_LINEAR if name in CONVEX)
 
 
 def flat(e: Any) -> Any:

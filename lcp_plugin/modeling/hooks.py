@@ -14,7 +14,7 @@ from cvxpy.error import SolverError
 
 from .user_terms import disagreement, valued, values_of, why_not
 
-NAMES = ("LCP", "lcp")
+METHODS = ("LCP", "lcp")
 
 
 def accompany(solver_class: type) -> None:
@@ -25,7 +25,7 @@ def accompany(solver_class: type) -> None:
 
     @wraps(compiled)
     def get_problem_data(self: Any, solver: Any, *args: Any, **kwargs: Any) -> Any:
-        if isinstance(solver, str) and solver in NAMES:
+        if isinstance(solver, str) and solver in METHODS:
             raise SolverError(
                 f"solver={solver!r}: cvxpy looks for names among its own solvers only; write "
                 'solver=lcp_plugin.QPSolver, or method="LCP"'

@@ -153,7 +153,10 @@ class Answer:
             step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
             ray = [point + k * step * direction for k in range(3)]
             return Claim(unpacked, SAME * self.goal, points=tuple(invert(self._with(self._at(x))) for x in ray))
-        return Claim(unpacked, SAME * self.goal) if self.status == settings.OPTIMAL else None
+        if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
+            return None  # a limit came first: the values are the best so far, and nobody claims anything
+        errors = (self.goal, self.solution.residual, self.solution.row_residual)
+        return Claim(unpacked, SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors))))
 
     def _at(self, x: FloatVector) -> QPSolution:
         program = self.solution.program

@@ -27,7 +27,7 @@ from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
 from ._compat import SUM, leaf_value, name_of
-from .extract import _postorder
+from .extract import postorder
 
 Values = dict[int, Any]
 
@@ -241,7 +241,7 @@ def _combined(problem: Any, duals: Values) -> tuple[float, float]:
 def _size(expression: Any) -> float:
     """Return 1 + the largest term that the expression's value is made of; looked for only where it matters."""
     size = 0.0
-    for node in _postorder(expression, ()):
+    for node in postorder(expression, ()):
         if not node.args and not isinstance(node, cp.Variable):
             continue
         parts = [np.abs(_dense(argument.value)) for argument in node.args]

@@ -26,11 +26,11 @@ __all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_i
 
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000
+ROOM = 0.1  # in a row, for a direction of entries up to 1
 LARGEST_DENSE = 1500
 TIGHT = 1e-7  # HiGHS's own tolerance
 NEGLIGIBLE = 1e-9  # below this HiGHS's answers say nothing
 SUSPECTS = 8  # rows that are checked exactly
-ROOM = 0.1  # in a row, for a direction of entries up to 1
 
 
 def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:

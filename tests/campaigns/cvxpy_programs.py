@@ -111,7 +111,13 @@ PIECEWISE_LINEAR = (
 
 def is_quadratic(name: str) -> bool:
     """Return whether this release of cvxpy writes the atom as a quadratic program; it learned some of them late."""
-    return bool(cp.Problem(cp.Minimize(CONVEX[name](cp.Variable(3), np.random.default_rng(0)))).is_qp())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            cp.Problem(cp.Minimize(CONVEX[name](cp.Variable(3), np.random.default_rng(0)))).get_problem_data(QPSolver)
+        except cp.error.SolverError:
+            return False
+    return True
 
 
 CONVEX = {name: CONVEX[name] for name in CONVEX if is_quadratic(name)}

@@ -6,6 +6,7 @@ all roads to QPSolver lead through them. Whatever is not for our solver passes u
 
 from __future__ import annotations
 
+import warnings
 from functools import wraps
 from typing import Any
 
@@ -15,6 +16,8 @@ from cvxpy.error import SolverError
 from .user_terms import disagreement, valued, values_of, why_not
 
 METHODS = ("LCP", "lcp")
+#: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
+CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
 
 def accompany(solver_class: type) -> None:
@@ -55,7 +58,15 @@ def accompany(solver_class: type) -> None:
         before = values_of(self)
         unpacked(self, solution, chain, inverse_data)
         claim = solution.claim(self.solution, lambda answer: chain.invert(answer, inverse_data))
-        what = None if claim is None else disagreement(self, claim, before)
+        try:
+            what = None if claim is None else disagreement(self, claim, before)
+        except CANNOT_BE_EVALUATED as error:
+            what = None
+            warnings.warn(
+                "QPSolver's answer is that of the program which cvxpy made; it could not be judged on the problem "
+                f"itself, because cvxpy fails to evaluate it: {error}",
+                stacklevel=2,
+            )
         if what is not None:
             status = self.status
             self._clear_solution()

@@ -16,6 +16,7 @@ from campaigns import cvxpy_programs
 
 from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
+from lcp_plugin.conversions.substitution import substitute_definitions
 from lcp_plugin.modeling import qp_solver
 
 SolverError = cp.error.SolverError
@@ -284,3 +285,20 @@ def test_the_solver_s_name_leads_to_the_solver(name: str) -> None:
     """solver="LCP" names QPSolver, which is not "not installed"."""
     with pytest.raises(SolverError, match=r"lcp_plugin\.QPSolver"):
         losses().solve(solver=name)
+
+
+def test_a_direction_that_the_curvature_does_not_see() -> None:
+    """Variables put into a singular P leave a row of rounding errors, which is not taken for a lack of symmetry."""
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        factor = draw.normal(size=(3, 1))
+        E = draw.normal(size=(3, 2))
+        E[:, 0] -= factor[:, 0] * (factor[:, 0] @ E[:, 0]) / (factor[:, 0] @ factor[:, 0])
+        P = np.zeros((5, 5))
+        P[2:, 2:] = factor @ factor.T
+        rows, lower = np.hstack([-E, np.eye(3)]), [-1.0, -1.0, *[-np.inf] * 3]
+        program = QuadraticProgram(P, np.ones(5), A=rows, b=np.zeros(3), lower=lower)
+        substitution = substitute_definitions(program)
+        assert substitution is not None
+        reduced = substitution.reduced.P.toarray()
+        np.testing.assert_array_equal(reduced, reduced.T)

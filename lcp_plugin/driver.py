@@ -21,7 +21,7 @@ from .choice import Choice, Policy, Single, Stage, policy_for
 from .deadline import time_limit
 from .errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from .guarantees import warn_where_uncovered
-from .pacing import CheckSchedule, Ending, ErrorWatch, Progress
+from .pacing import CheckSchedule, Ending, ErrorWatch, Paused, Progress
 from .problem import LCP
 from .result import PROVEN, Bounded, Result, Sample, StageRecord, Status, status_of
 from .settings import CallersOwn, Settings, checked_start
@@ -139,7 +139,7 @@ class _Run(Ending):
 
     def __init__(self, problem: LCP, policy: Policy, settings: Settings, callback: Callback | None) -> None:
         self._began = self._now = time.perf_counter()
-        self._stopped = self._compiling = 0.0
+        self.stopped = self._compiling = 0.0
         self.problem, self.policy, self.settings = problem, policy, settings
         self.callback = None if callback is None else CallersOwn(callback)
         if callback is not None and not callable(callback):
@@ -170,7 +170,7 @@ class _Run(Ending):
         if self.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         while choice is not None:
-            with _Paused(self) as pause:
+            with Paused(self) as pause:
                 rehearse(choice.algorithm, self.problem)
             self._compiling += pause.seconds
             self.stages.append(Stage(choice.algorithm, choice.because))
@@ -207,7 +207,7 @@ class _Run(Ending):
             if is_first_step:
                 require_step(stage.algorithm.name, step)
             self._now = time.perf_counter()
-            self.seconds = self._now - self._began - self._stopped
+            self.seconds = self._now - self._began - self.stopped
             self._unmeasured = step.z
             self.work += step.work
             stage.work += step.work
@@ -332,7 +332,7 @@ class _Run(Ending):
         due = self.settings.record and (is_last or self.iteration >= self._next_sample)
         if not due and self.callback is None:
             return False
-        with _Paused(self):
+        with Paused(self):
             name = self.stages[-1].algorithm.name
             wants_to_stop = False
             if self.callback is not None:
@@ -364,7 +364,7 @@ class _Run(Ending):
             if cleaned.relative_residual <= certificate.relative_residual < math.inf:
                 certificate = cleaned
         if self.settings.is_on_error:
-            with _Paused(self):
+            with Paused(self):
                 is_solved = self.errors.is_proved(certificate.z)
         else:
             is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
@@ -376,7 +376,7 @@ class _Run(Ending):
             reason = Status.PRECISION_LIMIT
         elif reason in (Status.SOLVED, Status.PRECISION_LIMIT) or (reason is Status.DIVERGED and len(self.stages) > 1):
             reason = Status.STALLED
-        seconds = time.perf_counter() - self._began - self._stopped
+        seconds = time.perf_counter() - self._began - self.stopped
         chain = [stage.algorithm.name for stage in self.stages]
         is_one = "".join(chain) in ("", self.policy.name)
         name = self.policy.name if is_one else f"{self.policy.name}: {', '.join(chain)}"
@@ -391,18 +391,3 @@ class _Run(Ending):
                 for stage in self.stages
             ),
         )
-
-
-class _Paused:
-    """Stop the run's clock while something is measured that the algorithm did not need."""
-
-    def __init__(self, run: _Run) -> None:
-        self.run = run
-
-    def __enter__(self) -> _Paused:
-        self.began = time.perf_counter()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds = time.perf_counter() - self.began
-        self.run._stopped += self.seconds

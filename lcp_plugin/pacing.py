@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -104,6 +105,21 @@ class Progress:
         fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
         needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
         return needed > fall * (self.max_iterations - iteration)
+
+
+class Paused:
+    """Stop a run's clock while something is measured that the algorithm did not need; `run.stopped` grows by it."""
+
+    def __init__(self, run: Any) -> None:
+        self.run = run
+
+    def __enter__(self) -> Paused:
+        self.began = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds = time.perf_counter() - self.began
+        self.run.stopped += self.seconds
 
 
 class Ending:

@@ -26,6 +26,7 @@ __all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_i
 
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000
+ROOM = 0.1  # in a row, for a direction of entries up to 1
 LARGEST_DENSE = 1500
 LP_TOLERANCE = 1e-10
 TIGHT = 1e-7  # times the size of a row: tight to a linear program
@@ -243,14 +244,32 @@ def _directions(program: QuadraticProgram, G: list[Row], A: list[Row]) -> Iterat
     d = _minimised(cost, equations, (rows, np.zeros(finite.size)), box)
     if d is None:
         return
-    d = np.where(np.abs(d) > NEGLIGIBLE, d, 0.0)
-    tight = [G[i] for i in finite[np.abs(rows @ d) <= TIGHT].tolist()]
     curved = rational_rows(P)
-    system = [*(curved[i] for i in _independent_rows(P)), *A, *tight]
-    for guess in (few_digits(d), short(d, 1 << 60)):
-        exact = solved_nearby(system, [ZERO] * len(system), guess, [bool(entry) for entry in guess])
-        if exact is not None and any(exact) and is_recession(program, G, A, exact):
-            yield exact
+    flat = [*(curved[i] for i in _independent_rows(P)), *A]
+
+    def exactly(near: FloatVector) -> Iterator[Vector]:
+        near = np.where(np.abs(near) > NEGLIGIBLE, near, 0.0)
+        system = [*flat, *(G[i] for i in finite[np.abs(rows @ near) <= TIGHT].tolist())]
+        for guess in (few_digits(near), short(near, 1 << 60)):
+            exact = solved_nearby(system, [ZERO] * len(system), guess, [bool(entry) for entry in guess])
+            if exact is not None and any(exact) and is_recession(program, G, A, exact):
+                yield exact
+
+    yield from exactly(d)
+    # A vertex holds as many rows as it can: with their rounding errors they may leave no direction but zero.
+    if finite.size:
+        yield from exactly(_slackest(cost, equations, rows, box, d))
+
+
+def _slackest(cost: FloatVector, equations: Any, rows: Any, box: list[Any], d: FloatVector) -> FloatVector:
+    """Return a direction half as steep as d that leaves room in each row where descent allows it."""
+    m = rows.shape[0]
+    inequalities = sp.block_array([[rows, sp.eye_array(m)], [cost[None, :], None]])
+    answer = _minimised(
+        np.append(np.zeros(d.size), -np.ones(m)), sp.hstack([equations, sp.csr_array((equations.shape[0], m))]),
+        (inequalities, np.append(np.zeros(m), 0.5 * (cost @ d))), [*box, *[(0.0, ROOM)] * m],
+    )
+    return d if answer is None else answer[: d.size]
 
 
 def _independent_rows(P: sp.csr_array) -> list[int]:

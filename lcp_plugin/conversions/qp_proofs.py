@@ -40,6 +40,10 @@ class QPInfeasibility:
     lower: tuple[Fraction, ...]
     upper: tuple[Fraction, ...]
 
+    def verify(self) -> bool:
+        """Return `holds()`: what every proof of a result answers to."""
+        return self.holds()
+
     def holds(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
         program = self.program
@@ -109,6 +113,10 @@ class QPUnboundedness:
     point: tuple[Fraction, ...]
     direction: tuple[Fraction, ...]
     is_exact: bool
+
+    def verify(self) -> bool:
+        """Return `holds()`: what every proof of a result answers to."""
+        return self.holds()
 
     def holds(self) -> bool:
         """Return whether point and direction are a proof; exact but for what `is_exact` admits."""

@@ -70,8 +70,10 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     pivots = np.asarray(A[rows, defined]).ravel()
     expansion, offset = _expansion(A, program.b, rows, defined, kept, pivots)
     gradient = program.P @ offset + program.c
+    # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
+    curvature = sp.csr_array(expansion.T @ (program.P @ expansion))
     reduced = QuadraticProgram(
-        sp.csr_array(expansion.T @ (program.P @ expansion)), expansion.T @ gradient,
+        (curvature + curvature.T) / 2, expansion.T @ gradient,
         G=sp.csr_array(program.G @ expansion), h=program.h - program.G @ offset,
         A=sp.csr_array(A[kept_rows] @ expansion), b=program.b[kept_rows] - A[kept_rows] @ offset,
         lower=program.lower[kept], upper=program.upper[kept],

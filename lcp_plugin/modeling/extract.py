@@ -88,7 +88,7 @@ def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None, chec
     """
     root = Expression.cast_to_const(expression)
     kept: dict[Hashable, Any] = {} if memo is None else memo
-    nodes = _postorder(root, ())
+    nodes = postorder(root, ())
     variables = {node.id: node for node in nodes if isinstance(node, cp.Variable)}
     for variable in variables.values():
         _check_attributes(variable)
@@ -130,7 +130,7 @@ class _Tree:
                 self.varying.add(id(node))
 
 
-def _postorder(root: Any, stop: Container[int]) -> list[Any]:
+def postorder(root: Any, stop: Container[int]) -> list[Any]:
     """Return the nodes below the root once each, arguments first; nothing below a node whose id is in `stop`.
 
     Without recursion: a sum written in a Python loop may be thousands of atoms deep.
@@ -182,7 +182,7 @@ def _constants(tree: _Tree, kept: dict[Hashable, Any]) -> Values:
         if ("value", key) in kept:
             values[key] = kept["value", key][1]
             continue
-        values[key] = _fold(_postorder(node, values), _constant_value, values)
+        values[key] = _fold(postorder(node, values), _constant_value, values)
         if is_checked:
             _check_constant(node, values[key])
         if key not in tree.parametric:
@@ -214,7 +214,7 @@ def _evaluated(tree: _Tree, constants: Values, point: dict[int, FloatVector]) ->
     def value(node: Any, values: list[Any]) -> Any:
         return point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
 
-    result = _fold(_postorder(tree.root, constants), value, constants)
+    result = _fold(postorder(tree.root, constants), value, constants)
     return np.array(atoms.dense(result), dtype=np.float64).ravel(order="F")
 
 
@@ -238,7 +238,7 @@ def _check(tree: _Tree, constants: Values, blocks: dict[int, sp.csr_array], offs
         largest = max(largest, float(np.abs(value).max(initial=0.0)))
         return value
 
-    _fold(_postorder(tree.root, constants), watched, constants)
+    _fold(postorder(tree.root, constants), watched, constants)
     wrong = doubtful[~(error[doubtful] <= CHECK_TOLERANCE * (size + largest))]
     if wrong.size:
         raise UnsupportedModel(
@@ -263,7 +263,7 @@ def _linear_part(tree: _Tree, constants: Values, kept: dict[Hashable, Any]) -> d
             kept["linear", id(node)] = (node, blocks)
         return blocks
 
-    blocks: Blocks = _fold(_postorder(tree.root, known), rule, known)
+    blocks: Blocks = _fold(postorder(tree.root, known), rule, known)
     # The root of one call may have been an argument in an earlier one.
     return {key: as_matrix(block, tree.root.size) for key, block in blocks.items()}
 

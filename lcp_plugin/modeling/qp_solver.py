@@ -2,35 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
+from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
+from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram
+from ..problem import FloatVector
 from ..result import Result, Status
+from .hooks import accompany
 from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
+from .user_terms import FAR, Claim
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
+SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
-    The status is judged by the program's own residuals; infeasible and unbounded are said only with a proof, which
-    is then found in ``problem.solver_stats.extra_stats``.
+    The status is judged by the program's own residuals, then once more on the problem as it was stated; infeasible
+    and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.infeasibility``.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds`` and the algorithm's own.
     """
 
     MIP_CAPABLE = False
-    BOUNDED_VARIABLES = True
+    #: cvxpy ≥ 1.9 derives bounds of its own for solvers that take some, wrong ones among them; the rows that a
+    #: user's bounds become otherwise are folded back at the cost of a look.
+    BOUNDED_VARIABLES = False
 
     def __call__(self) -> _LCPQuadraticSolver:
         """Return itself, so that ``QPSolver`` and ``QPSolver()`` mean the same."""
@@ -56,7 +66,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
     ) -> Any:
-        """Return (result, solution, status, proof of no minimum or None) of the program in cvxpy's form."""
+        """Return the answer to the program in cvxpy's form."""
         options = {**SOLVE_OPTIONS, **solver_opts}
         program = quadratic_program(data)
         previous = solver_cache.get(self.name()) if warm_start and solver_cache is not None else None
@@ -65,29 +75,33 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         if solver_cache is not None:
             solver_cache[self.name()] = result.z
         proof = None
-        is_optimal = solution.is_stationary(kkt_goal(options["tolerance"]))
+        goal = kkt_goal(options["tolerance"])
+        is_optimal = solution.is_stationary(goal)
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
         if not is_optimal and (is_proven or not ended_by_caller(result, options)):
-            proof = program.refutation(kkt_goal(options["tolerance"]))
+            proof = program.refutation(goal)
+        status = _status(result, is_optimal, proof)
+        if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
+            result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
         if verbose:
-            settings.LOGGER.info(result.explain() if proof is None else f"{result.explain()}\n{proof}")
-        return result, solution, _status(result, is_optimal, proof), proof
+            settings.LOGGER.info(result.explain())
+        return Answer(result, solution, status, goal)
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
-        result, qp, status, proof = solution
+        result, qp = solution.result, solution.solution
         attributes = {
             settings.SOLVE_TIME: result.seconds,
             settings.SETUP_TIME: result.setup_seconds,
             settings.NUM_ITERS: result.iterations,
-            settings.EXTRA_STATS: result if proof is None else proof,
+            settings.EXTRA_STATS: result,
         }
-        if status not in settings.SOLUTION_PRESENT:
-            attributes["message"] = result.advice if proof is None else str(proof)
-            return failure_solution(status, attributes)
+        if solution.status not in settings.SOLUTION_PRESENT:
+            attributes["message"] = result.advice if result.infeasibility is None else str(result.infeasibility)
+            return failure_solution(solution.status, attributes)
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]
-        return Solution(status, value, values, self._duals(qp, inverse_data), attributes)
+        return Solution(solution.status, value, values, self._duals(qp, inverse_data), attributes)
 
     def _duals(self, qp: Any, inverse_data: Any) -> dict[Any, Any]:
         """Return the multipliers in the layout that this version of cvxpy wants."""
@@ -102,15 +116,69 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         return {**equalities, **inequalities}
 
 
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal."""
+
+    result: Result
+    solution: QPSolution
+    status: str
+    goal: float
+
+    def claim(self, unpacked: Solution, invert: Callable[[Answer], Solution]) -> Claim | None:
+        """Return what is claimed, in the user's variables and constraints; None where nothing is.
+
+        Parameters
+        ----------
+        unpacked : cvxpy Solution
+            What cvxpy made of this answer.
+        invert : callable
+            The way back to the user's variables.
+        """
+        proof, program = self.result.infeasibility, self.solution.program
+        zero = np.zeros(program.n)
+        if isinstance(proof, QPInfeasibility):
+            y, v, low, high = (
+                np.array([float(entry) for entry in part])
+                for part in (proof.inequality, proof.equality, proof.lower, proof.upper)
+            )
+            largest = max(np.abs(part).max(initial=0.0) for part in (y, v, low, high))
+            limits = (program.h, program.b, -program.lower, program.upper)
+            parts = zip((y, v, low, high), limits, strict=True)
+            value = -sum(float(part[part != 0.0] @ limit[part != 0.0]) for part, limit in parts) / largest
+            multipliers = QPSolution(program, zero, y / largest, v / largest, zero, zero)
+            return Claim(unpacked, self.goal, (invert(self._with(multipliers)), value))
+        if isinstance(proof, QPUnboundedness):
+            point, direction = (np.array([float(x) for x in part]) for part in (proof.point, proof.direction))
+            step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
+            ray = [point + k * step * direction for k in range(3)]
+            return Claim(unpacked, SAME * self.goal, points=tuple(invert(self._with(self._at(x))) for x in ray))
+        if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
+            return None  # a limit came first: the values are the best so far, and nobody claims anything
+        errors = (self.goal, self.solution.residual, self.solution.row_residual)
+        return Claim(unpacked, SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors))))
+
+    def _at(self, x: FloatVector) -> QPSolution:
+        program = self.solution.program
+        zero = np.zeros(program.n)
+        return QPSolution(program, x, np.zeros(program.h.size), np.zeros(program.b.size), zero, zero)
+
+    def _with(self, solution: QPSolution) -> Answer:
+        return Answer(self.result, solution, settings.OPTIMAL, self.goal)
+
+
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     n = int(data["n_var"])
-    lower, upper = data.get(settings.LOWER_BOUNDS), data.get(settings.UPPER_BOUNDS)
+    if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
+        raise SolverError(
+            "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
+            "bounds that it derived itself; state them as constraints"
+        )
     return QuadraticProgram(
         _csr(data[settings.P], (n, n)), np.asarray(data[settings.Q], dtype=np.float64),
         G=_csr(data[settings.F], (int(data["n_ineq"]), n)), h=np.asarray(data[settings.G], dtype=np.float64),
         A=_csr(data[settings.A], (int(data["n_eq"]), n)), b=np.asarray(data[settings.B], dtype=np.float64),
-        lower=-np.inf if lower is None else lower, upper=np.inf if upper is None else upper,
     )
 
 
@@ -129,3 +197,4 @@ def _status(result: Result, is_optimal: bool, proof: QPInfeasibility | QPUnbound
 
 
 QPSolver = _LCPQuadraticSolver()
+accompany(_LCPQuadraticSolver)

@@ -17,9 +17,10 @@ from ..driver import solve as solve_lcp
 from ..errors import UnsupportedModel
 from ..result import Result, Status
 from .constraint import Complements
+from .hooks import METHODS
 from .model import Model, build_from
+from .qp_solver import QPSolver
 
-METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 CVXPY_STATUS = {
     Status.SOLVED: settings.OPTIMAL,
@@ -149,8 +150,6 @@ def solve_model(
     if solver is not None:
         raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
-        from .qp_solver import QPSolver
-
         return cp.Problem._solve(
             problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
         )

@@ -1,0 +1,281 @@
+"""What a solver says, judged on the problem as its user stated it: before cvxpy rewrote anything.
+
+The solver only sees a program that cvxpy derived. An error in the derivation is invisible in it, however exact the
+answer is. What shows it are the user's own expressions:
+
+- the objective at the returned values is the value that the solver claims, and no constraint is violated;
+- with the returned multipliers λ the Lagrangian f + Σ λ g is nowhere below that value (weak duality; a few points);
+- "infeasible": Σ λ g of the proof is above its contradiction c > 0 at every point, for the same reason;
+- "unbounded": the user's objective falls along the proof's direction as the program's does, and his constraints hold.
+
+Each of these is necessary, none sufficient: a few points are no proof, but they cost a few products with the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+from cvxpy import settings
+from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
+from cvxpy.reductions.solution import Solution
+from numpy.typing import NDArray
+
+from ._compat import SUM, leaf_value, name_of
+from .extract import postorder
+
+Values = dict[int, Any]
+
+EQUATIONS = (Equality, Zero)
+INEQUALITIES = (Inequality, NonPos, NonNeg)
+SEED = 16
+STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
+ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
+FAR = 10.0  # of 1 + |point|, along a direction without end
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A solver's answer in the variables and constraints of the user.
+
+    Parameters
+    ----------
+    solution : cvxpy Solution
+        As it was unpacked.
+    tolerance : float
+        What the solver itself calls optimal, relative to 1 + the terms.
+    contradiction : cvxpy Solution, float
+        Of "infeasible": the multipliers of the proof, as duals, and the c > 0 that they prove.
+    points : list of cvxpy Solution
+        Of "unbounded": three points with equal steps between them along the ray, with the values that the program has.
+    """
+
+    solution: Solution
+    tolerance: float
+    contradiction: tuple[Solution, float] | None = None
+    points: tuple[Solution, ...] = ()
+
+
+def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
+    """Return what the problem itself says against the claim, or None.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        With the values that the claim left in its variables; it is left with them.
+    before : dict
+        Variable id → dense value before the claim was unpacked, None where there was none.
+    """
+    if any(variable.is_complex() for variable in problem.variables()):
+        return None
+    with np.errstate(all="ignore"):
+        if claim.contradiction is not None:
+            return _against_infeasibility(problem, *claim.contradiction, before)
+        if claim.points:
+            return _against_unboundedness(problem, claim)
+        if claim.solution.status in settings.SOLUTION_PRESENT:
+            return _against_values(problem, claim) or _against_optimality(problem, claim, before)
+    return None
+
+
+def _against_values(problem: Any, claim: Claim) -> str | None:
+    value, claimed = _goal(problem), _sign(problem) * float(claim.solution.opt_val)
+    limit = claim.tolerance
+    if abs(value - claimed) > limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
+        return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
+    for constraint in problem.constraints:
+        violation = float(_violation(constraint).max(initial=0.0))
+        if violation > limit and not violation <= limit * _size(_expression(constraint)):
+            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
+    for variable in problem.variables():
+        entries = _dense(leaf_value(variable))
+        miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
+        if miss > limit * (1.0 + np.abs(entries).max(initial=0.0)):
+            return f"its variable {variable.name()} misses its own attributes by {miss:.3g}"
+    return None
+
+
+def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
+    """Look for a point where the Lagrangian is below the claimed minimum."""
+    claimed, duals = _sign(problem) * float(claim.solution.opt_val), claim.solution.dual_vars or {}
+    if any(constraint.id not in duals for constraint in problem.constraints):
+        return None
+    for values in _trials(problem, values_of(problem), before):
+        with valued(problem, values):
+            goal = _goal(problem)
+            least, size = _combined(problem, duals)
+        if goal + least < claimed - claim.tolerance * (1.0 + abs(goal) + abs(claimed) + size):
+            return (
+                f"its Lagrangian is {goal + least:.9g} at another point, below {claimed:.9g}, which is said to be the "
+                "minimum"
+            )
+    return None
+
+
+def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, before: Values) -> str | None:
+    """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
+    if any(constraint.id not in duals.dual_vars for constraint in problem.constraints):
+        return None
+    zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
+    for values in _trials(problem, zero, before):
+        with valued(problem, values):
+            least, size = _combined(problem, duals.dual_vars)
+        if least < contradiction - ROUNDING * (contradiction + size):
+            return (
+                f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
+                f"{least:.3g} at a point"
+            )
+    return None
+
+
+def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
+    """Hold the points of the ray against the constraints and the objective."""
+    sign = _sign(problem)
+    for point in claim.points:
+        with valued(problem, point.primal_vars):
+            goal, claimed = _goal(problem), sign * float(point.opt_val)
+            if goal > claimed and not goal - claimed <= claim.tolerance * _size(problem.objective.args[0]):
+                return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
+            for constraint in problem.constraints:
+                violation = float(_violation(constraint).max(initial=0.0))
+                if violation > ROUNDING and not violation <= claim.tolerance * _size(_expression(constraint)):
+                    return f"its constraint {name_of(constraint)} is violated by {violation:.3g} on the ray"
+    return None
+
+
+def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
+    """Yield the values from before, where there are some, and points on either side of the base, near and far."""
+    variables = problem.variables()
+    if all(before.get(v.id) is not None and np.isfinite(before[v.id]).all() for v in variables):
+        yield {v.id: _nearest(v, before[v.id]) for v in variables}
+    generator = np.random.default_rng(SEED)
+    for size in STEPS:
+        steps = {v.id: size * (1.0 + np.abs(base[v.id])) * generator.normal(size=v.shape) for v in variables}
+        for side in (1.0, -1.0):
+            yield {v.id: _nearest(v, base[v.id] + side * steps[v.id]) for v in variables}
+
+
+def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
+    attributes = variable.attributes
+    lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
+    if attributes["bounds"] is not None:
+        lower, upper = (
+            np.broadcast_to(_dense(getattr(bound, "value", bound)), x.shape) for bound in attributes["bounds"]
+        )
+    if attributes["nonneg"] or attributes["pos"]:
+        lower = np.maximum(lower, 0.0)
+    if attributes["nonpos"] or attributes["neg"]:
+        upper = np.minimum(upper, 0.0)
+    if attributes["symmetric"]:
+        lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
+        x = (x + np.swapaxes(x, -2, -1)) / 2
+    if attributes["diag"]:
+        x = np.diag(np.diag(x))
+    if getattr(variable, "sparse_idx", None) is not None:
+        pattern = np.zeros(x.shape)
+        pattern[tuple(variable.sparse_idx)] = 1.0
+        x = x * pattern
+    return np.clip(x, lower, upper)
+
+
+@contextmanager
+def valued(problem: Any, values: Values) -> Iterator[None]:
+    """Give the variables other values, or None, for a while."""
+    kept = {variable: variable._value for variable in problem.variables()}
+    try:
+        for variable in kept:
+            variable.save_value(values.get(variable.id))
+        yield
+    finally:
+        for variable, value in kept.items():
+            variable._value = value
+
+
+def values_of(problem: Any) -> Values:
+    """Return each variable's value by its id, dense, or None."""
+    values = {variable.id: leaf_value(variable) for variable in problem.variables()}
+    return {key: None if value is None else _dense(value) for key, value in values.items()}
+
+
+def _sign(problem: Any) -> float:
+    return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
+
+
+def _goal(problem: Any) -> float:
+    """Return the value of what is to be minimised."""
+    return _sign(problem) * float(_dense(problem.objective.args[0].value).ravel()[0])
+
+
+def _expression(constraint: Any) -> Any:
+    return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
+
+
+def _slack(constraint: Any) -> NDArray[np.float64]:
+    """Return what has to be zero, or not positive."""
+    value = _dense(_expression(constraint).value)
+    return -value if isinstance(constraint, NonNeg) else value
+
+
+def _violation(constraint: Any) -> NDArray[np.float64]:
+    if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
+        return np.atleast_1d(_dense(constraint.violation()))
+    slack = _slack(constraint)
+    return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
+
+
+def _combined(problem: Any, duals: Values) -> tuple[float, float]:
+    """Return Σ λ g and Σ |λ g| over all constraints."""
+    total = size = 0.0
+    for constraint in problem.constraints:
+        products = np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
+        total, size = total + float(products.sum()), size + float(np.abs(products).sum())
+    return total, size
+
+
+def _size(expression: Any) -> float:
+    """Return 1 + the largest term that the expression's value is made of; looked for only where it matters."""
+    size = 0.0
+    for node in postorder(expression, ()):
+        if not node.args and not isinstance(node, cp.Variable):
+            continue
+        parts = [np.abs(_dense(argument.value)) for argument in node.args]
+        own = np.abs(_dense(node.value))
+        size = max(size, float(own.max(initial=0.0)))
+        is_sum = isinstance(node, SUM)
+        for part in parts:
+            if is_sum:
+                size = max(size, float(part.max(initial=0.0)))
+            elif part.size > own.size:  # something adds them up
+                size = max(size, float(part.sum()))
+        if len(parts) == 2 and not is_sum:
+            size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
+    return 1.0 + size
+
+
+def _dense(value: Any) -> NDArray[np.float64]:
+    array = value.toarray() if sp.issparse(value) else np.asarray(value)
+    return np.asarray(array.real, dtype=np.float64)
+
+
+def why_not(problem: Any) -> list[str]:
+    """Return what in the problem is not of a quadratic program, in the user's words."""
+    reasons = []
+    for variable in problem.variables():
+        for attribute in ("boolean", "integer", "PSD", "NSD", "hermitian"):
+            if np.size(variable.attributes[attribute]) and np.any(variable.attributes[attribute]):
+                reasons.append(f"variable {variable.name()} is {attribute}")
+    for constraint in problem.constraints:
+        if isinstance(constraint, INEQUALITIES):
+            if not _expression(constraint).is_pwl():
+                reasons.append(f"constraint {name_of(constraint)} is not piecewise linear")
+        elif not isinstance(constraint, EQUATIONS):
+            reasons.append(f"constraint {name_of(constraint)} is a {type(constraint).__name__}")
+    if not problem.objective.args[0].is_qpwa():
+        reasons.append(f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear")
+    return reasons

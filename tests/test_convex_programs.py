@@ -184,14 +184,14 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     proof = proof_of_no_minimum(case)
     assert proof is not None
     assert proof.verdict == kind
-    assert proof.holds()
+    assert proof.verify()
     assert highs_verdict(case) == kind
     if isinstance(proof, QPInfeasibility):
         flipped = tuple(-y for y in proof.inequality)
         broken: Any = QPInfeasibility(case, flipped, proof.equality, proof.lower, proof.upper)
     else:
         broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction), True)
-    assert not broken.holds()
+    assert not broken.verify()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -211,13 +211,13 @@ def test_numbers_that_are_not_integers() -> None:
     h[0] -= (h @ y + 1.0) / y[0]
     proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), G, h))
     assert proof is not None
-    assert proof.holds()
+    assert proof.verify()
     F, d = rng.normal(size=(n, 4)), rng.normal(size=n)
     F -= np.outer(d, d @ F) / (d @ d)
     A = rng.normal(size=(3, n))
     unbounded = prove_unbounded(QuadraticProgram(F @ F.T, rng.normal(size=n), A=A, b=A @ d))
     assert unbounded is not None
-    assert unbounded.holds()
+    assert unbounded.verify()
 
 
 @pytest.mark.parametrize("n", [8, 80])
@@ -237,7 +237,7 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     proof = proof_of_no_minimum(program)
     assert isinstance(proof, QPInfeasibility)
     assert proof.program is program
-    assert proof.holds()
+    assert proof.verify()
     assert not any((*proof.lower, *proof.upper))
     used = sum(map(bool, (*proof.inequality, *proof.equality)))
     assert used == n + 1
@@ -248,7 +248,7 @@ def test_a_rounded_bound_proves_nothing() -> None:
     for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0, np.nextafter(1.0 / 3.0, 1.0)):
         program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
         proof = proof_of_no_minimum(program)
-        assert proof is None or (Fraction(right) * 3 < 1 and proof.holds())
+        assert proof is None or (Fraction(right) * 3 < 1 and proof.verify())
 
 
 @pytest.mark.parametrize("form", ["dual", "auto"])
@@ -543,7 +543,7 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
     program.solve(solver=QPSolver)
     assert program.status == cp.OPTIMAL
     exact = problem.origin.program.proof_of_no_minimum
-    assert exact is None or (exact.holds() and exact.margin < 1e-15)
+    assert exact is None or (exact.verify() and exact.margin < 1e-15)
     assert problem.origin.program.refutation() is None
 
 
@@ -555,8 +555,8 @@ def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
     program = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints)
     program.solve(solver=QPSolver)
     assert program.status == cp.INFEASIBLE
-    proof = program.solver_stats.extra_stats
-    assert proof.holds()
+    proof = program.solver_stats.extra_stats.infeasibility
+    assert proof.verify()
     assert proof.margin == pytest.approx(1e-6 * size / (1 + size), rel=1e-2)
 
 
@@ -593,7 +593,7 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     assert solution.is_optimal()
     proof = problem.origin.program.proof_of_no_minimum
     assert proof is not None
-    assert proof.holds()
+    assert proof.verify()
     assert 0.0 < proof.margin < 1e-15
     assert problem.origin.program.refutation() is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)

@@ -85,7 +85,7 @@ class ErrorBound:
         --------
         >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
         >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
-        >>> 1e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() < 1.001e-3
+        >>> bool(0.999e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() <= 1.001e-3)
         True
         """
         return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)

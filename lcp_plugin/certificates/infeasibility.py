@@ -121,8 +121,8 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
     >>> print(proof)
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
-    >>> proof.verify(), proof.margin, find_infeasibility(LCP([[1]], [-1]))
-    (True, 0.9999999999999991, None)
+    >>> proof.verify(), round(proof.margin, 9), find_infeasibility(LCP([[1]], [-1]))
+    (True, 1.0, None)
     """
     return decide_feasibility(problem, effort_limit=effort_limit).proof
 

@@ -31,7 +31,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     Examples
     --------
     >>> from lcp_plugin.conversions.quadratic_program import QuadraticProgram
-    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))
+    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     lcp_plugin.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
     """

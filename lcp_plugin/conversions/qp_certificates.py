@@ -69,7 +69,7 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
         return found
     unfolded = _unfolded(program, rows, found)
     # A bound that a row gives is rounded, the row is not.
-    return unfolded if unfolded.holds() else _by_programs(program)
+    return unfolded if unfolded.verify() else _by_programs(program)
 
 
 def _larger(
@@ -134,7 +134,7 @@ def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
         y = [ZERO] * count
         y[i] = Fraction(1 if lowest[i] > limits[i] else -1)
         proof = _with_bounds(program, y, transposed_product(rational_rows(stacked[[i]]), [y[i]], program.n))
-        if proof.holds():
+        if proof.verify():
             return proof
     return None
 
@@ -225,7 +225,7 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
             return None
         for is_exact in (True, False):
             certificate = QPUnboundedness(program, tuple(point), tuple(direction), is_exact)
-            if certificate.holds():
+            if certificate.verify():
                 return certificate
     return None
 

@@ -41,10 +41,6 @@ class QPInfeasibility:
     upper: tuple[Fraction, ...]
 
     def verify(self) -> bool:
-        """Return `holds()`: what every proof of a result answers to."""
-        return self.holds()
-
-    def holds(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
         program = self.program
         if min([*self.inequality, *self.lower, *self.upper], default=ZERO) < 0:
@@ -71,7 +67,7 @@ class QPInfeasibility:
         The least shift of all limits, each in its unit, that could make the constraints consistent.
         """
         program, units = self.program, self.program.units
-        if not self.holds():
+        if not self.verify():
             return 0.0
         rows = [(self.inequality, program.h), (self.equality, program.b), (self.upper, program.upper)]
         limits = _products([*rows, (self.lower, -program.lower)])
@@ -115,10 +111,6 @@ class QPUnboundedness:
     is_exact: bool
 
     def verify(self) -> bool:
-        """Return `holds()`: what every proof of a result answers to."""
-        return self.holds()
-
-    def holds(self) -> bool:
         """Return whether point and direction are a proof; exact but for what `is_exact` admits."""
         program, d = self.program, self.direction
         G, A = rational_rows(program.G), rational_rows(program.A)
@@ -139,7 +131,7 @@ class QPUnboundedness:
         downwards by more than the rounding of P; 0 where the proof does not hold.
         """
         program = self.program
-        if not self.holds():
+        if not self.verify():
             return 0.0
         if not is_rounding(program, list(products(rational_rows(program.P), self.direction)), self.direction):
             return np.inf

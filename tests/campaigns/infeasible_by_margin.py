@@ -306,7 +306,7 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
         result = solve(problem)
         solution = problem.origin.recover(result)
         statuses.add(solution.status)
-        if solution.status == "infeasible" and not solution.proof.holds():
+        if solution.status == "infeasible" and not solution.proof.verify():
             bad.append(f"{form}: infeasible without a proof")
         if result.status in REFUTED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
             bad.append(f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}")

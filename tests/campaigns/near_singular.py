@@ -36,7 +36,7 @@ from lcp_plugin.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitablePr
 Generator = np.random.Generator
 ALGORITHMS = ("auto", *REGISTRY)
 TOLERANCE = 1e-8
-STEPS = 300  # of a named algorithm
+STEPS = 120  # of a named algorithm
 CHUNK = 50
 
 

@@ -62,7 +62,9 @@ def require_equal(comm: Any, whole: LCP, z: Any) -> None:
     for measure in ("relative", "euclidean"):
         assert repr(judged.measured(measure)) == repr(getattr(judged, f"{measure}_residual"))
     if np.isfinite(z).all() and truth.scaled_residual > 1e-9 * size:
-        assert str(judged) == str(truth)
+        own, other = ([line.split("  (") for line in str(each).splitlines()] for each in (judged, truth))
+        assert [line[0] for line in own] == [line[0] for line in other]
+        assert [len(line) for line in own] == [len(line) for line in other]  # on ranks a remark names no row
 
 
 @check(1, 2, 3, 4)

@@ -40,6 +40,11 @@ def test_random_programs_agree_with_other_solvers(second_solve: bool) -> None:
     assert not outcomes["wrong value"] + outcomes["wrong status"]
 
 
+def test_a_contradiction_with_rounded_coefficients_is_proved() -> None:
+    """Nine multipliers that vanish together up to rounding only: the proof takes more of them."""
+    assert cvxpy_programs.judged(9, 338, second_solve=False)[0] == "agreed"
+
+
 def test_the_campaign_is_as_wide_as_it_says() -> None:
     """At least 20 atoms, 6 combinations and 4 kinds of variables, whatever the release of cvxpy."""
     assert len(cvxpy_programs.CONVEX) >= 20

@@ -175,20 +175,38 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
     own, *of_bounds = (size * near for size, near in zip(sizes, (scale, *bound_scale), strict=True))
     weights = np.concatenate([own, own[m:], *of_bounds])
     bounds = [(0.0, None if finite else 0.0) for finite in has_limit] + [(0.0, None)] * (values.size - m)
-    answer = _minimised(
-        values, sp.diags_array(column_scale) @ rows.T, (sp.csr_array(weights[None, :]), np.ones(1)), bounds
-    )
+    equations, limit = sp.diags_array(column_scale) @ rows.T, sp.csr_array(weights[None, :])
+    answer = _minimised(values, equations, (limit, np.ones(1)), bounds)
     if answer is None:
         return None
-    y = np.where(answer > NEGLIGIBLE * answer.max(), answer, 0.0)
-    own = y[: m + p].copy()
-    own[m:] -= y[m + p : m + 2 * p]
-    at = m + 2 * p
-    leaning = np.zeros(n, dtype=bool)  # where a bound's multiplier takes up what the rows leave
-    leaning[below[y[at : at + below.size] > 0.0]] = True
-    leaning[above[y[at + below.size :] > 0.0]] = True
     wanted = -NEAR_ENOUGH * float(values @ answer)
-    return _repaired_multipliers(program, stacked, scale * own, ~leaning, wanted)
+
+    def repaired(answer: FloatVector) -> QPInfeasibility | None:
+        y = np.where(answer > NEGLIGIBLE * answer.max(), answer, 0.0)
+        own = y[: m + p].copy()
+        own[m:] -= y[m + p : m + 2 * p]
+        at = m + 2 * p
+        leaning = np.zeros(n, dtype=bool)  # where a bound's multiplier takes up what the rows leave
+        leaning[below[y[at : at + below.size] > 0.0]] = True
+        leaning[above[y[at + below.size :] > 0.0]] = True
+        return _repaired_multipliers(program, stacked, scale * own, ~leaning, wanted)
+
+    return repaired(answer) or repaired(_widest(values, equations, limit, bounds, answer))
+
+
+def _widest(values: FloatVector, equations: Any, limit: Any, bounds: list[Any], answer: FloatVector) -> FloatVector:
+    """Return multipliers with half the margin and as many of them positive as can be.
+
+    A vertex has as few as it can: where the coefficients carry rounding errors, those may vanish together only.
+    """
+    m = values.size
+    identity, share = sp.eye_array(m), ROOM / limit.sum()
+    inequalities = sp.block_array([[limit, None], [values[None, :], None], [-identity, identity]])
+    wide = _minimised(
+        np.append(np.zeros(m), -np.ones(m)), sp.hstack([equations, sp.csr_array((equations.shape[0], m))]),
+        (inequalities, np.concatenate([[1.0, 0.5 * (values @ answer)], np.zeros(m)])), [*bounds, *[(0.0, share)] * m],
+    )
+    return answer if wide is None else wide[:m]
 
 
 def _repaired_multipliers(

@@ -39,7 +39,6 @@ REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
 DIRECT = ("newton", "interior_point", "lemke")
 ALL_METHODS_EVERY = 10  # the others: auto in both measures, and a direct method in one
 MOST_STEPS = 300  # of a named method
-VANISHING = 1e-6  # a reference, beside the largest |q_i|/d_i
 CLAIMED, SOLVED_BELOW = 0.99, 0.01
 
 
@@ -101,7 +100,7 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
 
     plain = with_margin(0.0)
     reference = float(exact_reference(plain))
-    if reference <= VANISHING * np.abs(plain.q / scale).max():
+    if not reference:
         return planted_lcp(rng)
     return measured(with_margin(10.0 ** rng.uniform(-16, -1) * reference), y, z)
 

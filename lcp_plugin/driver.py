@@ -230,7 +230,7 @@ class _Run(Ending):
     def _counts(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
 
-        Where the problem is made from a program, what is no contradiction in the program's units does not count.
+        Where the problem is made from a program, that has to be refuted in its own units as well.
         """
         settings = self.settings
         if not proof.verify():
@@ -239,8 +239,8 @@ class _Run(Ending):
             self.proof = proof
         if not proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on):
             return False
-        is_nearly_consistent = getattr(self.problem.origin, "is_nearly_consistent", None)
-        return is_nearly_consistent is None or not is_nearly_consistent(settings.tolerance)
+        is_refuted = getattr(self.problem.origin, "is_refuted", None)
+        return is_refuted is None or is_refuted(settings.tolerance)
 
     def _observe(self, step: Step, is_first_step: bool) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""

@@ -378,6 +378,11 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 
 
+def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
+    """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is refuted."""
+    assert infeasible_by_margin.one(16, 1685)[0] == []
+
+
 @pytest.mark.parametrize("case", range(48))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:
     """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""

@@ -72,14 +72,13 @@ class QPOrigin:
             self.program, x, *self.rows.spread(self.program, inequality, equality, reduced_cost)
         )
 
-    def is_nearly_consistent(self, tolerance: float) -> bool:
-        """Return whether the program contradicts itself, in units of its own data, by less than `is_optimal` allows.
+    def is_refuted(self, tolerance: float) -> bool:
+        """Return whether the program is proved to have no minimum, in units of its own data.
 
-        However large that is beside the data of the problem: an equation 1e-16 = 0 may be all that acts there. A
-        tolerance of the problem below 1e-6 is none of the program.
+        A contradiction of the problem alone may be one of rounding: an equation 1e-16 = 0 may be all that acts there.
+        A tolerance of the problem below 1e-6 is none of the program.
         """
-        proof = self.program.proof_of_no_minimum
-        return proof is not None and not proof.excludes(max(tolerance, PROGRAM_TOLERANCE))
+        return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return x and the multipliers of the rows that are left of G and of A."""

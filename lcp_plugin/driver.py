@@ -113,8 +113,8 @@ def solve(
         start = checked_start(problem, z0)
         run: _Run | None = None
         try:
-            if isinstance(policy, Single):  # before the clock starts: the question below needs compiled code too
-                rehearse(policy.algorithm, problem)
+            # Before the clock starts: the reference and the question below need compiled code too.
+            rehearse(policy.algorithm if isinstance(policy, Single) else None, problem)
             run = _Run(problem, policy, settings, callback)
             run.errors.require_rigorous()
             if isinstance(policy, Single):

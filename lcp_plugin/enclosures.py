@@ -168,4 +168,4 @@ def residual_ends(  # type: ignore[no-untyped-def]
             least = bottom if bottom > -top else -top
             most = top if top > -bottom else -bottom
             smallest[i] = least if is_finite & (least > 0.0) else 0.0
-            largest[i] = most if is_finite else np.inf
+            largest[i] = abs(most) if is_finite else np.inf  # no −0

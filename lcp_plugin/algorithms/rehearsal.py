@@ -9,14 +9,14 @@ from ..locks import Lock
 from ..problem import LCP
 from .base import Algorithm
 
-_rehearsed: set[tuple[type[Algorithm], str]] = set()
+_rehearsed: set[tuple[type[Algorithm] | None, str]] = set()
 _lock = Lock()
 
 
-def rehearse(algorithm: Algorithm, problem: LCP) -> None:
+def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
     """Run the algorithm, where it is compiled, and the judge once on a 1 × 1 problem of the same index width."""
     width = problem.index_width
-    key = (type(algorithm), width)
+    key = (None if algorithm is None else type(algorithm), width)
     if key in _rehearsed:
         return
     with _lock.held():
@@ -24,7 +24,7 @@ def rehearse(algorithm: Algorithm, problem: LCP) -> None:
         if width != tiny.index_width:
             return  # compiled on first use; such a matrix has two billion entries
         Certificate.of(tiny, np.zeros(1)).measured("relative")
-        if algorithm.is_compiled:
+        if algorithm is not None and algorithm.is_compiled:
             rehearsal = algorithm.rehearsal()
             steps = rehearsal.iterates(tiny, np.zeros(1))
             for _ in range(3):

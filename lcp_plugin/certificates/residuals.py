@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, read_only, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..problem import LCP
-from ..rounding import gamma, read_only_views
+from ..rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
@@ -113,12 +113,11 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """‖r(z)‖∞ / ‖r(z°)‖∞, rounded upwards; 0 for 0/0."""
-        least, most = self._reference
-        return np.nan if most == np.inf else ratio_upwards(_largest(self._scaled_ends[1]), least)
-
-    @property
-    def _reference(self) -> Ends:
-        return reference_ends(self.problem)
+        least, most = reference_ends(self.problem)
+        largest = _largest(self._scaled_ends[1])
+        if least == 0.0 < largest < np.inf:  # only what is exactly 0 will do
+            largest = _largest(sharp_residual_ends(self.problem, self.z)[1])
+        return np.nan if most == np.inf else ratio_upwards(largest, least)
 
     @cached_property
     def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
@@ -132,7 +131,7 @@ class Certificate:
     @cached_property
     def _natural(self) -> FloatVector:
         """An upper bound of every |z − mid(lower, upper, z − w)|."""
-        return self._ends(np.ones(self.problem.n))[1]
+        return self._ends(np.ones(self.z.size))[1]
 
     @cached_property
     def natural_residual(self) -> float:
@@ -143,7 +142,7 @@ class Certificate:
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
         norm = euclidean_norm(self._natural)
-        return norm * (1.0 + gamma(self._natural.size + 8)) if norm else norm
+        return float(np.nextafter(norm * (1.0 + gamma(self._natural.size + 8)), np.inf)) if norm else norm
 
     @cached_property
     def backward_error(self) -> float:
@@ -280,7 +279,7 @@ def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVect
 
 
 def residual_ends_of(
-    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector
+    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector, *, q: FloatVector | None = None
 ) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
 
@@ -292,6 +291,8 @@ def residual_ends_of(
     rows : LCP
         Its q, lower and upper, each of shape (m,).
     z, scale : arrays, shape (m,)
+    q : array, shape (m,), optional
+        Instead of that of the rows.
 
     Returns
     -------
@@ -306,9 +307,19 @@ def residual_ends_of(
         indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
         data = np.ascontiguousarray(M).reshape(-1)
     smallest, largest = np.empty(z.size), np.empty(z.size)
-    arrays = read_only_views(indptr, indices, data, x, rows.q, z, rows.lower, rows.upper, scale)
+    arrays = read_only_views(indptr, indices, data, x, rows.q if q is None else q, z, rows.lower, rows.upper, scale)
     residual_ends(*arrays[:3], stride, *arrays[3:], smallest, largest)
     return smallest, largest
+
+
+def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
+    value, radius = compensated_product(problem.csr, z, problem.q)
+    low, high = lower_end(value, radius), upper_end(value, radius)
+    nothing = sp.csr_array((problem.n, problem.n))
+    below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
+    smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
+    return smallest, np.maximum(below[1], above[1])
 
 
 def reference_ends(problem: LCP) -> Ends:
@@ -317,6 +328,8 @@ def reference_ends(problem: LCP) -> Ends:
         z = problem.nearest_to_zero
         M = problem.M if z.any() else sp.csr_array((problem.n, problem.n))
         smallest, largest = residual_ends_of(M, z, problem, z, problem.residual_scale)
+        if not smallest.any() and largest.any():  # is z° the answer?
+            smallest, largest = sharp_residual_ends(problem, z)
         _references[problem] = _largest(smallest), _largest(largest)
     return _references[problem]
 
@@ -331,11 +344,11 @@ def ratio_upwards(numerator: float, denominator: float) -> float:
 
     Examples
     --------
-    >>> ratio_upwards(1.0, 4.0), ratio_upwards(1.0, 3.0) > 1.0 / 3.0, ratio_upwards(1.0, 0.0)
-    (0.25, True, inf)
+    >>> ratio_upwards(1.0, 4.0), ratio_upwards(1e-320, 1e10), ratio_upwards(1.0, 0.0)
+    (0.25, 5e-324, inf)
     """
     quotient = ratio(numerator, denominator)
-    if not 0.0 < quotient < np.inf or Fraction(quotient) * Fraction(denominator) >= Fraction(numerator):
+    if not quotient < np.inf or Fraction(quotient) * Fraction(denominator) >= Fraction(numerator):
         return quotient
     return float(np.nextafter(quotient, np.inf))
 

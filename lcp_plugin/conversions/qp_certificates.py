@@ -31,6 +31,7 @@ LARGEST_DENSE = 1500
 LP_TOLERANCE = 1e-10
 TIGHT = 1e-7  # times the size of a row: tight to a linear program
 NEGLIGIBLE = 1e-9  # below this HiGHS's answers say nothing
+MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
 SUSPECTS = 8  # rows that are checked exactly
 DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
 NEAR_ENOUGH = 0.5  # of the margin that a linear program promises
@@ -162,7 +163,11 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
     sizes = [np.concatenate([units.inequality, units.equality]), units.lower[below], units.upper[above]]
     if not np.isfinite(np.concatenate(sizes)).all():
         return None
-    scale, *bound_scale = (_powers_of_two(size) for size in sizes)
+    entries = [_row_largest(stacked), np.ones(below.size), np.ones(above.size)]
+    scale, *bound_scale = (
+        _powers_of_two(np.minimum(size, MOST_SHRUNK * np.where(entry > 0.0, entry, 1.0)))
+        for size, entry in zip(sizes, entries, strict=True)
+    )
     column_scale = _powers_of_two(_row_largest(stacked.T))
     scaled, right = sp.diags_array(scale) @ stacked, scale * limits
     rows = sp.vstack(
@@ -219,7 +224,9 @@ def _repaired_multipliers(
     rows = rational_rows(stacked)
     columns = rational_rows(sp.csr_array(stacked.T)[np.flatnonzero(must_vanish)])
     plain = np.abs(y).max(initial=0.0)
-    few = [Fraction(value / plain).limit_denominator(1000) for value in y.tolist()] if plain else []
+    if not plain:
+        return None
+    few = [Fraction(value / plain).limit_denominator(1000) for value in y.tolist()]
     best: QPInfeasibility | None = None
     for guess in (few, short(y), short(y, 1 << 60)):
         exact = solved_nearby(columns, [ZERO] * len(columns), guess, [bool(entry) for entry in guess])

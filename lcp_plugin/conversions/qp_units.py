@@ -25,14 +25,14 @@ class Units:
     Attributes
     ----------
     inequality, equality : ndarray
-        For each row of G and of A its largest coefficient (1 where it is empty) times 1 + the size of x that the data
-        ask for: the largest of |b_i| ÷ the row's largest coefficient over all equations, −h_i ÷ that over inequalities
-        that x = 0 violates, and the row's own. A limit of 1e9 that nobody reaches is a size of its own row only.
+        For each row of G and of A its largest coefficient (1 where it is empty) times 1 + its right-hand side ÷ that
+        coefficient: the row's own, so that no large number elsewhere excuses it.
     lower, upper : ndarray, shape (n,)
         The same for the bounds, whose coefficient is 1.
     dual : ndarray, shape (n,)
         The largest entry of each column of P, G and A (1 where there is none) times 1 + the largest |c_j| ÷ that;
-        where there is a P, the size of x if that is larger.
+        where there is a P, the largest |b_i| ÷ coefficient of an equation, and of an inequality that x = 0 violates, if
+        that is larger.
 
     Notes
     -----
@@ -54,12 +54,12 @@ class Units:
         columns = [_largest(matrix, 0) for matrix in (program.P, program.G, program.A)]
         column = _or_one(np.max(columns, axis=0))
         with np.errstate(over="ignore"):
-            limits = program.h / rows
-            size = max((np.abs(program.b) / equations).max(initial=0.0), (-limits).max(initial=0.0))
+            limits, right = program.h / rows, np.abs(program.b / equations)
+            size = max(right.max(initial=0.0), (-limits).max(initial=0.0))
             slope = float(np.abs(program.c / column).max(initial=0.0))
             return cls(
-                rows * (1.0 + _at_least(size, limits)), equations * (1.0 + size),
-                1.0 + _at_least(size, program.lower), 1.0 + _at_least(size, program.upper),
+                rows * (1.0 + _finite(limits)), equations * (1.0 + right),
+                1.0 + _finite(program.lower), 1.0 + _finite(program.upper),
                 column * (1.0 + (max(slope, size) if columns[0].any() else slope)),
             )
 
@@ -93,8 +93,9 @@ def _largest(matrix: Any, axis: int) -> FloatVector:
     return np.asarray(largest.toarray() if sp.issparse(largest) else largest, dtype=np.float64).ravel()
 
 
-def _at_least(size: float, limits: FloatVector) -> FloatVector:
-    return np.maximum(size, np.where(np.isfinite(limits), np.abs(limits), 0.0))
+def _finite(limits: FloatVector) -> FloatVector:
+    """Return |limits|, 0 for infinite ones."""
+    return np.where(np.isfinite(limits), np.abs(limits), 0.0)
 
 
 def _or_one(sizes: FloatVector) -> FloatVector:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -27,6 +28,8 @@ from ..problem import LCP, FloatVector
 from ..rounding import gamma
 from .collective import gathered, largest
 from .problem import DistributedLCP
+
+_references: WeakKeyDictionary[DistributedLCP, Ends] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,11 +171,13 @@ class _OwnRows(Certificate):
 
 def reference_ends_of(problem: DistributedLCP) -> Ends:
     """Return bounds of ‖r(z°)‖∞ over all ranks, the denominator of the relative residual; all ranks call."""
-    z = problem.nearest_to_zero
-    alike, rows = cast(LCP, problem), problem.rows
-    ends = residual_ends_of(rows.as_csr(), rows.filled(z), alike, z, problem.residual_scale)
-    least, most = largest(problem.comm, *(float(end.max(initial=0.0)) for end in ends))
-    return least, most
+    if problem not in _references:
+        z = problem.nearest_to_zero
+        alike, rows = cast(LCP, problem), problem.rows
+        ends = residual_ends_of(rows.as_csr(), rows.filled(z), alike, z, problem.residual_scale)
+        least, most = largest(problem.comm, *(float(end.max(initial=0.0)) for end in ends))
+        _references[problem] = least, most
+    return _references[problem]
 
 
 def reference_residual_of(problem: DistributedLCP) -> float:

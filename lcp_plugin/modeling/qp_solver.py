@@ -24,6 +24,7 @@ from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
 from .user_terms import FAR, Claim
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
+NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
@@ -80,7 +81,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
         if not is_optimal and (is_proven or not ended_by_caller(result, options)):
             proof = program.refutation(goal)
-        status = _status(result, is_optimal, proof)
+        status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
         if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
             result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
         if verbose:
@@ -170,6 +171,8 @@ class Answer:
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     n = int(data["n_var"])
+    if len(data.get(settings.BOOL_IDX, ())) or len(data.get(settings.INT_IDX, ())):
+        raise SolverError("QPSolver knows no integers, and this problem needs some; choose another solver, as cp.HIGHS")
     if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
         raise SolverError(
             "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
@@ -186,11 +189,14 @@ def _csr(matrix: Any, shape: tuple[int, int]) -> sp.csr_array:
     return sp.csr_array(shape) if matrix is None else sp.csr_array(matrix)
 
 
-def _status(result: Result, is_optimal: bool, proof: QPInfeasibility | QPUnboundedness | None) -> str:
+def _status(
+    result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
+) -> str:
     if proof is not None:
         return str(settings.INFEASIBLE if isinstance(proof, QPInfeasibility) else settings.UNBOUNDED)
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        return str(settings.OPTIMAL if is_optimal else settings.OPTIMAL_INACCURATE)
+        inaccurate = settings.OPTIMAL_INACCURATE if is_nearly else settings.USER_LIMIT
+        return str(settings.OPTIMAL if is_optimal else inaccurate)
     if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
         return str(settings.OPTIMAL)
     return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)

@@ -86,16 +86,16 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
 def _against_values(problem: Any, claim: Claim) -> str | None:
     value, claimed = _goal(problem), _sign(problem) * float(claim.solution.opt_val)
     limit = claim.tolerance
-    if abs(value - claimed) > limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
+    if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
     for constraint in problem.constraints:
         violation = float(_violation(constraint).max(initial=0.0))
-        if violation > limit and not violation <= limit * _size(_expression(constraint)):
+        if not violation <= limit and not violation <= limit * _size(_expression(constraint)):
             return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     for variable in problem.variables():
         entries = _dense(leaf_value(variable))
         miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
-        if miss > limit * (1.0 + np.abs(entries).max(initial=0.0)):
+        if not miss <= limit * (1.0 + np.abs(entries).max(initial=0.0)):
             return f"its variable {variable.name()} misses its own attributes by {miss:.3g}"
     return None
 
@@ -121,6 +121,8 @@ def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, 
     """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
     if any(constraint.id not in duals.dual_vars for constraint in problem.constraints):
         return None
+    if any(bool((lower > upper).any()) for lower, upper in map(_limits, problem.variables())):
+        return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
     for values in _trials(problem, zero, before):
         with valued(problem, values):
@@ -162,16 +164,7 @@ def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
 
 def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes = variable.attributes
-    lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
-    if attributes["bounds"] is not None:
-        lower, upper = (
-            np.broadcast_to(_dense(getattr(bound, "value", bound)), x.shape) for bound in attributes["bounds"]
-        )
-    if attributes["nonneg"] or attributes["pos"]:
-        lower = np.maximum(lower, 0.0)
-    if attributes["nonpos"] or attributes["neg"]:
-        upper = np.minimum(upper, 0.0)
+    attributes, (lower, upper) = variable.attributes, _limits(variable)
     if attributes["symmetric"]:
         lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
         x = (x + np.swapaxes(x, -2, -1)) / 2
@@ -279,3 +272,17 @@ def why_not(problem: Any) -> list[str]:
     if not problem.objective.args[0].is_qpwa():
         reasons.append(f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear")
     return reasons
+
+
+def _limits(variable: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the bounds that the variable's attributes give it."""
+    attributes, shape = variable.attributes, variable.shape
+    lower, upper = np.full(shape, -np.inf), np.full(shape, np.inf)
+    if attributes["bounds"] is not None:
+        ends = (_dense(getattr(bound, "value", bound)) for bound in attributes["bounds"])
+        lower, upper = (np.broadcast_to(end, shape) for end in ends)
+    if attributes["nonneg"] or attributes["pos"]:
+        lower = np.maximum(lower, 0.0)
+    if attributes["nonpos"] or attributes["neg"]:
+        upper = np.minimum(upper, 0.0)
+    return lower, upper

@@ -214,7 +214,7 @@ def planted_program(rng: np.random.Generator) -> PlantedProgram:
     sign = rng.choice([1.0, 1.0, 1.0, -1.0])
     t = 10.0 ** rng.uniform(-16, -1)
     gap = np.where(loose, -rng.integers(0, 2, m + p), np.where(y == 0.0, 0.0, np.where(y < 0.0, -1.0, 1.0) * t * sign))
-    right = C @ x - gap * unit * (1.0 + np.abs(C @ x / unit).max())
+    right = C @ x - gap * (unit + np.abs(C @ x))
     B = rng.integers(-2, 3, (int(rng.integers(0, n + 1)), n)) + 0.0
     P = B.T @ B + (np.eye(n) if rng.random() < 0.4 else 0.0)
     multipliers = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)])
@@ -230,9 +230,7 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
     right = np.concatenate([program.h, program.b])
     largest = np.abs(C).max(axis=1)
     largest[largest == 0.0] = 1.0
-    limits = right / largest
-    size = max(np.abs(limits[m:]).max(initial=0.0), -limits[:m].min(initial=0.0))
-    units = [Fraction(float(v)) for v in largest * (1.0 + np.maximum(size, np.abs(limits)))]
+    units = [Fraction(float(v)) for v in largest * (1.0 + np.abs(right / largest))]
     high = Fraction(0)
     for i, (row, limit) in enumerate(zip(C.tolist(), right.tolist(), strict=True)):
         miss = sum((Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True)), -Fraction(limit))
@@ -247,7 +245,7 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
             if np.isinf(bound):
                 return Margin(0.0, float(high))
             value -= left * Fraction(bound)
-            weight += abs(left) * Fraction(1.0 + max(size, abs(bound)))
+            weight += abs(left) * Fraction(1.0 + abs(bound))
     low = max(-value, Fraction(0)) / weight if weight else Fraction(0)
     return Margin(float(low), float(high))
 

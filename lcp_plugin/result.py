@@ -246,7 +246,8 @@ class Result:
         if len(self.stages) > 1:
             total = sum(stage.work for stage in self.stages) or 1.0
             lines += [
-                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work; {stage.because}"
+                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work"
+                + (stage.because and f"; {stage.because}")
                 for stage in self.stages
             ]
         if self.is_solved:
@@ -298,8 +299,9 @@ class Result:
         size = float(np.abs(self.z).max(initial=0.0))
         if error is None or not error > FAR * size:
             return []
-        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error of up to about "
-                f"{error:.0e}, and ‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
+        known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
+        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
+                f"‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
 
     def _complementarity(self) -> list[str]:
         """Return a line where z was accepted and a product of z and w is large."""

@@ -288,7 +288,7 @@ NONCONVEX = {
     "small and clear": ([[1e-8, 2e-8], [2e-8, 1e-8]], "smallest eigenvalue of P is -1e-08"),
     "large": (
         sp.block_diag([sp.eye_array(6000), sp.csr_array([[1.0, 2.0], [2.0, 1.0]])], format="csr"),
-        r"P\[6000, 6000\] = 1, P\[6001, 6001\] = 1 and P\[6000, 6001\] = 2 show it",
+        r"P\[6000, 6000\] = 1, P\[6001, 6001\] = 1, P\[6000, 6001\] = 2 shows it",
     ),
     "large, one entry": (sp.diags_array(np.append(np.ones(6000), -1.0)), r"P\[6000, 6000\] = -1"),
 }

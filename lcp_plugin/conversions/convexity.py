@@ -47,7 +47,8 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         if place is None:
             return
         i, j = place
-        what = f"P[{i}, {i}] = {P[i, i]:.3g}, P[{j}, {j}] = {P[j, j]:.3g} and P[{i}, {j}] = {P[i, j]:.3g} show it"
+        entries = dict.fromkeys(((i, i), (j, j), (i, j)))
+        what = f"{', '.join(f'P[{k}, {m}] = {P[k, m]:.3g}' for k, m in entries)} shows it"
     raise UnsupportedModel(
         f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
         "objective, use a solver for nonconvex programs, or solve(LCP(P, c, lower=…, upper=…)) for a stationary point"

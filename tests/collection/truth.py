@@ -22,6 +22,7 @@ Point = tuple[Fraction, ...]
 
 SOLVABLE, INFEASIBLE, NO_SOLUTION = "solvable", "infeasible", "no solution"
 MACHINE_EPSILON = Fraction(1, 2**52)
+LEAST = Fraction(1, 2**1074)  # η, what a product that underflows loses
 
 
 @dataclass(frozen=True)
@@ -246,11 +247,11 @@ class ExactData:
         return max(self.residual(nearest), default=zero)
 
     def floor(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return what rounding alone may make of each residual: (nonzeros + 2) ε (|M||z| + |q|)_i / d_i."""
+        """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i, η underflow."""
         values, scale = _integers(z)
         sums = [sum(abs(x * values[j]) for j, x in row) for row in self.rows]
         return [
-            (len(row) + 2) * MACHINE_EPSILON * (Fraction(s, self.scale * scale) + abs(q)) / d
+            (len(row) + 2) * (MACHINE_EPSILON * (Fraction(s, self.scale * scale) + abs(q)) + LEAST) / d + LEAST
             for row, s, q, d in zip(self.rows, sums, self.q, self.divisor, strict=True)
         ]
 

@@ -247,7 +247,7 @@ class ExactData:
         return max(self.residual(nearest), default=zero)
 
     def floor(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i, η underflow."""
+        """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i."""
         values, scale = _integers(z)
         sums = [sum(abs(x * values[j]) for j, x in row) for row in self.rows]
         return [

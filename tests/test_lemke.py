@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from campaigns import small_lcps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -386,3 +387,9 @@ def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
     result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
     assert result.status is Status.SOLVED
     assert result.z.tolist() == [0.0, 1.0]
+
+
+def test_blocks_whose_condition_overflows_warn_nobody() -> None:
+    """Where the condition of a block of a start exceeds the doubles, the path is another one, without a warning."""
+    problem = small_lcps.extreme_problem("squares overflow", np.random.default_rng(2029000011871))
+    assert solve(problem, "lemke").status is Status.STALLED

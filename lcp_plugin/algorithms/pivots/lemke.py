@@ -14,7 +14,7 @@ from ...certificates.residuals import Certificate
 from ...errors import InvalidOption, UnsuitableProblem
 from ...problem import LCP, FloatVector
 from ..active_sets.active_set import solve_active_set
-from ..base import Algorithm, Step
+from ..base import Algorithm, Step, without_warnings
 from .canonical_box import CanonicalBox, canonical_box
 
 LARGEST = 6000  # of the canonical problem: its inverse fills 0.3 GB
@@ -99,6 +99,9 @@ class Lemke(Algorithm):
         UnsuitableProblem
             Where a connected part is too large for a dense inverse.
         """
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         parts = _parts_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)

@@ -12,48 +12,48 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from .batch import prepare as prepare
-    from .batch import solve_many as solve_many
+    from .algorithms.search import all_solutions as all_solutions
+    from .certificates.convergence import Guarantee as Guarantee
     from .certificates.error_bounds import ErrorBound as ErrorBound
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
-    from .driver import solve as solve
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
     from .evidence.stability import stability_atlas as stability_atlas
-    from .guarantees import Guarantee as Guarantee
-    from .guarantees import convergence_guarantee as convergence_guarantee
-    from .matrix_classes import MatrixReport as MatrixReport
-    from .matrix_classes import analyze as analyze
+    from .matrix import MatrixReport as MatrixReport
+    from .matrix import analyze as analyze
     from .modeling.constraint import box as box
     from .modeling.constraint import complements as complements
     from .modeling.qp_solver import QPSolver as QPSolver
     from .modeling.registration import ComplementarityProblem as ComplementarityProblem
     from .modeling.registration import is_complementarity_problem as is_complementarity_problem
     from .modeling.registration import register as register
-    from .problem import LCP as LCP
-    from .result import Result as Result
-    from .result import Sample as Sample
-    from .result import Status as Status
-    from .search import all_solutions as all_solutions
+    from .problem.lcp import LCP as LCP
+    from .settings import Status as Status
+    from .solving.batch import prepare as prepare
+    from .solving.batch import solve_many as solve_many
+    from .solving.driver import solve as solve
+    from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.result import Result as Result
+    from .solving.result import Sample as Sample
 
 _HOME = {
-    "LCP": "problem",
+    "LCP": "problem.lcp",
     "Certificate": "certificates.residuals",
     "ErrorBound": "certificates.error_bounds",
     "error_bound": "certificates.error_bounds",
-    "Guarantee": "guarantees",
-    "convergence_guarantee": "guarantees",
-    "MatrixReport": "matrix_classes",
-    "analyze": "matrix_classes",
-    "Result": "result",
-    "Sample": "result",
-    "Status": "result",
-    "solve": "driver",
-    "prepare": "batch",
-    "solve_many": "batch",
+    "Guarantee": "certificates.convergence",
+    "convergence_guarantee": "solving.guarantees",
+    "MatrixReport": "matrix",
+    "analyze": "matrix",
+    "Result": "solving.result",
+    "Sample": "solving.result",
+    "Status": "settings",
+    "solve": "solving.driver",
+    "prepare": "solving.batch",
+    "solve_many": "solving.batch",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",
@@ -66,7 +66,7 @@ _HOME = {
     "error_against_time": "evidence.error_against_time",
     "stability_atlas": "evidence.stability",
     "gallery": "evidence.gallery",
-    "all_solutions": "search",
+    "all_solutions": "algorithms.search",
     "strategies": "strategies",
     **{
         error: "errors"

@@ -1,6 +1,6 @@
 """``python -m lcp_plugin`` is the command ``lcp-plugin``."""
 
-from .cli import run
+from .commands.cli import run
 
 if __name__ == "__main__":
     run()

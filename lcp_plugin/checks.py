@@ -190,3 +190,14 @@ def check_order(lower: FloatVector, upper: FloatVector) -> None:
             f"bounds must satisfy lower ≤ upper and leave room for a number, "
             f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
         )
+
+
+def is_number(value: Any) -> bool:
+    """Return whether the value is a real number that fits a double."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True

@@ -1,23 +1,53 @@
-"""What a caller may ask of a run, checked once."""
+"""What a caller may ask of a run, checked once, and the ways a run may end."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .algorithms.base import is_number
-from .certificates.residuals import MEASURES
-from .checks import FloatVector, real_vector
-from .errors import InvalidOption, InvalidProblem, did_you_mean
-from .problem import LCP
+from .checks import is_number
+from .errors import InvalidOption, did_you_mean
 
 DEFAULT_MAX_ITERATIONS = 100_000
 TARGETS = ("residual", "error")
+MEASURES = ("relative", "euclidean")
+
+
+class Status(Enum):
+    """Why a run ended; the value of each member is the advice that goes with it."""
+
+    SOLVED = "within the tolerance, as proved on your data"
+    PRECISION_LIMIT = (
+        "the residual is above the tolerance, but no larger than rounding in double precision explains; "
+        "a smaller one cannot be measured: accept z, or rescale the data"
+    )
+    MAX_ITERATIONS = "the iteration limit came first: raise max_iterations, go on from z0=result.z, or change algorithm"
+    MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
+    STALLED = (
+        "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
+        'scaling="auto", otherwise algorithm="auto" or a better start z0'
+    )
+    DIVERGED = (
+        'the iteration left every reasonable range; for a projected-type method try scaling="auto", for a '
+        "relaxation method a smaller relaxation"
+    )
+    INFEASIBLE = (
+        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves "
+        "it: check the data"
+    )
+    NO_SOLUTION = (
+        "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "
+        "tolerance, and result.infeasibility proves it"
+    )
+    INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
+
+
+PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)  # by a proof whose margin exceeds the tolerance
 
 
 @dataclass(frozen=True)
@@ -70,25 +100,6 @@ class Settings:
     def is_on_error(self) -> bool:
         """True where SOLVED asks for a proven bound of the error."""
         return bool(self.tolerance_on == "error")
-
-
-def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
-    """Return the start within the bounds, shape (n,).
-
-    Raises
-    ------
-    InvalidOption
-        Where z0 is no finite real vector of length n.
-    """
-    if z0 is None:
-        return problem.nearest_to_zero
-    try:
-        start = real_vector(z0, "z0", problem.n)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
-    if not np.isfinite(start).all():
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got NaN or infinite entries")
-    return np.clip(start, problem.lower, problem.upper)
 
 
 def _number(value: Any, name: str) -> float:

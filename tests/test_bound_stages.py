@@ -14,10 +14,10 @@ from lcp_plugin.certificates.definite_bounds import EigenvalueBound, smallest_ei
 from lcp_plugin.certificates.error_bounds import error_bound, v_bound
 from lcp_plugin.certificates.residuals import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
-from lcp_plugin.certificates.upward import product_above, quotient_above, sum_above
-from lcp_plugin.matrix_classes import comparison_certificate
-from lcp_plugin.matrix_classes.factorisation import positive_pivot_factor
-from lcp_plugin.rounding import UNIT, gamma
+from lcp_plugin.exact.rounding import UNIT, gamma
+from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.matrix import comparison_certificate
+from lcp_plugin.matrix.factorisation import positive_pivot_factor
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix
 
@@ -62,8 +62,8 @@ def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
     """An eigenvalue 1.5 times the margin (n + 3) u · trace of the theorem is proven positive, one of half of it not."""
     n = 50
     margin = (n + 3) * UNIT * n
-    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 1.6 * margin), np.zeros(n))) is not None
-    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 0.5 * margin), np.zeros(n))) is None
+    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 1.6 * margin), np.zeros(n)).matrix) is not None
+    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 0.5 * margin), np.zeros(n)).matrix) is None
 
 
 def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
@@ -90,7 +90,7 @@ def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> N
     least = 4.0 * np.sin(np.pi / (2 * (n + 1))) ** 2
     for factor, share in ((1.5, 0.5), (5.0, 0.1)):
         monkeypatch.setattr(definite_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong)
-        bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)))
+        bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
         assert bound.is_rigorous
         assert bound.value == pytest.approx(share * factor * least)
 
@@ -98,9 +98,9 @@ def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> N
 def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
     """The proven eigenvalue is lower by the error of the factor."""
     M = chain(250, 4.0)
-    before = smallest_eigenvalue_bound(LCP(M, np.zeros(250))).value
+    before = smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value
     monkeypatch.setattr(definite_bounds, "_factor_error", lambda _: 0.25)
-    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250))).value == pytest.approx(before - 0.25, rel=1e-9)
+    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(before - 0.25, rel=1e-9)
 
 
 def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
@@ -109,7 +109,7 @@ def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
     monkeypatch.setattr(definite_bounds, "_dense_bound", lambda *_: used.append("dense") or 1.0)
     monkeypatch.setattr(definite_bounds, "_sparse_bound", lambda *_: used.append("sparse") or 1.0)
     for M in (np.eye(300) + 1.0, chain(200), chain(201)):
-        smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])))
+        smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
     assert used == ["dense", "dense", "sparse"]
 
 
@@ -119,8 +119,8 @@ def test_no_estimate_without_convergence(monkeypatch) -> None:
 
     monkeypatch.setattr(definite_bounds, "SPARSE_UP_TO", 100)
     biharmonic = sp.csr_array(chain(300) @ chain(300) + 0.5 * sp.eye_array(300))
-    assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300))).is_rigorous is False
-    assert smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300))) is None
+    assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300)).matrix).is_rigorous is False
+    assert smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
 
     def fails(*_, **__):
         raise scipy.sparse.linalg.ArpackNoConvergence("no", np.array([]), np.array([]))
@@ -132,9 +132,9 @@ def test_no_estimate_without_convergence(monkeypatch) -> None:
 
 def test_a_nonpositive_diagonal_has_no_eigenvalue_bound() -> None:
     """Nor has a problem without rows."""
-    assert smallest_eigenvalue_bound(LCP([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0])) is None
-    assert smallest_eigenvalue_bound(LCP(np.zeros((0, 0)), [])) is None
-    assert isinstance(smallest_eigenvalue_bound(LCP(CIRCULANT, [0.0] * 3)), EigenvalueBound)
+    assert smallest_eigenvalue_bound(LCP([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0]).matrix) is None
+    assert smallest_eigenvalue_bound(LCP(np.zeros((0, 0)), []).matrix) is None
+    assert isinstance(smallest_eigenvalue_bound(LCP(CIRCULANT, [0.0] * 3).matrix), EigenvalueBound)
 
 
 # --- The stages for H₊-matrices -----------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_two_stages_are_sharp_where_the_signs_agree(monkeypatch) -> None:
     M = chain(n, 2.01)
     error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
     problem = LCP(M, np.zeros(n), lower=-np.inf)
-    certificate = comparison_certificate(problem)
+    certificate = comparison_certificate(problem.matrix)
     y = v_bound(problem, error, certificate)
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, error)
@@ -301,7 +301,7 @@ def test_refinements_go_on_while_they_gain(monkeypatch) -> None:
 
 
 def two_stage(problem: LCP, z: np.ndarray) -> np.ndarray:
-    certificate = comparison_certificate(problem)
+    certificate = comparison_certificate(problem.matrix)
     return error_bounds._two_stage(RowInequality.at(problem, z), certificate, v_bound(problem, z, certificate))
 
 

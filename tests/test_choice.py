@@ -8,8 +8,8 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.algorithms import Algorithm, create
-from lcp_plugin.choice import Auto, Choice, Stage, direct_methods
 from lcp_plugin.evidence import gallery
+from lcp_plugin.policy.choice import Auto, Choice, Stage, direct_methods
 
 TARGET = 1e-8
 

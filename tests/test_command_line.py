@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, Status, __version__, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.cli import app, run
+from lcp_plugin.commands.cli import app, run
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.evidence.benchmarks import BENCHMARKS
 
@@ -295,7 +295,7 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
     """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setattr("lcp_plugin.driver.solve", lambda *_, **__: pytest.fail("it was solved"))
+    monkeypatch.setattr("lcp_plugin.solving.driver.solve", lambda *_, **__: pytest.fail("it was solved"))
     done = lcp_plugin("solve", "murty:n=4", "--plot", "out.png")
     assert done.exit_code == 2
     assert re.fullmatch(r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr)

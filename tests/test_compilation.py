@@ -9,8 +9,8 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from lcp_plugin.cli import app
-from lcp_plugin.compilation import cache_folder
+from lcp_plugin.commands.cli import app
+from lcp_plugin.kernels.compilation import cache_folder
 
 COUNT_COMPILED = """
 import sys
@@ -62,7 +62,7 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
     code = (
         "from numba import config, njit\n"
         "before = config.CACHE_DIR\n"
-        "from lcp_plugin import kernels\n"
+        "from lcp_plugin.kernels import splitting_sweeps as kernels\n"
         "print(config.CACHE_DIR == before, kernels.split_rows.stats.cache_path)"
     )
     said = in_a_new_process(code, XDG_CACHE_HOME=str(tmp_path / "user"), NUMBA_CACHE_DIR="")
@@ -76,7 +76,7 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
 
 def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
     """The shell offers what the command knows."""
-    code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.cli import app; app(prog_name='lcp-plugin')"
+    code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
     for words, offered in (
         ("lcp-plugin solve obstacle", "obstacle_2d obstacle_3d obstacle_bumps"),
         ("lcp-plugin solve x -a nps", "npsor npsplitting"),

@@ -18,7 +18,7 @@ from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp, qp_from_lcp
 from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.matrix_classes.definiteness import is_semidefinite_to_rounding, positive_definite_solver
+from lcp_plugin.matrix.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
 SEEDS = range(6)

@@ -32,7 +32,7 @@ ELSEWHERE = {
     "evidence.stability": "Atlas Cell",
     "modeling.constraint": "Box Complements",
     "modeling.registration": "solve_model",
-    "search": "Solution",
+    "algorithms.search": "Solution",
 }
 PUBLIC: dict[str, Any] = {
     **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},

@@ -26,7 +26,7 @@ from lcp_plugin.algorithms import (
     create,
     from_other_packages,
 )
-from lcp_plugin.cli import app
+from lcp_plugin.commands.cli import app
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")

@@ -32,8 +32,15 @@ from lcp_plugin.evidence.drawing import spread, styles
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.performance_profile import performance_profile
 from lcp_plugin.evidence.pictures import draw
+from lcp_plugin.matrix.matrix import Matrix, fact
 
 NAP = 0.06
+
+
+@fact
+def nap_about(matrix: Matrix, seconds: float) -> None:
+    """Sleep once a matrix, as a costly analysis of it would."""
+    time.sleep(seconds)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -48,7 +55,7 @@ class Richardson(Algorithm):
     def iterates(self, problem: LCP, z0: Any) -> Any:
         """Yield z₀, z₁, …."""
         time.sleep(self.nap)
-        problem.shared("nap", lambda: time.sleep(self.nap_about_matrix))
+        nap_about(problem.matrix, self.nap_about_matrix)
         z = z0
         for k in range(100_000):
             if self.gives_up and k == 3:

@@ -16,8 +16,8 @@ from lcp_plugin.certificates import definite_bounds, error_bounds
 from lcp_plugin.certificates.definite_bounds import smallest_eigenvalue_bound
 from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound, v_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
-from lcp_plugin.certificates.upward import product_above, quotient_above, sum_above
-from lcp_plugin.matrix_classes import comparison_certificate
+from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.matrix import comparison_certificate
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
 property_test = settings(deadline=None, max_examples=60)  # the first example compiles
@@ -84,7 +84,7 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
 def test_each_stage_holds_alone(drawn, direction, step) -> None:
     """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
     problem, exact = drawn
-    certificate = comparison_certificate(problem)
+    certificate = comparison_certificate(problem.matrix)
     assert certificate is not None
     z = near(exact, direction, step)
     y = v_bound(problem, z, certificate)
@@ -118,7 +118,7 @@ def test_reference_point_removes_overestimation(radius) -> None:
 def test_v_certificate_is_attained(M, exponent) -> None:
     """For an M-matrix without bounds and z = z* + t v the v-certificate is the error itself."""
     M = sp.csr_array(2.0 * sp.diags_array(M.diagonal()) - abs(M))
-    certificate = comparison_certificate(LCP(M, np.zeros(M.shape[0])))
+    certificate = comparison_certificate(LCP(M, np.zeros(M.shape[0])).matrix)
     assert certificate is not None
     problem = LCP(M, np.zeros(M.shape[0]), lower=-np.inf)
     z = np.ldexp(certificate.v, exponent)
@@ -308,7 +308,7 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
         part, blur = definite_bounds._symmetric_part(problem.csr, exponent)
         value, scale = definite_bounds._sparse_bound(part, blur), np.exp2(exponent)
     else:
-        bound = smallest_eigenvalue_bound(problem)
+        bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)
     if value is None:
         return
@@ -331,7 +331,7 @@ def test_two_norm_bound_is_its_formula() -> None:
     z = generator.standard_normal(6) / unit
     step = np.exp2(-np.round(np.log2(np.diag(M))))
     r = z - np.clip(z - step * (M @ z + problem.q), lower, upper)
-    eigenvalue = smallest_eigenvalue_bound(problem)
+    eigenvalue = smallest_eigenvalue_bound(problem.matrix)
     c = eigenvalue.scale
     formula = c * np.linalg.norm(c * (M.T @ r + r / step)) / eigenvalue.value
     with np.errstate(all="ignore"):
@@ -352,11 +352,11 @@ def test_eigenvalue_bound_is_near(kind) -> None:
         line = sp.diags_array([1.0, -4.0, 6.0, -4.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(400, 400))
         M = sp.csr_array(line + 0.01 * sp.eye_array(400))
         singular = sp.csr_array(line - 1e-3 * sp.eye_array(400))
-    bound = smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])))
+    bound = smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
     scaled = bound.scale[:, None] * (M if kind == "dense" else M.toarray()) * bound.scale
     smallest = np.linalg.eigvalsh(scaled)[0]
     assert 0.9 * smallest < bound.value <= smallest
-    assert smallest_eigenvalue_bound(LCP(singular, np.zeros(M.shape[0]))) is None
+    assert smallest_eigenvalue_bound(LCP(singular, np.zeros(M.shape[0])).matrix) is None
 
 
 EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976931348623157e308]

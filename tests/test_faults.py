@@ -166,7 +166,7 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
         patch.setattr(NPSOR, "iterates", interrupted)
         assert solve(TOTAL).status is Status.INTERRUPTED
         assert np.geterr() == before
-    monkeypatch.setattr("lcp_plugin.driver.checked_start", interrupted)
+    monkeypatch.setattr("lcp_plugin.solving.driver.checked_start", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solve(TOTAL)
     assert np.geterr() == before
@@ -258,13 +258,14 @@ def test_where_memory_ends_it_is_said() -> None:
 
 
 COMPILE = """
-    from lcp_plugin import LCP, kernels, solve
+    from lcp_plugin import LCP, solve
+    from lcp_plugin.kernels import splitting_sweeps as kernels
     print(kernels.__file__)
     problem = LCP([[2, 1], [1, 2]], [-5, 1])
     print(*kernels.row_splits(problem.csr, backward=False))
 """
 ELEMENTWISE = """
-    from lcp_plugin.certificates.upward import sum_above
+    from lcp_plugin.exact.upward import sum_above
     print(sum_above(1.0, 2.0))
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"

@@ -16,6 +16,7 @@ import pytest
 from lcp_plugin import LCP, analyze
 from lcp_plugin.algorithms import rehearsal
 from lcp_plugin.locks import Lock
+from lcp_plugin.matrix.matrix import Matrix, fact
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a fork beside threads is tried where it is common")
 
@@ -68,12 +69,23 @@ def test_a_fork_while_a_thread_computes_leaves_no_locked_cache() -> None:
     """A child forked while another thread fills the cache of a matrix computes for itself, from the beginning."""
     problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
 
-    def works() -> bool:
-        return problem.shared("slow", lambda: "computed here") == "computed here" and analyze(problem).is_h_plus is True
+    ways = []
 
-    with Busy(lambda wait: problem.shared("slow", wait)):
+    @fact
+    def slow(matrix: Matrix) -> str:
+        return str(ways.pop()())
+
+    def works() -> bool:
+        ways.append(lambda: "computed here")
+        return slow(problem.matrix) == "computed here" and analyze(problem).is_h_plus is True
+
+    def compute(wait: Callable[[], Any]) -> None:
+        ways.append(wait)
+        slow(problem.matrix)
+
+    with Busy(compute):
         assert exit_code_of_a_child(works) == 0
-    assert problem.shared("slow", lambda: "too late") == "computed"
+    assert slow(problem.matrix) == "computed"
 
 
 def test_a_fork_inside_what_is_computed_goes_on_there() -> None:
@@ -81,11 +93,12 @@ def test_a_fork_inside_what_is_computed_goes_on_there() -> None:
     problem = LCP(np.eye(2), np.ones(2))
     codes = []
 
-    def compute() -> str:
-        codes.append(exit_code_of_a_child(lambda: problem.shared("other", lambda: 1) == 1))
+    @fact
+    def outer(matrix: Matrix) -> str:
+        codes.append(exit_code_of_a_child(lambda: matrix.transpose.nnz == 2))
         return "done"
 
-    assert problem.shared("outer", compute) == "done"
+    assert outer(problem.matrix) == "done"
     assert codes == [0]
 
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, LCPError
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.cli import app
+from lcp_plugin.commands.cli import app
 
 FUZZ = settings(
     deadline=None, derandomize=True, database=None, max_examples=80,

@@ -28,11 +28,11 @@ from lcp_plugin.certificates.contraction import triangle_sums
 from lcp_plugin.certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from lcp_plugin.certificates.method_3_1 import theorem_4_1
 from lcp_plugin.certificates.spectral_radius import nonnegative_radius, radius_above_one
-from lcp_plugin.cli import app
+from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
-from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
-from lcp_plugin.matrix_classes import analyze
+from lcp_plugin.matrix import analyze
+from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
@@ -184,7 +184,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.choice.LARGEST_PIVOTED", 1)
+    monkeypatch.setattr("lcp_plugin.policy.choice.LARGEST_PIVOTED", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 
@@ -487,23 +487,23 @@ def test_an_empty_problem_is_guaranteed() -> None:
 def test_automatic_factors(text: str, largest: float) -> None:
     """θ = min(2, 1/(1 − ℓ − u), 0.9/ℓ) where all rows are dominant (weakly counts), 1 where one is not."""
     problem = gallery.parse(text).problem
-    factors = automatic_factors(problem, 1.0, "forward")
+    factors = automatic_factors(problem.matrix, 1.0, "forward")
     assert factors.max() == pytest.approx(largest)
-    lower, upper = triangle_sums(problem, np.ones(problem.n))
+    lower, upper = triangle_sums(problem.matrix, np.ones(problem.n))
     if largest > 1.0:
         with np.errstate(divide="ignore"):
             expected = np.minimum(np.minimum(2.0, 1.0 / (1.0 - lower - upper)), 0.9 / lower)
         np.testing.assert_allclose(factors, expected)
     reversed_problem = LCP(problem.csr.toarray()[::-1, ::-1], problem.q[::-1])
-    np.testing.assert_allclose(automatic_factors(reversed_problem, 1.0, "backward")[::-1], factors)
-    both = automatic_factors(problem, 1.0, "symmetric")
-    assert np.all(both <= np.minimum(factors, automatic_factors(problem, 1.0, "backward")))
+    np.testing.assert_allclose(automatic_factors(reversed_problem.matrix, 1.0, "backward")[::-1], factors)
+    both = automatic_factors(problem.matrix, 1.0, "symmetric")
+    assert np.all(both <= np.minimum(factors, automatic_factors(problem.matrix, 1.0, "backward")))
 
 
 def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
     """NP with scaling="auto" takes the steps of the unscaled NP on (SM, Sq), s_i = θ_i/d_i."""
     problem = gallery.half_active(n=100, delta=1.0).problem
-    S = automatic_factors(problem, 1.0, "forward") / problem.diagonal
+    S = automatic_factors(problem.matrix, 1.0, "forward") / problem.diagonal
     assert len(set(S.round(6))) > 1
     scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
     paths = [

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin.evidence import gallery
-from lcp_plugin.hierarchy import galerkin, levels, sweeps
-from lcp_plugin.hierarchy.levels import Hierarchy, Operator, build_hierarchy
-from lcp_plugin.hierarchy.truncation import Truncation
-from lcp_plugin.matrix_classes.symmetry import is_symmetric_entrywise
+from lcp_plugin.matrix.hierarchy import galerkin, levels, sweeps
+from lcp_plugin.matrix.hierarchy.levels import Hierarchy, Operator, build_hierarchy
+from lcp_plugin.matrix.hierarchy.truncation import Truncation
+from lcp_plugin.matrix.symmetry import is_symmetric_entrywise
 
 SCENES = [
     "obstacle_2d:size=20", "obstacle_3d:size=8", "coefficient_jumps:size=21", "convection_diffusion:size=20",

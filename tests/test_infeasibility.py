@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
-from lcp_plugin.certificates.exact import exact_slack, farkas_margin, integers, is_exact_solution
-from lcp_plugin.certificates.exact_linear import rank_profile, solve_exactly
+from lcp_plugin.algorithms.search import NoSolution, search
 from lcp_plugin.certificates.forced_bounds import ForcedContradiction, find_forced_contradiction
 from lcp_plugin.certificates.infeasibility import (
     Infeasibility,
@@ -26,7 +25,9 @@ from lcp_plugin.certificates.infeasibility import (
     prove_infeasibility,
 )
 from lcp_plugin.certificates.residuals import reference_residual
-from lcp_plugin.search import NoSolution, search
+from lcp_plugin.exact.integers import integers
+from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
+from lcp_plugin.problem.exactly import exact_slack, farkas_margin, is_exact_solution
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:

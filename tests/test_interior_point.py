@@ -19,8 +19,8 @@ from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.algorithms.interior_points.primal_active_set import BorderedFactor, NotConvex, PrimalActiveSet
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
-from lcp_plugin.matrix_classes.symmetry import is_symmetric_to_rounding
-from lcp_plugin.result import Status
+from lcp_plugin.matrix.symmetry import is_symmetric_to_rounding
+from lcp_plugin.settings import Status
 
 
 def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:

@@ -15,9 +15,10 @@ import scipy.sparse as sp
 from families import SPLITTINGS
 from numpy.testing import assert_allclose
 
-from lcp_plugin import LCP, Certificate, kernels
+from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, create
 from lcp_plugin.evidence import gallery
+from lcp_plugin.kernels import splitting_sweeps as kernels
 
 WIDTHS = [np.int32, np.int64]
 DIRECTIONS = pytest.mark.parametrize("backward", [False, True], ids=["forward", "backward"])

@@ -18,21 +18,14 @@ import scipy.sparse as sp
 from campaigns.graded_matrices import run_case
 
 from lcp_plugin import LCP, Certificate, error_bound
-from lcp_plugin.algorithms.active_sets.active_set import is_nearly_symmetric
-from lcp_plugin.choice import _seems_monotone
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from lcp_plugin.guarantees import convergence_guarantee
-from lcp_plugin.matrix_classes import (
-    analyze,
-    comparison_certificate,
-    comparison_solve,
-    h_verdict,
-    p_matrix,
-    prove_m_matrix,
-)
-from lcp_plugin.matrix_classes.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
-from lcp_plugin.matrix_classes.factorisation import factor_fits
-from lcp_plugin.matrix_classes.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.matrix import analyze, comparison_certificate, comparison_solve, h_verdict, p_matrix, prove_m_matrix
+from lcp_plugin.matrix.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
+from lcp_plugin.matrix.factorisation import factor_fits
+from lcp_plugin.matrix.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.matrix.symmetry import is_nearly_symmetric
+from lcp_plugin.policy.choice import _seems_monotone
+from lcp_plugin.solving.guarantees import convergence_guarantee
 
 CAMPAIGN = Path(__file__).parent / "campaigns" / "matrix_verdicts.py"
 
@@ -100,7 +93,7 @@ def test_both_sides_of_singular(n: int, distance: float) -> None:
         M = with_radius(rng, n, 1.0 + sign * distance)
         units = 10.0 ** rng.uniform(-100, 100, (n, 1)) * 10.0 ** rng.uniform(-100, 100, n)
         for matrix in (M, M * units):
-            verdict = h_verdict(LCP(sp.csr_array(matrix), np.zeros(n)))
+            verdict = h_verdict(LCP(sp.csr_array(matrix), np.zeros(n)).matrix)
             assert verdict.is_h == (sign < 0)
             assert (verdict.certificate is not None) == (sign < 0)
 
@@ -165,7 +158,7 @@ def test_verdict_without_a_vector_in_range() -> None:
     report = analyze(M)
     assert report.is_h_plus is True
     assert report.v is None
-    assert comparison_certificate(LCP(M, np.zeros(n))) is None
+    assert comparison_certificate(LCP(M, np.zeros(n)).matrix) is None
 
 
 def test_p_recursion_against_minors() -> None:
@@ -310,7 +303,7 @@ def test_evidence_cannot_be_written_to() -> None:
     """What a report hands out is shared by all who ask, and read-only."""
     no = analyze([[1.0, 2.0], [2.0, 1.0]])
     yes = analyze(laplacian(5))
-    certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)))
+    certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)).matrix)
     proof = prove_m_matrix(np.array([2.0, 2.0]), sp.csr_array(np.array([[0.0, 1.0], [1.0, 0.0]]))).certificate
     arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
     arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
@@ -380,8 +373,8 @@ def test_p_at_the_ends_of_the_range(
 def test_certificate_is_shared() -> None:
     """Problems with the same matrix share the certificate and the report, and the diagonal's sign is not its matter."""
     problem = LCP([[-3, 1], [1, 3]], [1, 1])
-    certificate = comparison_certificate(problem)
-    assert comparison_certificate(problem.with_q([0, 0])) is certificate
+    certificate = comparison_certificate(problem.matrix)
+    assert comparison_certificate(problem.with_q([0, 0]).matrix) is certificate
     assert analyze(problem) is analyze(problem.with_q([5, 5]))
     assert analyze(problem).is_h_matrix
     assert not analyze(problem).is_h_plus
@@ -427,7 +420,7 @@ def test_comparison_solves(m: int, contrast: float) -> None:
     rhs = units * np.random.default_rng(0).random(n)
     part = np.arange(n) % m < 0.8 * m
     for rows in (None, part, np.zeros(n, dtype=bool)):
-        x = comparison_solve(problem, rhs, rows, tolerance=1e-6)
+        x = comparison_solve(problem.matrix, rhs, rows, tolerance=1e-6)
         kept = np.ones(n, dtype=bool) if rows is None else rows
         residual = (grid @ x - rhs / units)[kept]
         assert np.linalg.norm(residual) <= 3e-6 * np.linalg.norm((rhs / units)[kept])
@@ -437,8 +430,8 @@ def test_comparison_solves(m: int, contrast: float) -> None:
 def test_comparison_solve_needs_a_diagonal() -> None:
     """A zero on the diagonal is told with its row; a singular ⟨M⟩ gives None."""
     with pytest.raises(InvalidProblem, match=r"M\[1, 1\] = 0"):
-        comparison_solve(LCP([[1, 1], [1, 0]], [0, 0]), np.ones(2))
-    assert comparison_solve(LCP([[1, 1], [1, 1]], [0, 0]), np.ones(2)) is None
+        comparison_solve(LCP([[1, 1], [1, 0]], [0, 0]).matrix, np.ones(2))
+    assert comparison_solve(LCP([[1, 1], [1, 1]], [0, 0]).matrix, np.ones(2)) is None
 
 
 # --- The report ---------------------------------------------------------------------------------------------
@@ -511,9 +504,9 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
     def problem() -> LCP:
         return LCP(M, -np.ones(len(M)))
 
-    comparison_certificate(problem())
+    comparison_certificate(problem().matrix)
     if problem().diagonal.all():
-        comparison_solve(problem(), np.ones(len(M)))
+        comparison_solve(problem().matrix, np.ones(len(M)))
     assert str(analyze(M))
     assert analyze(M).semidefinite_delta is None or analyze(M).semidefinite_delta >= 0.0
     for name in ("npsor", "psor", "msor", "npsplitting", "lemke"):
@@ -521,7 +514,7 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
     with contextlib.suppress(UnsuitableMatrix):
         assert error_bound(problem(), np.ones(len(M))).infinity >= 0.0
     assert Certificate.of(problem(), np.ones(len(M))).scale_spread >= 1.0
-    is_nearly_symmetric(problem())
+    is_nearly_symmetric(problem().matrix)
     _seems_monotone(problem(), None)
 
 

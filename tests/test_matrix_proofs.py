@@ -13,34 +13,28 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP
 from lcp_plugin.errors import InvalidProblem
-from lcp_plugin.matrix_classes import analyze, h_matrix, h_verdict, p_matrix
-from lcp_plugin.matrix_classes.comparison import krylov
-from lcp_plugin.matrix_classes.definiteness import (
+from lcp_plugin.exact.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.exact.small_matrices import (
+    exact_rows,
+    has_nonnegative_pivots,
+    has_positive_minors,
+    has_positive_pivots,
+)
+from lcp_plugin.matrix import analyze, h_matrix, h_verdict, p_matrix
+from lcp_plugin.matrix.comparison import krylov
+from lcp_plugin.matrix.definiteness import (
     condition_estimate,
     is_positive_definite,
     is_semidefinite_to_rounding,
     positive_definite_solver,
     symmetric_part,
 )
-from lcp_plugin.matrix_classes.equilibration import row_numbers, scaled, scaling_exponents
-from lcp_plugin.matrix_classes.exact import (
-    exact_rows,
-    has_nonnegative_pivots,
-    has_positive_minors,
-    has_positive_pivots,
-)
-from lcp_plugin.matrix_classes.factorisation import positive_pivot_factor, sparse_lu
-from lcp_plugin.matrix_classes.h_matrix import _centred, _joined, is_nonpositive, positive_margin
-from lcp_plugin.matrix_classes.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.matrix_classes.structure import row_excess_signs, scale_spread
-from lcp_plugin.matrix_classes.symmetry import (
-    ROUNDED,
-    asymmetry,
-    is_symmetric_entrywise,
-    is_symmetric_to_rounding,
-    mismatch,
-)
-from lcp_plugin.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.matrix.equilibration import row_numbers, scaled, scaling_exponents
+from lcp_plugin.matrix.factorisation import positive_pivot_factor, sparse_lu
+from lcp_plugin.matrix.h_matrix import _centred, _joined, is_nonpositive, positive_margin
+from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.matrix.structure import row_excess_signs, scale_spread
+from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 
 property_test = settings(deadline=None, max_examples=150)
 
@@ -171,7 +165,7 @@ def test_bounds_enclose_the_spectral_radius(n: int, decades: float, radius: floa
     np.fill_diagonal(B, 0.0)
     D = 10.0 ** rng.uniform(-decades, decades, n)
     M = np.diag(D) + radius / max(abs(np.linalg.eigvals(B / D[:, None]))) * B
-    verdict = h_verdict(LCP(M, np.zeros(n)))
+    verdict = h_verdict(LCP(M, np.zeros(n)).matrix)
     assert verdict.is_h is (radius < 1.0)
     assert verdict.lower * (1.0 - 1e-12) <= radius <= verdict.upper * (1.0 + 1e-12)
     assert verdict.upper < 1.0 if radius < 1.0 else verdict.lower >= 1.0
@@ -182,10 +176,10 @@ def test_bounds_enclose_the_spectral_radius(n: int, decades: float, radius: floa
 def test_a_tie_of_two_rows_is_settled_by_elimination() -> None:
     """1 − 3·fl(1/3) = 2⁻⁵⁴ > 0: an H-matrix, though no v in doubles shows it; with the next double it is none."""
     third = 1.0 / 3.0
-    verdict = h_verdict(LCP([[1.0, -3.0], [-third, 1.0]], [0.0, 0.0]))
+    verdict = h_verdict(LCP([[1.0, -3.0], [-third, 1.0]], [0.0, 0.0]).matrix)
     assert verdict.is_h is True
     assert verdict.evidence.startswith("exact elimination")
-    assert h_verdict(LCP([[1.0, -3.0], [-float(np.nextafter(third, 1.0)), 1.0]], [0.0, 0.0])).is_h is False
+    assert h_verdict(LCP([[1.0, -3.0], [-float(np.nextafter(third, 1.0)), 1.0]], [0.0, 0.0]).matrix).is_h is False
 
 
 def test_a_block_that_is_no_h_matrix_is_the_proof() -> None:

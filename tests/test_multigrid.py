@@ -13,8 +13,8 @@ from scipy.sparse.linalg import spsolve
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Result, Status, UnknownAlgorithm, UnsuitableMatrix, solve
 from lcp_plugin.algorithms.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.algorithms.multigrid_run import hierarchy_of
-from lcp_plugin.batch import prepare, solve_many
 from lcp_plugin.evidence import gallery
+from lcp_plugin.solving.batch import prepare, solve_many
 
 SCENES = [
     "obstacle_2d:size=60",
@@ -175,8 +175,8 @@ def test_work_is_the_same_every_time_and_includes_the_set_up() -> None:
     assert (one.work, one.iterations) == (other.work, other.iterations)
     assert np.array_equal(one.z, other.z)
     problem = prepare(fresh())
-    hierarchy, built_now = hierarchy_of(problem, Multigrid.coarsest)
-    assert built_now == 0.0
+    assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest)
+    hierarchy = hierarchy_of(problem.matrix, Multigrid.coarsest)
     prepared = solve(problem, "multigrid")
     assert np.array_equal(prepared.z, one.z)
     assert one.work - prepared.work >= hierarchy.work / problem.nonzeros > 10.0
@@ -291,8 +291,7 @@ def test_prepare_fills_the_cache_that_with_q_shares() -> None:
     """The prepared problem is the same object, and a problem with another q finds its hierarchy there."""
     problem = gallery.build("obstacle_2d", size=30).problem
     assert prepare(problem) is problem
-    shared = hierarchy_of(problem, Multigrid.coarsest)[0]
-    assert hierarchy_of(problem.with_q(problem.q + 1.0), Multigrid.coarsest) == (shared, 0.0)
+    assert hierarchy_of.is_known(problem.with_q(problem.q + 1.0).matrix, Multigrid.coarsest)
     assert prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2  # no positive diagonal: no hierarchy, no error
     with pytest.raises(InvalidOption, match="prepare needs an LCP, got list"):
         prepare([1.0])  # type: ignore[arg-type]

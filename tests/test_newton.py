@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.algorithms.active_sets.active_set import FactorCache, classify, solve_active_set
 from lcp_plugin.algorithms.active_sets.damped_newton import fischer_burmeister
-from lcp_plugin.algorithms.active_sets.factorisation import BandedLU, Cholesky, DenseLU, Factor, SparseLU, factorise
 from lcp_plugin.algorithms.active_sets.newton_state import NewtonState
 from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, full_steps
 from lcp_plugin.evidence import gallery
-from lcp_plugin.matrix_classes.factorisation import diagonal_pivot_factor
+from lcp_plugin.matrix.factorisation import diagonal_pivot_factor
+from lcp_plugin.matrix.factors import BandedLU, Cholesky, DenseLU, Factor, SparseLU, factorise
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9

@@ -61,7 +61,7 @@ def test_the_metadata_say_what_the_project_says(built: Path) -> None:
     assert told["License-Expression"] == "Apache-2.0"
     assert told["Requires-Python"] == PROJECT["requires-python"] == ">=3.11"
     assert told["Description-Content-Type"] == "text/markdown"
-    assert "lcp-plugin = lcp_plugin.cli:run" in entries
+    assert "lcp-plugin = lcp_plugin.commands.cli:run" in entries
     needed = {re.match(r"[\w.-]+", line)[0] for line in told.get_all("Requires-Dist") if "extra ==" not in line}  # type: ignore[index]
     assert needed == {re.match(r"[\w.-]+", line)[0] for line in PROJECT["dependencies"]}  # type: ignore[index]
 

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, checks, solve
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
+from lcp_plugin.matrix.matrix import Matrix, fact
 
 A = np.array([[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]])
 Q = np.array([-1.0, 2.0, -3.0, 4.0])
@@ -451,7 +452,7 @@ def test_with_q_shares_everything_of_the_matrix(M: Any, is_warm: bool) -> None:
     assert other.csr is p.csr
     assert other.diagonal is p.diagonal
     assert other.residual_scale is p.residual_scale
-    assert other.shared("a key", object) is p.shared("a key", object)
+    assert other.matrix is p.matrix
 
 
 def test_with_q_changes_q_and_the_bounds_given() -> None:
@@ -479,19 +480,21 @@ def test_with_q_gives_the_answer_of_a_fresh_problem() -> None:
     assert again.iterations == fresh.iterations
 
 
-def test_shared_computes_once_for_many_threads() -> None:
+def test_a_fact_is_computed_once_for_many_threads() -> None:
     """Sixteen threads that ask at once get one object, computed once, and so do those that ask later."""
     p = LCP(TRIDIAGONAL, np.ones(10))
     calls: list[int] = []
 
-    def compute() -> object:
+    @fact
+    def slow(matrix: Matrix) -> object:
         calls.append(1)
         time.sleep(0.02)
         return object()
 
-    found = ask_in_threads(lambda k: (p if k % 2 else p.with_q(np.zeros(10))).shared("slow", compute))
+    found = ask_in_threads(lambda k: slow((p if k % 2 else p.with_q(np.zeros(10))).matrix))
     assert len(calls) == 1
-    assert {id(value) for value in found} == {id(p.shared("slow", compute))}
+    assert {id(value) for value in found} == {id(slow(p.matrix))}
+    assert slow.is_known(p.matrix)
 
 
 def test_derived_data_are_one_object_for_many_threads() -> None:
@@ -521,13 +524,23 @@ def ask_in_threads(ask: Callable[[int], Any], count: int = 16) -> list[Any]:
     return found
 
 
-def test_shared_may_ask_for_shared() -> None:
-    """What is computed under the lock may itself ask for shared data, and a failure is not kept."""
+def test_a_fact_may_ask_for_another() -> None:
+    """What is computed under the lock may itself ask for facts, and a failure is not kept."""
     p = LCP(A, Q)
-    assert p.shared("outer", lambda: p.shared("inner", lambda: 3) + 1) == 4
+    divisors = [1, 0]
+
+    @fact
+    def inner(matrix: Matrix, addend: int) -> int:
+        return matrix.n + addend
+
+    @fact
+    def outer(matrix: Matrix) -> float:
+        return inner(matrix, 1) / divisors.pop()
+
     with pytest.raises(ZeroDivisionError):
-        p.shared("fails", lambda: 1 // 0)
-    assert p.shared("fails", lambda: 5) == 5
+        outer(p.matrix)
+    assert outer(p.matrix) == 5
+    assert not inner.is_known(p.matrix, 2)
 
 
 # --- copies and pictures ---------------------------------------------------------------------------------------
@@ -562,7 +575,7 @@ def test_a_pickle_is_no_larger_than_the_data() -> None:
     """What can be computed again is not pickled."""
     p = LCP(TRIDIAGONAL, np.ones(10))
     fresh = len(pickle.dumps(p))
-    p.shared("bulk", lambda: np.zeros(10_000))
+    fact(lambda matrix: np.zeros(10_000))(p.matrix)
     assert len(pickle.dumps(p)) == fresh
 
 

@@ -404,7 +404,7 @@ def test_refusals_are_ours(tmp_path: Path) -> None:
 
 def test_caches_are_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     """“Compiled code needs no place on disk”: a cache that fails in any way; test_faults.py does it with real disks."""
-    from lcp_plugin.compilation import compiled
+    from lcp_plugin.kernels.compilation import compiled
 
     for error in (OSError(28, "No space left on device"), PermissionError(13, "denied"), EOFError("truncated")):
 

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lcp_plugin.algorithms import ENTRY_POINT_GROUP
-from lcp_plugin.cli import app
+from lcp_plugin.commands.cli import app
 
 README = Path(__file__).parent.parent.joinpath("README.md").read_text(encoding="utf-8")
 

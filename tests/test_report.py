@@ -20,7 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, InvalidOption
-from lcp_plugin.cli import app
+from lcp_plugin.commands.cli import app
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.error_against_time import best_answer

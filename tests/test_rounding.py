@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin.errors import InvalidProblem
-from lcp_plugin.rounding import (
+from lcp_plugin.exact.rounding import (
     TINY,
     UNIT,
     comparison_product,

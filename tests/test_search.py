@@ -10,12 +10,12 @@ import pytest
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
-from lcp_plugin.certificates.exact import is_exact_solution
+from lcp_plugin.algorithms.search import Effort, Found, GaveUp, all_solutions, explore, search
 from lcp_plugin.certificates.no_solution import Case, NoSolution
 from lcp_plugin.certificates.refutation import row_choices
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.search import Effort, Found, GaveUp, all_solutions, explore, search
-from lcp_plugin.search.exact_simplex import QUANTUM
+from lcp_plugin.exact.simplex import QUANTUM
+from lcp_plugin.problem.exactly import is_exact_solution
 
 
 @pytest.mark.parametrize("block", range(8))
@@ -207,7 +207,7 @@ def busy(seed: int) -> LCP:
 
 def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
-    monkeypatch.setattr("lcp_plugin.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
+    monkeypatch.setattr("lcp_plugin.algorithms.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
     runs = [solve(busy(0)) for _ in range(2)]
     for result in runs:
         assert result.status is Status.STALLED
@@ -231,5 +231,5 @@ def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The answers are the same, bit for bit, however often the search yields."""
     problem = LCP(*random_problem(np.random.default_rng([7, 1, 3]), largest=4)[:2])
     plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
-    monkeypatch.setattr("lcp_plugin.search.exact_simplex.QUANTUM", 1)
+    monkeypatch.setattr("lcp_plugin.exact.simplex.QUANTUM", 1)
     assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain

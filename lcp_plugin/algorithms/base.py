@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from ..certificates.contraction import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414 - offered here
 from ..certificates.convergence import IterationFacts
+from ..checks import FloatVector, is_number, read_only
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from ..problem import LCP, FloatVector
+from ..matrix.matrix import Matrix, fact
+from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
 
@@ -162,33 +164,22 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
         )
 
 
-def is_number(value: Any) -> bool:
-    """Return whether the value is a real number that fits a double."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        return False
-    try:
-        float(value)
-    except OverflowError:
-        return False
-    return True
-
-
 def require_step(name: str, step: Any) -> None:
     """Refuse what is no step, as an algorithm of somebody else's may yield."""
     if not isinstance(step, Step):
         raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
 
 
-def has_positive_diagonal(problem: LCP) -> NDArray[np.bool_]:
+@fact
+def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
     """Return where the diagonal is positive and not too small to invert, shape (n,)."""
     with np.errstate(over="ignore", divide="ignore"):
-        usable: NDArray[np.bool_] = (problem.diagonal > 0.0) & np.isfinite(1.0 / problem.diagonal)
-    return usable
+        return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
-    diagonal, usable = problem.diagonal, has_positive_diagonal(problem)
+    diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
     if not usable.all():
         i = int(np.flatnonzero(~usable)[0])
         raise UnsuitableMatrix(
@@ -197,12 +188,12 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     return diagonal
 
 
-def row_splits(problem: LCP, backward: bool) -> NDArray[Any]:
-    """Return the row splits of a sweep direction, shape (n,), computed once a matrix."""
-    from .. import kernels
+@fact
+def row_splits(matrix: Matrix, backward: bool) -> Any:
+    """Return the row splits of a sweep direction, shape (n,)."""
+    from ..kernels import splitting_sweeps as kernels
 
-    compute: Callable[[], NDArray[Any]] = lambda: kernels.row_splits(problem.csr, backward=backward)  # noqa: E731
-    return problem.shared(f"row_splits_{'backward' if backward else 'forward'}", compute)
+    return kernels.row_splits(matrix.csr, backward=backward)
 
 
 def directions(sweep: str) -> tuple[bool, ...]:

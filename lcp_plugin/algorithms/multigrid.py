@@ -12,8 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
 
 SMOOTHERS = ("pgs", "psor", "npgs", "npsor")

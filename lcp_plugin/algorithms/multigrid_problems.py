@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import kernels
-from ..hierarchy.levels import Grid
-from ..problem import FloatVector
+from ..checks import FloatVector
+from ..kernels import splitting_sweeps as kernels
+from ..matrix.hierarchy.levels import Grid
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import diags_array
 
-from ..hierarchy import sweeps
-from ..hierarchy.krylov import KrylovCorrection, power_of_two, span
-from ..hierarchy.levels import Hierarchy, build_hierarchy
-from ..hierarchy.truncation import Truncation
-from ..matrix_classes.symmetry import is_symmetric_entrywise
-from ..problem import LCP, FloatVector
+from ..checks import FloatVector
+from ..matrix.hierarchy import sweeps
+from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
+from ..matrix.hierarchy.levels import Hierarchy, build_hierarchy
+from ..matrix.hierarchy.truncation import Truncation
+from ..matrix.matrix import Matrix, fact
+from ..matrix.symmetry import is_symmetric_entrywise
+from ..problem.lcp import LCP
 from .base import Step
 from .multigrid_problems import GridProblem, Stated
 
@@ -58,8 +60,11 @@ class MultigridRun:
     @classmethod
     def of(cls, algorithm: Multigrid, problem: LCP) -> MultigridRun:
         """Return the run on a problem of one process, with the hierarchy that its matrix may have already."""
-        is_symmetric, work = symmetry_of(problem)
-        hierarchy, more = hierarchy_of(problem, algorithm.coarsest)
+        work = 0.0 if has_symmetric_entries.is_known(problem.matrix) else float(problem.nonzeros)
+        is_symmetric = has_symmetric_entries(problem.matrix)
+        is_built = hierarchy_of.is_known(problem.matrix, algorithm.coarsest)
+        hierarchy = hierarchy_of(problem.matrix, algorithm.coarsest)
+        more = 0.0 if is_built else hierarchy.work
         run = cls(algorithm, problem, hierarchy, is_symmetric=is_symmetric)
         run.work = work + more
         return run
@@ -320,31 +325,16 @@ class MultigridRun:
         return work / self.entries
 
 
-def hierarchy_of(problem: LCP, coarsest: int) -> tuple[Hierarchy, float]:
-    """Return the hierarchy of M, and the matrix entries touched to build it now (0 where it was there)."""
-    built: list[float] = []
-    is_symmetric, _ = symmetry_of(problem)
-
-    def build() -> Hierarchy:
-        hierarchy = build_hierarchy(problem.csr, coarsest, scales_rows=not is_symmetric)
-        built.append(hierarchy.work)
-        return hierarchy
-
-    hierarchy = problem.shared(f"hierarchy_{coarsest}", build)
-    return hierarchy, sum(built)
+@fact
+def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
+    """Return the hierarchy of M."""
+    return build_hierarchy(matrix.csr, coarsest, scales_rows=not has_symmetric_entries(matrix))
 
 
-def symmetry_of(problem: LCP) -> tuple[bool, float]:
-    """Return whether M is symmetric up to rounding, and the matrix entries touched to find out now."""
-    read: list[float] = []
-
-    def compute() -> bool:
-        M = problem.csr
-        read.append(float(M.nnz))
-        return is_symmetric_entrywise(M)
-
-    is_symmetric = problem.shared("is_symmetric", compute)
-    return is_symmetric, sum(read)
+@fact
+def has_symmetric_entries(matrix: Matrix) -> bool:
+    """Return whether M is symmetric up to rounding, entry by entry."""
+    return is_symmetric_entrywise(matrix.csr)
 
 
 def rehearse(algorithm: Multigrid) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..certificates.residuals import Certificate
 from ..locks import Lock
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .base import Algorithm
 
 _rehearsed: set[tuple[type[Algorithm] | None, str]] = set()
@@ -15,13 +15,13 @@ _lock = Lock()
 
 def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
     """Run the algorithm, where it is compiled, and the judge once on a 1 × 1 problem of the same index width."""
-    width = problem.index_width
+    width = problem.matrix.index_width
     key = (None if algorithm is None else type(algorithm), width)
     if key in _rehearsed:
         return
     with _lock.held():
         tiny = LCP([[1.0]], [-1.0])
-        if width != tiny.index_width:
+        if width != tiny.matrix.index_width:
             return  # compiled on first use; such a matrix has two billion entries
         Certificate.of(tiny, np.zeros(1)).measured("relative")
         if algorithm is not None and algorithm.is_compiled:

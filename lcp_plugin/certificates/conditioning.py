@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..matrix_classes.factorisation import factor_fits, sparse_lu
-from ..problem import LCP
+from ..matrix.factorisation import factor_fits, sparse_lu
+from ..problem.lcp import LCP
 
 DENSE_UP_TO = 500  # rows: a few milliseconds
 SPARSE_UP_TO = 20_000

@@ -22,8 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..problem import LCP, FloatVector
-from ..rounding import TINY
+from ..checks import FloatVector, read_only
+from ..exact.rounding import TINY
+from ..matrix.matrix import Matrix, fact
 
 EPSILON = 2.0**-52
 BLOCK = 16_384
@@ -55,27 +56,22 @@ class RowBound:
     cases: tuple[Case, ...]
 
 
-def inverse_residual_scale(problem: LCP) -> FloatVector:
+@fact
+def inverse_residual_scale(matrix: Matrix) -> FloatVector:
     """Return 1/d of the scaled residual, shape (n,), kept finite."""
-
-    def compute() -> FloatVector:
-        with np.errstate(over="ignore"):
-            inverse: FloatVector = np.minimum(1.0 / problem.residual_scale, np.finfo(np.float64).max)
-        inverse.flags.writeable = False
-        return inverse
-
-    return problem.shared("inverse_residual_scale", compute)
+    with np.errstate(over="ignore"):
+        return read_only(np.minimum(1.0 / matrix.residual_scale, np.finfo(np.float64).max))
 
 
-def triangle_sums(problem: LCP, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
+def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,); one pass over M.
 
     With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
     """
-    lower, upper = np.empty(problem.n), np.empty(problem.n)
-    M = problem.csr if part is None else part
+    lower, upper = np.empty(matrix.n), np.empty(matrix.n)
+    M = matrix.csr if part is None else part
     # One compiled signature for writable and read-only arrays.
-    arrays = [array.view() for array in (M.indptr, M.indices, M.data, inverse_residual_scale(problem), np.asarray(v))]
+    arrays = [array.view() for array in (M.indptr, M.indices, M.data, inverse_residual_scale(matrix), np.asarray(v))]
     for array in arrays:
         array.flags.writeable = False
     _compiled_triangle_sums()(*arrays, lower, upper)
@@ -87,9 +83,10 @@ def underflow(v: FloatVector, terms: int) -> float:
     return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
 
 
-def unit_triangle_sums(problem: LCP) -> tuple[FloatVector, FloatVector]:
-    """Return the triangle sums of v = 1, computed once a matrix."""
-    return problem.shared("unit_triangle_sums", lambda: triangle_sums(problem, np.ones(problem.n)))
+@fact
+def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
+    """Return the triangle sums of v = 1."""
+    return triangle_sums(matrix, np.ones(matrix.n))
 
 
 def row_blocks(n: int) -> Iterator[slice]:
@@ -98,9 +95,10 @@ def row_blocks(n: int) -> Iterator[slice]:
         yield slice(first, min(first + BLOCK, n))
 
 
-def longest_row(problem: LCP) -> int:
+@fact
+def longest_row(matrix: Matrix) -> int:
     """Return the largest number of entries in a row."""
-    return problem.shared("longest_row", lambda: int(np.diff(problem.csr.indptr).max(initial=0)))
+    return int(np.diff(matrix.csr.indptr).max(initial=0))
 
 
 def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int) -> FloatVector:
@@ -179,6 +177,6 @@ def _triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: igno
 
 @cache
 def _compiled_triangle_sums() -> Any:
-    from ..compilation import compiled
+    from ..kernels.compilation import compiled
 
     return compiled(_triangle_sums)

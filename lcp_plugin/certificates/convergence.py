@@ -28,9 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import real_vector
+from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .contraction import (
     Case,
     RowBound,
@@ -195,7 +195,7 @@ def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBoun
             return RowBound(2.0 * theta + 2.0, weight, (zero_case, Case(2.0 * theta, 2.0 * weight, 2.0 * weight)))
         alpha, beta = numbers(facts)
         diagonal = problem.diagonal[rows]
-        per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem)[rows])
+        per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
         if facts.family == PROJECTED_RELAXATION:
             free = min(alpha, 2.0 - alpha)
             lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
@@ -223,7 +223,7 @@ def scaled(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> tuple[Floa
     diagonal = problem.diagonal[rows]
     scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
     with np.errstate(all="ignore"):
-        return scaling * diagonal, scaling / inverse_residual_scale(problem)[rows]
+        return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
 
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:
@@ -237,10 +237,10 @@ def numbers(facts: IterationFacts) -> tuple[float, float]:
 def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
     """Return the triangle sums of v that the row bound of a forward sweep asks for."""
     if facts.family != PROJECTED_SPLITTING:
-        return triangle_sums(problem, v)
-    all_of_m = np.add(*triangle_sums(problem, v))
-    taken = np.add(*triangle_sums(problem, v, facts.splitting))
-    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem) * 2.0**-52)
+        return triangle_sums(problem.matrix, v)
+    all_of_m = np.add(*triangle_sums(problem.matrix, v))
+    taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
+    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem.matrix) * 2.0**-52)
 
 
 def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
@@ -290,7 +290,7 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums 
 
 
 def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> float:
-    smallest, terms = 1.0, longest_row(problem)
+    smallest, terms = 1.0, longest_row(problem.matrix)
     lost = underflow(v, terms)
     for rows in row_blocks(problem.n):
         bound = row_bound(facts, problem, rows)
@@ -305,8 +305,8 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
     if facts.family not in (PROJECTED_TYPE, PROJECTED_SPLITTING):
         return False
     alpha, beta = numbers(facts)
-    slop = (longest_row(problem) + 32) * 2.0**-52
-    lost = underflow(v, longest_row(problem))
+    slop = (longest_row(problem.matrix) + 32) * 2.0**-52
+    lost = underflow(v, longest_row(problem.matrix))
     for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
         theta, weight = scaled(facts, problem, rows)
         with np.errstate(all="ignore"):

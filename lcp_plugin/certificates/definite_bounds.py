@@ -19,12 +19,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..matrix_classes.equilibration import row_numbers
-from ..matrix_classes.factorisation import factor_fits, positive_pivot_factor
-from ..problem import LCP, FloatVector
-from ..rounding import TINY, UNIT, compensated_product, gamma
+from ..checks import FloatVector
+from ..exact.rounding import TINY, UNIT, compensated_product, gamma
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..matrix.equilibration import row_numbers
+from ..matrix.factorisation import factor_fits, positive_pivot_factor
+from ..matrix.matrix import Matrix, fact
+from ..problem.lcp import LCP
 from .row_inequality import RowInequality
-from .upward import product_above, quotient_above, sum_above
 
 DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
@@ -42,7 +44,8 @@ class EigenvalueBound(NamedTuple):
     is_rigorous: bool
 
 
-def smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
+@fact
+def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     """Return a lower bound of the smallest eigenvalue of M's symmetric part in equilibrated units, kept with M.
 
     Returns
@@ -62,11 +65,26 @@ def smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
 
     Examples
     --------
-    >>> bound = smallest_eigenvalue_bound(LCP([[4.0, 2.0], [2.0, 4.0]], [0.0, 0.0]))
+    >>> bound = smallest_eigenvalue_bound(Matrix([[4.0, 2.0], [2.0, 4.0]]))
     >>> 0.45 < bound.value <= 0.5 and bound.is_rigorous
     True
     """
-    return problem.shared("smallest_eigenvalue_bound", lambda: _smallest_eigenvalue_bound(problem))
+    diagonal = matrix.diagonal
+    if not (diagonal > 0.0).all() or matrix.n == 0:
+        return None
+    exponent = np.round(-0.5 * np.log2(diagonal)).astype(np.int64)
+    scale = np.ldexp(1.0, exponent)
+    is_dense = matrix.is_dense or matrix.n <= 200
+    is_dense = is_dense and matrix.n <= DENSE_UP_TO
+    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponent)
+    if not np.isfinite(blur):
+        return None
+    is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
+    if is_dense:
+        value = _dense_bound(part, blur)
+    else:
+        value = _sparse_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
+    return None if value is None else EigenvalueBound(value, scale, is_rigorous)
 
 
 def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
@@ -78,9 +96,9 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     blur = np.maximum(sum_above(residual, negative), 0.0)
     if not (residual.any() or blur.any()):
         return np.zeros(problem.n)
-    transpose = problem.shared("transpose", lambda: sp.csr_array(problem.csr.T))
+    transpose = problem.matrix.transpose
     value, radius = compensated_product(transpose, residual, residual * inverse_step)
-    absolute = problem.shared("absolute_transpose", lambda: abs(transpose))
+    absolute = absolute_transpose(problem.matrix)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
     scale = eigenvalue.scale
@@ -98,23 +116,10 @@ def _norm_above(x: FloatVector) -> np.float64:
     return np.float64(unit * np.sqrt(squares) * OUTWARD)
 
 
-def _smallest_eigenvalue_bound(problem: LCP) -> EigenvalueBound | None:
-    diagonal = problem.diagonal
-    if not (diagonal > 0.0).all() or problem.n == 0:
-        return None
-    exponent = np.round(-0.5 * np.log2(diagonal)).astype(np.int64)
-    scale = np.ldexp(1.0, exponent)
-    is_dense = problem._dense is not None or problem.n <= 200
-    is_dense = is_dense and problem.n <= DENSE_UP_TO
-    part, blur = _symmetric_part(problem.csr.toarray() if is_dense else problem.csr, exponent)
-    if not np.isfinite(blur):
-        return None
-    is_rigorous = is_dense or (problem.n <= SPARSE_UP_TO and factor_fits(part))
-    if is_dense:
-        value = _dense_bound(part, blur)
-    else:
-        value = _sparse_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
-    return None if value is None else EigenvalueBound(value, scale, is_rigorous)
+@fact
+def absolute_transpose(matrix: Matrix) -> sp.csr_array:
+    """Return |Mᵀ|, shape (n, n)."""
+    return abs(matrix.transpose)
 
 
 def _symmetric_part(M: Any, exponent: Any) -> tuple[Any, float]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .convergence import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts, numbers
 from .spectral_radius import radius_above_one
 from .theorems import CRYER

@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import real_vector
+from ..checks import FloatVector, real_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..matrix_classes import HCertificate, comparison_certificate, comparison_solve
-from ..problem import LCP, FloatVector
-from ..rounding import comparison_product, lower_end
+from ..exact.rounding import comparison_product, lower_end
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..matrix import HCertificate, comparison_certificate, comparison_solve
+from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
 from .residuals import scaled_residual
 from .row_inequality import BoolVector, RowInequality
-from .upward import product_above, quotient_above, sum_above
 
 SMALL = 1000  # up to here every stage is cheap
 REFINEMENTS = 5
@@ -153,7 +153,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z = real_vector(z, "z", problem.n)
     began = time.perf_counter()
-    certificate = comparison_certificate(problem) if (problem.diagonal > 0.0).all() else None
+    certificate = comparison_certificate(problem.matrix) if (problem.diagonal > 0.0).all() else None
     with np.errstate(all="ignore"):
         if certificate is not None:
             found = _h_plus_bound(problem, z, certificate, sharp)
@@ -175,9 +175,9 @@ def v_bound(problem: LCP, z: FloatVector, certificate: HCertificate) -> FloatVec
 
     Examples
     --------
-    >>> from lcp_plugin.matrix_classes import comparison_certificate
+    >>> from lcp_plugin.matrix import comparison_certificate
     >>> problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem)).tolist()
+    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem.matrix)).tolist()
     [0.0, 0.0]
     """
     if not np.isfinite(z).all():
@@ -199,7 +199,7 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
         if branches.linear.any():
             # On the other rows y is known, and its part of ⟨M⟩y goes to the right-hand side.
             rhs = branches.gap - comparison_product(problem.csr, candidate)[0]
-            solution = comparison_solve(problem, rhs, rows=branches.linear, tolerance=TOLERANCE)
+            solution = comparison_solve(problem.matrix, rhs, rows=branches.linear, tolerance=TOLERANCE)
             if solution is None:
                 return y
             candidate = np.maximum(candidate, solution)
@@ -236,7 +236,7 @@ def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp
 
 
 def _definite_bound(problem: LCP, z: FloatVector, sharp: bool) -> ErrorBound:
-    eigenvalue = smallest_eigenvalue_bound(problem)
+    eigenvalue = smallest_eigenvalue_bound(problem.matrix)
     if eigenvalue is None:
         raise UnsuitableMatrix(_why_not(problem))
     kind, method = "rigorous" if eigenvalue.is_rigorous else "estimate", "2-norm, λ_min"
@@ -302,7 +302,7 @@ def _sweep_nearer(found: _Found, certificate: HCertificate) -> None:
     gap = float((certificate.margin / (problem.diagonal * certificate.v)).min(initial=1.0))
     if not gap > LEAST_GAP:
         return
-    from .. import kernels
+    from ..kernels import splitting_sweeps as kernels
 
     M, point = problem.csr, found.z.copy()
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)

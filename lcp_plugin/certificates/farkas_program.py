@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..checks import FloatVector
 from ..deadline import seconds_left
-from ..problem import LCP, FloatVector
-from .exact import Rational, integer_matrix, slack_bounds
-from .exact_linear import rank_profile, solve_exactly
+from ..exact.integers import Rational
+from ..exact.linear_systems import rank_profile, solve_exactly
+from ..problem.exactly import integer_matrix, slack_bounds
+from ..problem.lcp import LCP
 from .residuals import reference_residual
 
 NEGLIGIBLE = 1e-12
@@ -210,7 +212,7 @@ class FarkasProgram:
         """Return those columns of row i in integers that are proportional to its row in the scale of the program."""
         shift = int(np.frexp(self.rows[i])[1]) - int(np.frexp(self.rows.min())[1])
         row = [0] * len(columns)
-        for j, entry in integer_matrix(self.problem).row(i):
+        for j, entry in integer_matrix(self.problem.matrix).row(i):
             if j in columns:
                 row[columns[j]] = entry << shift
         return row

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..problem import LCP, FloatVector
+from ..checks import FloatVector
+from ..problem.lcp import LCP
 from .refutation import Closing, Refutation
 from .residuals import MACHINE_EPSILON, SMALLEST
 

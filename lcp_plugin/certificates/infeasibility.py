@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
+from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..problem import LCP, FloatVector
-from .exact import Rational, slack_bounds
+from ..exact.integers import Rational
+from ..problem.exactly import slack_bounds
+from ..problem.lcp import LCP
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
 from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
 

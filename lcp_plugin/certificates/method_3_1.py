@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..problem import FloatVector
-from ..rounding import TINY
+from ..checks import FloatVector
+from ..exact.rounding import TINY
 
 POWER_STEPS = 60
 Matrix = np.ndarray[Any, np.dtype[np.float64]]

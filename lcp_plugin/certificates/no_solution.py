@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .infeasibility import Infeasibility
 from .refutation import Closing, Refutation, closed_exactly, row_choices
 

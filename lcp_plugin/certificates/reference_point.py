@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..matrix_classes import analyze
-from ..matrix_classes.comparison import hierarchy, krylov, shared_comparison, v_cycle
-from ..matrix_classes.factorisation import diagonal_pivot_factor, factor_fits
-from ..problem import LCP, FloatVector
+from ..checks import FloatVector
+from ..exact.upward import sum_above
+from ..matrix import analyze
+from ..matrix.comparison import hierarchy, krylov, shared_comparison, v_cycle
+from ..matrix.factorisation import diagonal_pivot_factor, factor_fits
+from ..problem.lcp import LCP
 from .row_inequality import BoolVector, RowInequality, distance_above
-from .upward import sum_above
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
@@ -80,7 +81,7 @@ class ActiveSetSteps:
 
 def _solver(problem: LCP, free: BoolVector) -> Solver:
     rows = np.flatnonzero(free)
-    if rows.size <= DENSE_UP_TO or (problem._dense is not None and rows.size <= SPARSE_FACTOR_UP_TO):
+    if rows.size <= DENSE_UP_TO or (problem.is_dense and rows.size <= SPARSE_FACTOR_UP_TO):
         return _dense_solver(problem.M, rows)
     block = problem.csr if rows.size == problem.n else problem.csr[rows][:, rows]
     if rows.size <= SPARSE_FACTOR_UP_TO and factor_fits(block):
@@ -91,7 +92,7 @@ def _solver(problem: LCP, free: BoolVector) -> Solver:
 def _multigrid_solver(problem: LCP, block: Any) -> Solver:
     """Return the solver of a large system with a Z-matrix; its hierarchy serves for several right-hand sides."""
     cycle = v_cycle(hierarchy(block))
-    is_symmetric = shared_comparison(problem).is_symmetric
+    is_symmetric = shared_comparison(problem.matrix).is_symmetric
 
     def solve(rhs: FloatVector) -> FloatVector:
         solution = krylov(block, rhs, cycle, ITERATIVE_TOLERANCE, is_symmetric, KRYLOV_STEPS)

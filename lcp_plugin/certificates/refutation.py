@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,16 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..problem import LCP
-from .exact import (
-    Rational,
-    common_denominator,
-    exact_slack,
-    farkas_margin,
-    integer_matrix,
-    power_of_two,
-    slack_bounds,
-)
+from ..exact.integers import Rational, common_denominator, power_of_two, rounded_down
+from ..problem.exactly import exact_slack, farkas_margin, integer_matrix, slack_bounds
+from ..problem.lcp import LCP
 from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
 
 LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
@@ -175,7 +167,7 @@ def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str])
     squares = sum((weight * weight for weight in natural.values()), Fraction(0))
     if at_bound:
         numerators, denominator = common_denominator(y)
-        matrix = integer_matrix(problem)
+        matrix = integer_matrix(problem.matrix)
         unit, product = power_of_two(matrix.exponent) / denominator, matrix.transposed_product(numerators)
         for i in at_bound:
             weight = unit * max(product[i] if path[i] == LOWER else -product[i], 0)
@@ -193,17 +185,6 @@ def sum_bound(terms: np.ndarray) -> Fraction | None:
     if not math.isfinite(total):
         return None
     return Fraction(total) * (1 + Fraction(4 * MACHINE_EPSILON)) + terms.size * Fraction(SMALLEST)
-
-
-def rounded_down(value: Fraction | None) -> float:
-    """Return a double not above a value ≥ 0; ∞ for None."""
-    if value is None:
-        return math.inf
-    try:
-        near = float(value)
-    except OverflowError:
-        return sys.float_info.max
-    return near if Fraction(near) <= value else math.nextafter(near, 0.0)
 
 
 def _root(square: Fraction | None) -> Fraction | None:

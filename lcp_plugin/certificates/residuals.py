@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, read_only, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..problem import LCP
-from ..rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
+from ..exact.rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
+from ..problem.lcp import LCP
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
@@ -298,7 +298,7 @@ def residual_ends_of(
     -------
     smallest, largest : arrays, shape (m,)
     """
-    from ..enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
+    from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
 
     if sp.issparse(M):
         indptr, indices, data, stride = M.indptr, M.indices, M.data, 0

@@ -23,9 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..problem import LCP, FloatVector
-from ..rounding import comparison_product, compensated_pair, compensated_product
-from .upward import product_above, quotient_above, sum_above
+from ..checks import FloatVector
+from ..exact.rounding import comparison_product, compensated_pair, compensated_product
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..problem.lcp import LCP
 
 BoolVector = NDArray[np.bool_]
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..matrix_classes.equilibration import row_numbers
-from ..matrix_classes.factorisation import diagonal_pivot_factor, factor_fits
-from ..problem import FloatVector
-from ..rounding import compensated_product, lower_end, upper_end
+from ..checks import FloatVector
+from ..exact.rounding import compensated_product, lower_end, upper_end
+from ..matrix.equilibration import row_numbers
+from ..matrix.factorisation import diagonal_pivot_factor, factor_fits
+from ..matrix.matrix import Matrix, fact
 
 POWER_STEPS = 30
 NODA_STEPS = 40
@@ -169,3 +170,9 @@ def radius_above_one(pivot: Any, numerator: Any, magnitude: Any = None) -> float
         disc = float(G.sum(axis=1).max()) / (1.0 - spread) * (1.0 + unit)
         lower = float(np.abs(values).max()) * (1.0 - unit) - 2.0 * n * disc
     return lower if lower > 1.0 else None
+
+
+@fact
+def jacobi_radius(matrix: Matrix) -> tuple[float, float]:
+    """Return bounds of the spectral radius of |L + U|."""
+    return nonnegative_radius(abs(matrix.csr - sp.diags_array(matrix.diagonal)))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .convergence import (
     MODULUS,
     PROJECTED_RELAXATION,

@@ -14,9 +14,9 @@ from ..algorithms import REGISTRY, create, from_other_packages
 from ..certificates.convergence import Guarantee
 from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
 from ..errors import LCPError
-from ..guarantees import convergence_guarantee
-from ..matrix_classes import analyze
-from ..problem import LCP
+from ..matrix import analyze
+from ..problem.lcp import LCP
+from ..solving.guarantees import convergence_guarantee
 
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 WIDEST = 100

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import typer
 
+from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
-from ..problem import LCP, FloatVector
-from ..result import Result
+from ..problem.lcp import LCP
 from ..settings import Settings
+from ..solving.result import Result
 from .target import require_file, scene_text
 from .terminal import RunLine
 
@@ -60,7 +61,7 @@ def on_all_ranks() -> Iterator[None]:
     try:
         from mpi4py import MPI
 
-        from ..distributed.failures import ends_together
+        from ..peers.ranks.failures import ends_together
     except (ImportError, RuntimeError, LCPError):  # `solve` says what is missing
         yield
         return
@@ -89,8 +90,8 @@ def solve(
         )
     try:
         from ..distributed import algorithms  # first: it says what is missing
-        from ..distributed.collective import as_mpi
-        from ..distributed.failures import ends_together
+        from ..peers.ranks.collective import as_mpi
+        from ..peers.ranks.failures import ends_together
     except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library
         raise InvalidOption(
             f"--backend petsc needs mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]'"
@@ -172,7 +173,7 @@ def _note_whole(comm: Any, n: int, what: str) -> None:
 
 def _told(read: _Read, result: Result) -> tuple[dict[str, Any], str]:
     """Return what --json prints and what a person reads; all ranks call."""
-    from ..distributed.collective import gathered
+    from ..peers.ranks.collective import gathered
 
     problem, z, bound = read.problem, result.z, result.error_bound
     table = gathered(
@@ -278,7 +279,7 @@ def _write_array(comm: Any, path: Path, own: FloatVector, problem: Any) -> None:
     """Write the parts of all ranks into one .npy file by MPI-IO."""
     from mpi4py import MPI
 
-    from ..distributed.collective import together
+    from ..peers.ranks.collective import together
 
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (problem.n,)})

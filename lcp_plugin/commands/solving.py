@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import FloatVector
 from ..errors import InvalidOption, UnreadableFile
-from ..problem import LCP, FloatVector
-from ..result import Result
+from ..problem.lcp import LCP
+from ..solving.result import Result
 from .terminal import RunLine
 
 OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
@@ -58,7 +59,7 @@ def options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
 def chosen(algorithm: str, options: dict[str, Any]) -> Any:
     """Return the algorithm with its options, or "auto"."""
     from ..algorithms import create
-    from ..choice import policy_for
+    from ..policy.choice import policy_for
 
     if algorithm == "auto":
         return policy_for(algorithm, options).name
@@ -67,7 +68,7 @@ def chosen(algorithm: str, options: dict[str, Any]) -> Any:
 
 def solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunLine) -> list[Result]:
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
-    from ..driver import solve as solve_problem
+    from ..solving.driver import solve as solve_problem
 
     results: list[Result] = []
     start = scene.start if scene is not None else None
@@ -83,7 +84,7 @@ def solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunL
 
 def save_answer(result: Result, path: Path) -> None:
     """Write z, w and the status into an .npz file, whole or not at all."""
-    from ..problem_files import write_whole
+    from ..problem.files import write_whole
 
     status = np.array(result.status.name)
     write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption, did_you_mean
-from ..problem import LCP
+from ..problem.lcp import LCP
 
 
 def read_target(target: str, size: int | None = None) -> tuple[LCP, Any]:

@@ -6,8 +6,8 @@ import sys
 import time
 from typing import Any
 
-from ..problem import FloatVector
-from ..result import Sample
+from ..checks import FloatVector
+from ..solving.result import Sample
 
 QUIET_SECONDS = 1.0
 REFRESH_SECONDS = 0.2

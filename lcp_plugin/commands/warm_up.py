@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from ..problem import LCP
+from ..problem.lcp import LCP
 
 
 def warm_up() -> str:
@@ -12,9 +12,9 @@ def warm_up() -> str:
     from ..algorithms import REGISTRY, create
     from ..algorithms.rehearsal import rehearse
     from ..certificates.error_bounds import error_bound
-    from ..compilation import cache_folder
-    from ..driver import solve
     from ..evidence import gallery
+    from ..kernels.compilation import cache_folder
+    from ..solving.driver import solve
 
     began = time.perf_counter()
     scene = gallery.build("obstacle_2d", size=20)

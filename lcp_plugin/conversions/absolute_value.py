@@ -11,8 +11,9 @@ import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .checked import attach_origin, checked_answer, checked_matrix, checked_vector
 
 FORMS = ("plain", "mixed")

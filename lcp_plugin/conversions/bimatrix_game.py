@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import FloatVector
 from ..errors import InvalidProblem, NotConverged
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .checked import attach_origin, checked_answer, checked_matrix
 
 FloatMatrix = NDArray[np.float64]

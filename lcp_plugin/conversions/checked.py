@@ -9,8 +9,8 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, check_kind, frozen, in_doubles, read_only, real_array
 from ..errors import InvalidProblem
-from ..matrix_classes.symmetry import mismatch
-from ..problem import LCP
+from ..matrix.symmetry import mismatch
+from ..problem.lcp import LCP
 
 SYMMETRIC_TO = 1e-12
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import UnsupportedModel
-from ..matrix_classes.definiteness import EPSILON, is_semidefinite_to_rounding
+from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
 
 if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram

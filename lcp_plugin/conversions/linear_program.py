@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .checked import checked_vector
 from .quadratic_program import QuadraticProgram, lcp_from_qp
 

@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..problem import FloatVector
+from ..checks import FloatVector
+from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, solved_nearby, transposed_product
 from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, is_feasible, is_recession
 from .quadratic_program import QuadraticProgram
-from .rational import ZERO, Row, Vector, rational, rational_rows, short, solved_nearby, transposed_product
 from .simple_rows import OWN, FoldedRows, activity, fold_simple_rows
 
 __all__ = ["QPInfeasibility", "QPUnboundedness", "proof_of_no_minimum", "prove_infeasible", "prove_unbounded"]

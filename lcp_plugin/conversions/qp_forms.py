@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
 from ..errors import UnsuitableMatrix
-from ..matrix_classes.definiteness import Solver, is_diagonal, positive_definite_solver
-from ..problem import LCP
+from ..matrix.definiteness import Solver, is_diagonal, positive_definite_solver
+from ..problem.lcp import LCP
 from .checked import checked_answer
 from .qp_solution import QPSolution
 from .simple_rows import FoldedRows

@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.refutation import rounded_down
-from ..problem import FloatVector
+from ..checks import FloatVector
+from ..exact.integers import rounded_down
+from ..exact.rational import ZERO, Row, Vector, products, rational_rows, transposed_product
 from .qp_units import constraint_tolerance
 from .quadratic_program import QuadraticProgram
-from .rational import ZERO, Row, Vector, products, rational_rows, transposed_product
 
 EPSILON = 2.0**-52
 

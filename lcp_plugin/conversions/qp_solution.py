@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem
-from ..problem import FloatVector
 from .checked import checked_vector
 from .convexity import is_shown_convex
 from .qp_units import constraint_tolerance, enclosed_sum

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..problem import FloatVector
-from ..rounding import compensated_product
+from ..checks import FloatVector
+from ..exact.rounding import compensated_product
 
 if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram

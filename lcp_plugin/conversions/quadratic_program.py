@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 
 from ..checks import DENSE_UP_TO_SIZE, FloatVector, check_order, checked_bound
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..matrix_classes.definiteness import (
+from ..matrix.definiteness import (
     Solver,
     condition_estimate,
     is_diagonal,
     is_semidefinite_to_rounding,
     positive_definite_solver,
 )
-from ..problem import LCP
+from ..problem.lcp import LCP
 from .checked import asymmetry_of, attach_origin, checked_matrix, checked_vector, symmetric
 from .convexity import refuse_nonconvex
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..problem import FloatVector
+from ..checks import FloatVector
 from .qp_solution import QPSolution
 from .quadratic_program import QuadraticProgram
 

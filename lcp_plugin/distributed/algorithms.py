@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from .. import kernels as sweep_kernels
 from ..algorithms import create
 from ..algorithms.base import Algorithm, Step
 from ..algorithms.multigrid_run import MultigridRun
+from ..checks import FloatVector
 from ..errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix, did_you_mean
-from ..problem import FloatVector
-from .collective import together, total
+from ..kernels import splitting_sweeps as sweep_kernels
+from ..peers.ranks.collective import together, total
+from ..peers.ranks.rows import Rows
 from .hierarchy import build_hierarchy
 from .pivots import pivot_weight
 from .problem import DistributedLCP
-from .rows import Rows
 
 PROJECTED_TYPE = ("npj", "npgs", "npsor", "npaor")
 IN_PLACE = ("pgs", "psor")

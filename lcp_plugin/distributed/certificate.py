@@ -12,7 +12,6 @@ import numpy as np
 from ..certificates.residuals import (
     GAINED,
     MACHINE_EPSILON,
-    MEASURES,
     SMALLEST,
     Certificate,
     Ends,
@@ -22,11 +21,12 @@ from ..certificates.residuals import (
     residual_ends_of,
     scaled_residual,
 )
-from ..checks import read_only
+from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, did_you_mean
-from ..problem import LCP, FloatVector
-from ..rounding import gamma
-from .collective import gathered, largest
+from ..exact.rounding import gamma
+from ..peers.ranks.collective import gathered, largest
+from ..problem.lcp import LCP
+from ..settings import MEASURES
 from .problem import DistributedLCP
 
 _references: WeakKeyDictionary[DistributedLCP, Ends] = WeakKeyDictionary()

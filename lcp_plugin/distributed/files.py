@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from ..errors import InvalidOption, UnreadableFile
-from ..problem_files import VECTORS
-from .collective import from_first, together
+from ..peers.ranks.collective import from_first, together
+from ..problem.files import VECTORS
 from .petsc_binary import load_binary
 from .problem import DistributedLCP, equal_share
 

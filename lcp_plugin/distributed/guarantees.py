@@ -9,13 +9,13 @@ import numpy as np
 
 from ..certificates.error_bounds import ErrorBound
 from ..certificates.row_inequality import BoolVector, RowInequality
-from ..certificates.upward import product_above, quotient_above, sum_above
+from ..checks import FloatVector
 from ..errors import UnsuitableMatrix
-from ..problem import FloatVector
-from ..rounding import comparison_product, lower_end
-from .collective import largest, total
+from ..exact.rounding import comparison_product, lower_end
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..peers.ranks.collective import largest, total
+from ..peers.ranks.rows import Rows
 from .problem import DistributedLCP
-from .rows import Rows
 
 SOLVE_TOLERANCES = (1e-2, 1e-6)
 MOST_CYCLES = 200  # a matrix that is not H₊ lets v grow for ever

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import scipy.sparse as sp
 
-from ..hierarchy import coarsening, galerkin
-from ..hierarchy.levels import (
+from ..checks import FloatVector
+from ..matrix.hierarchy import coarsening, galerkin
+from ..matrix.hierarchy.levels import (
     LARGEST_COMPLEXITY,
     LARGEST_GRID_SHARE,
     MOST_PRODUCTS,
@@ -27,12 +28,11 @@ from ..hierarchy.levels import (
     chosen_kinds,
     grid_of,
 )
-from ..problem import FloatVector
+from ..peers.ranks.rows import Halo, Layout
 from . import kernels
 from .overlap import Integers, foreign_rows, overlapped, renumbered
 from .pivots import pivot_weight
 from .problem import DistributedLCP
-from .rows import Halo, Layout
 
 LARGEST_GROWTH = 2.0  # of the entries from one grid to the next; more where the coarse unknowns of slabs do not match
 NOBODY = np.empty(0, np.int64)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, uintp
 
-from ..compilation import compiled
-from ..hierarchy.coarsening import COARSE
+from ..kernels.compilation import compiled
+from ..matrix.hierarchy.coarsening import COARSE
 
 
 @njit(inline="always")

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hierarchy.levels import Operator
-from ..problem import FloatVector
-from .rows import Halo, Layout
+from ..checks import FloatVector
+from ..matrix.hierarchy.levels import Operator
+from ..peers.ranks.rows import Halo, Layout
 
 Integers = NDArray[Any]
 

@@ -19,10 +19,10 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ..checks import FloatVector
 from ..errors import UnreadableFile
-from ..problem import FloatVector
-from ..problem_files import INFINITE_BOUND, VECTORS
-from .collective import from_first, together
+from ..peers.ranks.collective import from_first, together
+from ..problem.files import INFINITE_BOUND, VECTORS
 from .problem import DistributedLCP, equal_share
 
 MATRIX, VECTOR = 1211216, 1211214

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..problem import FloatVector
+from ..checks import FloatVector
 
 
 def pivot_weight(diagonal: FloatVector, foreign: Any, foreign_diagonal: FloatVector, relaxation: float) -> FloatVector:

@@ -11,11 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import check_kind, check_order, checked_bound, finite_vector, read_only, real_vector
+from ..checks import FloatVector, check_kind, check_order, checked_bound, finite_vector, read_only, real_vector
 from ..errors import InvalidProblem
-from ..problem import LCP, FloatVector, residual_scale_of
-from .collective import as_mpi, require_same, together, total
-from .rows import Layout, Rows
+from ..matrix.matrix import residual_scale_of
+from ..peers.ranks.collective import as_mpi, require_same, together, total
+from ..peers.ranks.rows import Layout, Rows
+from ..problem.lcp import LCP
 
 WIDEST = 2**31 - 1  # what a PETSc with 32-bit indices can count
 

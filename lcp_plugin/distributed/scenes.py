@@ -10,12 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
+from ..checks import FloatVector
 from ..evidence import gallery
 from ..evidence.gallery.obstacle import HALF_SIDE, sphere_obstacle, sphere_solution
 from ..evidence.gallery.parameters import Parameter, parameters_of
 from ..evidence.gallery.stencil import dirichlet_terms, interior, nodes, stencil_matrix
-from ..problem import FloatVector
-from .collective import together
+from ..peers.ranks.collective import together
 from .problem import DistributedLCP
 
 DIMENSIONS = {"obstacle_2d": 2, "obstacle_3d": 3}

@@ -17,15 +17,16 @@ from ..algorithms.base import Algorithm, Step
 from ..algorithms.rehearsal import rehearse
 from ..certificates.error_bounds import ErrorBound
 from ..certificates.residuals import Certificate, ratio
-from ..checks import finite_vector
+from ..checks import FloatVector, finite_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..pacing import CheckSchedule, Ending, Progress
-from ..problem import LCP, FloatVector
-from ..result import Bounded, Result, Sample, StageRecord, Status
-from ..settings import Settings
+from ..peers.ranks.collective import largest, require_same, together
+from ..policy.pacing import CheckSchedule, Ending, Progress
+from ..problem.lcp import LCP
+from ..settings import Settings, Status
+from ..solving.error_watch import Bounded
+from ..solving.result import Result, Sample, StageRecord
 from . import algorithms
 from .certificate import DistributedCertificate, reference_residual_of, residual_of
-from .collective import largest, require_same, together
 from .guarantees import NO_PROOF, HPlusCertificate, error_bound, h_plus_certificate
 from .problem import DistributedLCP
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ..algorithms import REGISTRY, Algorithm, create, module_of
-from ..choice import policy_for
-from ..driver import solve
+from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, LCPError
-from ..problem import LCP, FloatVector
-from ..result import Result, Sample, Status
+from ..policy.choice import policy_for
+from ..problem.lcp import LCP
+from ..settings import Status
+from ..solving.driver import solve
+from ..solving.result import Result, Sample
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",

@@ -20,10 +20,12 @@ import numpy as np
 
 from ..algorithms import module_of
 from ..certificates.residuals import Certificate, scaled_residual
-from ..driver import solve
+from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError
-from ..problem import LCP, FloatVector
-from ..result import Result, Status
+from ..problem.lcp import LCP
+from ..settings import Status
+from ..solving.driver import solve
+from ..solving.result import Result
 from .qp_reference import ACCURATE, PLAIN, Attempt, Formulation, accuracy, attempts, check_reference
 
 Verdict = Literal["agree", "mismatch", "not comparable"]

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields
 from os import PathLike
 from typing import Any, NamedTuple
 
-from ..problem_files import checked_path, write_whole
+from ..problem.files import checked_path, write_whole
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {

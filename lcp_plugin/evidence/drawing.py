@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InvalidOption, LCPError
-from ..problem_files import write_whole
+from ..problem.files import write_whole
 from .curves import AXIS_LABELS, Curve, Report
 
 if TYPE_CHECKING:

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..certificates.residuals import Certificate
+from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..problem import LCP, FloatVector
-from ..result import Result, Sample
+from ..problem.lcp import LCP
+from ..solving.result import Result, Sample
 from .contestants import Contestant, WorkLimit, checked_names, contestants, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 from .gallery.scene import Scene

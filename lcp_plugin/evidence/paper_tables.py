@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from ..driver import solve
+from ..solving.driver import solve
 from .gallery import build
 
 TOLERANCE = 1e-5

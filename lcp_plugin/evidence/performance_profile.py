@@ -10,7 +10,7 @@ from os import PathLike
 from typing import Any
 
 from ..errors import InvalidOption
-from ..problem_files import checked_path
+from ..problem.files import checked_path
 from .curves import Curve, Report, csv_text, finite_content, write_text
 
 LEAST = {"work": 1.0, "seconds": 1e-9}

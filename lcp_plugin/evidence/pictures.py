@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..result import Result
+from ..solving.result import Result
 from .drawing import check_format, require_matplotlib, save, styled
 from .gallery.scene import Scene
 

@@ -27,9 +27,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
+from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
-from ..matrix_classes.definiteness import factorised
-from ..problem import LCP, FloatVector
+from ..matrix.definiteness import factorised
+from ..problem.lcp import LCP
 
 ACCURATE = 1e-7
 POLISHED = 1e-12

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..checks import FloatVector
 from ..errors import UnsupportedModel
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .compiled_model import Model, Report
 from .constraint import Complements, Side, attribute_bounds, bounds_of
 from .elimination import Affine, Elimination, eliminate_definitions, is_definition

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..problem import LCP, FloatVector
+from ..checks import FloatVector
+from ..problem.lcp import LCP
 from .elimination import Elimination
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..problem import FloatVector
+from ..checks import FloatVector
 
 ROUNDING = 4.0 * 2.0**-52
 

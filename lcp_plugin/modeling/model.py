@@ -11,8 +11,9 @@ import cvxpy as cp
 import numpy as np
 from cvxpy.constraints.zero import Equality, Zero
 
+from ..checks import FloatVector
 from ..errors import ModelWarning, UnsupportedModel
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .builder import Builder
 from .compiled_model import Model
 from .constraint import Complements

@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from ..checks import FloatVector
 from ..conversions.convexity import refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram, optimality_conditions
 from ..conversions.substitution import Substitution, substitute_definitions
-from ..driver import solve as solve_lcp
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ..problem import LCP, FloatVector
-from ..result import Result, Sample, Status
+from ..problem.lcp import LCP
+from ..settings import Status
+from ..solving.driver import solve as solve_lcp
+from ..solving.result import Result, Sample
 
 KKT_TOLERANCE = 1e-6
 TIGHTER = 1e-4

@@ -14,11 +14,12 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
+from ..checks import FloatVector
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram
-from ..problem import FloatVector
-from ..result import Result, Status
+from ..settings import Status
+from ..solving.result import Result
 from .hooks import accompany
 from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
 from .user_terms import FAR, Claim

@@ -13,9 +13,10 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..driver import solve as solve_lcp
 from ..errors import UnsupportedModel
-from ..result import Result, Status
+from ..settings import Status
+from ..solving.driver import solve as solve_lcp
+from ..solving.result import Result
 from .constraint import Complements
 from .hooks import METHODS
 from .model import Model, build_from

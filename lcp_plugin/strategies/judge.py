@@ -14,11 +14,12 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from ..certificates.exact import exact_slack, is_exact_solution
 from ..certificates.infeasibility import Infeasibility
+from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..matrix_classes import analyze
-from ..problem import LCP, FloatVector
+from ..matrix import analyze
+from ..problem.exactly import exact_slack, is_exact_solution
+from ..problem.lcp import LCP
 from .options import checked_share
 from .principal import p_matrices
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps

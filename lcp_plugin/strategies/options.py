@@ -12,8 +12,8 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..problem import FloatVector
 
 LARGEST_ENTRY = 9
 LARGEST_SIZE = 8

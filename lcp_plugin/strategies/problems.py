@@ -11,8 +11,9 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 
 from ..certificates.infeasibility import Infeasibility
+from ..checks import FloatVector
 from ..errors import InvalidProblem
-from ..problem import LCP, FloatVector
+from ..problem.lcp import LCP
 from .definite import positive_definite_matrices
 from .dominant import h_plus_matrices
 from .options import (

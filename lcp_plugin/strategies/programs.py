@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
+from ..checks import FloatVector
 from ..conversions.quadratic_program import QuadraticProgram
-from ..problem import FloatVector
 from .definite import positive_definite_matrices, positive_semidefinite_matrices
 from .options import SIGNED, Numbers, blocks, drawn_number, entries, sizes, vectors
 from .principal import p_matrices

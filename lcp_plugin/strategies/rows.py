@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
+from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem
-from ..problem import FloatVector
 from .options import (
     LARGEST_ENTRY,
     POSITIVE,

@@ -44,8 +44,8 @@ from lcp_plugin.certificates.convergence import (
 )
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.errors import ConvergenceWarning, LCPError
-from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
-from lcp_plugin.matrix_classes import analyze, h_matrix, p_matrix, verdicts
+from lcp_plugin.matrix import analyze, h_matrix, p_matrix, verdicts
+from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at
 Matrix = list[list[Fraction]]

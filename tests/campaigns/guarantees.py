@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.certificates.divergence import linear_iteration
-from lcp_plugin.guarantees import convergence_guarantee, quick_guarantee
+from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
 
 STEPS = 12
 ROUNDING = 1e-11

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from exact import has_positive_pivots
 
-from lcp_plugin.matrix_classes import MatrixReport, analyze
+from lcp_plugin.matrix import MatrixReport, analyze
 
 EXACT_UP_TO = 6
 DECIDED_FROM = 1e-10

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from test_presolve import solutions, solves
 
 from lcp_plugin import LCP
-from lcp_plugin.presolve import presolve
+from lcp_plugin.conversions.presolve import presolve
 
 BOUNDS = [(0.0, np.inf), (0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-np.inf, 2.0)]
 
@@ -33,10 +32,6 @@ def problem(rng: np.random.Generator) -> LCP:
     low, high = np.array([BOUNDS[k] for k in rng.integers(0, len(BOUNDS), n)]).T
     return LCP(M, rng.choice([0.0, 1.0, -1.0, 3.0, 0.3, -2.0], n), lower=low, upper=high)
 
-
-def fractions(values: Any) -> Any:
-    """Return an array of fractions."""
-    return np.array([*(Fraction(value) for value in values), None], dtype=object)[:-1]
 
 
 class Outcome(NamedTuple):
@@ -52,14 +47,14 @@ class Outcome(NamedTuple):
 def check(rng: np.random.Generator) -> Outcome:
     """Draw a problem, presolve it and compare all its solutions with all those of what is left."""
     case = problem(rng)
-    smaller = presolve(case, equilibrate=bool(rng.random() < 0.5))
+    smaller = presolve(case)
     found = solutions(case)
     return Outcome(
         case.n,
         smaller.problem.n,
         bool(found),
         sum(not solves(case, smaller.restore(z)) for z in solutions(smaller.problem)),
-        sum(not solves(smaller.problem, z[smaller.kept] / fractions(smaller.scale)) for z in found),
+        sum(not solves(smaller.problem, z[smaller.kept]) for z in found),
     )
 
 

@@ -70,7 +70,7 @@ def _anatomy(size: int) -> dict[str, Any]:
 
     from lcp_plugin.distributed.hierarchy import build_hierarchy
     from lcp_plugin.distributed.scenes import build
-    from lcp_plugin.hierarchy.truncation import Truncation
+    from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
     hierarchy = build_hierarchy(problem, 60, is_symmetric=True)

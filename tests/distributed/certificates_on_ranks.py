@@ -15,8 +15,8 @@ from lcp_plugin import LCP
 from lcp_plugin.certificates.residuals import Certificate, reference_residual
 from lcp_plugin.distributed import DistributedCertificate, DistributedLCP, error_bound, h_plus_certificate
 from lcp_plugin.distributed.algorithms import chosen, iterates
-from lcp_plugin.distributed.collective import largest
 from lcp_plugin.errors import UnsuitableMatrix
+from lcp_plugin.peers.ranks.collective import largest
 
 NUMBERS = (
     "scaled_residual", "relative_residual", "natural_residual", "euclidean_residual", "bound_violation",

@@ -7,14 +7,14 @@ import sys
 
 import numpy as np
 import scipy.sparse as sp
+from lcp_plugin.problem.lcp.lcp import LCP
 from mpi4py import MPI
 
 from lcp_plugin import gallery
 from lcp_plugin.distributed import DistributedLCP
 from lcp_plugin.distributed.hierarchy import build_hierarchy
-from lcp_plugin.hierarchy.levels import Grid, Hierarchy, Operator
-from lcp_plugin.hierarchy.truncation import Truncation
-from lcp_plugin.problem import LCP
+from lcp_plugin.matrix.hierarchy.levels import Grid, Hierarchy, Operator
+from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
 COMM = MPI.COMM_WORLD
 

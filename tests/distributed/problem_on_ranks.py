@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 from lcp_plugin import LCP
 from lcp_plugin.distributed import DistributedLCP, solve
-from lcp_plugin.distributed.collective import from_first, gathered, largest, together, total
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnreadableFile
+from lcp_plugin.peers.ranks.collective import from_first, gathered, largest, together, total
 
 N = 7
 

@@ -21,7 +21,7 @@ import numpy as np, scipy.sparse as sp
 from mpi4py import MPI
 from lcp_plugin import gallery
 from lcp_plugin.distributed import scenes
-from lcp_plugin.distributed.failures import ends_together
+from lcp_plugin.peers.ranks.failures import ends_together
 
 def compare(name, size, shifted):
     part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted))

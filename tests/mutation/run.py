@@ -38,7 +38,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[2]
 ENOUGH = 0.85
-CERTIFICATES, CLASSES = "lcp_plugin/certificates", "lcp_plugin/matrix_classes"
+CERTIFICATES, CLASSES = "lcp_plugin/certificates", "lcp_plugin/matrix"
 BOUND_TESTS = ("tests/test_bound_stages.py", "tests/test_error_bounds.py", CERTIFICATES)
 CLASS_TESTS = ("tests/test_matrix_proofs.py", "tests/test_matrix_classes.py", CLASSES, "tests/test_error_bounds.py")
 # The files, each with its tests, those first that fail soonest.
@@ -49,7 +49,7 @@ TESTS = {
     f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
     f"{CERTIFICATES}/reference_point.py": BOUND_TESTS,
     f"{CERTIFICATES}/upward.py": BOUND_TESTS,
-    "lcp_plugin/rounding.py": ("tests/test_rounding.py", "tests/test_error_bounds.py"),
+    "lcp_plugin/exact/rounding.py": ("tests/test_rounding.py", "tests/test_error_bounds.py"),
     **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted((ROOT / CLASSES).glob("[a-z]*.py"))},
 }
 # Operators are exchanged within a group: floats have no shifts, and `x is None` is `x == None`.

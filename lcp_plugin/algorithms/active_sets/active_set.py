@@ -10,9 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...matrix_classes.symmetry import is_symmetric_to_rounding
-from ...problem import LCP, FloatVector
-from .factorisation import Factor, factorise
+from ...checks import FloatVector
+from ...matrix.factors import Factor, factorise
+from ...matrix.matrix import Matrix, fact
+from ...matrix.structure import bandwidth
+from ...matrix.symmetry import is_nearly_symmetric
+from ...problem.lcp import LCP
 
 BoolVector = NDArray[np.bool_]
 
@@ -151,7 +154,7 @@ class _FreeSystem:
         self.block = free_block(problem, free)
         self.work = 0.0
         self._entries = float(self.block.nnz if sp.issparse(self.block) else self.block.size)
-        rows, columns = _equilibration(problem)
+        rows, columns = _equilibration(problem.matrix)
         self._rows = None if rows is None else rows[free]
         self._columns = None if columns is None else columns[free]
         self._scale = problem.residual_scale[free]
@@ -212,8 +215,8 @@ class _FreeSystem:
             matrix = sp.csr_array(matrix + sp.diags_array(shift)) if sp.issparse(matrix) else matrix + np.diag(shift)
         if self._rows is not None:
             matrix = _scaled(matrix, self._rows, self._columns)
-        is_symmetric = self._rows is None and is_nearly_symmetric(self.problem)
-        factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=bandwidth(self.problem))
+        is_symmetric = self._rows is None and is_nearly_symmetric(self.problem.matrix)
+        factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=bandwidth(self.problem.matrix))
         self.work += 0.0 if factor is None else factor.work
         return factor
 
@@ -250,42 +253,16 @@ class _FreeSystem:
         return start + step
 
 
-def is_nearly_symmetric(problem: LCP) -> bool:
-    """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns."""
-
-    def compute() -> bool:
-        return is_symmetric_to_rounding(problem.M, problem.residual_scale if sp.issparse(problem.M) else None)
-
-    return problem.shared("is_nearly_symmetric", compute)
-
-
-def bandwidth(problem: LCP) -> tuple[int, int] | None:
-    """Return the numbers of sub- and superdiagonals of a sparse M, None where M is kept dense."""
-
-    def compute() -> tuple[int, int] | None:
-        M = problem.M
-        if not sp.issparse(M):
-            return None
-        offsets = M.indices.astype(np.int64) - np.repeat(np.arange(problem.n), np.diff(M.indptr))
-        return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)
-
-    return problem.shared("bandwidth", compute)
-
-
-def _equilibration(problem: LCP) -> tuple[FloatVector | None, FloatVector | None]:
+@fact
+def _equilibration(matrix: Matrix) -> tuple[FloatVector | None, FloatVector | None]:
     """Return powers of two that bring rows and then columns to size 1; None where they are even already."""
-
-    def compute() -> tuple[FloatVector | None, FloatVector | None]:
-        rows = _inverse_power_of_two(problem.residual_scale)
-        M = problem.M
-        scaled = abs(_scaled(M, rows, np.ones(problem.n)))
-        largest = scaled.max(axis=0)
-        columns = _inverse_power_of_two(np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel())
-        if max(_spread(rows), _spread(columns)) <= UNEVEN:
-            return None, None
-        return rows, columns
-
-    return problem.shared("equilibration", compute) if problem.n else (None, None)
+    if not matrix.n:
+        return None, None
+    rows = _inverse_power_of_two(matrix.residual_scale)
+    scaled = abs(_scaled(matrix.array, rows, np.ones(matrix.n)))
+    largest = scaled.max(axis=0)
+    columns = _inverse_power_of_two(np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel())
+    return (None, None) if max(_spread(rows), _spread(columns)) <= UNEVEN else (rows, columns)
 
 
 def _inverse_power_of_two(sizes: FloatVector) -> FloatVector:

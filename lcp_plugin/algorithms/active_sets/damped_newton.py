@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...matrix.factors import factorise
+from ...matrix.structure import bandwidth
+from ...problem.lcp import LCP
 from ..base import Step
-from .active_set import bandwidth, classify
-from .factorisation import factorise
+from .active_set import classify
 from .newton_state import LARGE_PATIENCE, NewtonState
 
 LONGEST_RUN = 150
@@ -144,7 +146,7 @@ def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None
     largest = float(np.max(np.abs(phi.value), initial=0.0))
     shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
     jacobian = _jacobian(state.problem, phi, min(shift, SHIFT))
-    factor = factorise(jacobian, bandwidth=bandwidth(state.problem))
+    factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
     if factor is None:
         return None
     state.work += (factor.work + factor.solve_work) / state.entries

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from ...certificates.residuals import scaled_residual
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from ..base import Step
 from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
 

@@ -9,7 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from .active_set import classify
 from .damped_newton import damped_steps
@@ -64,7 +65,7 @@ class Newton(Algorithm):
 
     def theorem(self, problem: LCP) -> str | None:
         """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
-        from ...matrix_classes import analyze
+        from ...matrix import analyze
 
         is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
         if problem.n > PATIENT_ROWS or not is_one_sided or analyze(problem).is_m_matrix is not True:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
-from ...matrix_classes.factorisation import sparse_lu
+from ...matrix.factorisation import sparse_lu
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...certificates.residuals import scaled_residual
-from ...matrix_classes.symmetry import is_symmetric_to_rounding
-from ...problem import LCP, FloatVector
-from ..active_sets.active_set import is_nearly_symmetric
+from ...checks import FloatVector
+from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
+from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
@@ -155,12 +155,12 @@ class _Search:
         if M.size and float(M.diagonal().min()) < 0.0:
             return False
         if self.kept is None:
-            return is_nearly_symmetric(self.problem) if M is self.problem.M else is_symmetric_to_rounding(M)
+            return is_nearly_symmetric(self.problem.matrix) if M is self.problem.M else is_symmetric_to_rounding(M)
         return is_symmetric_to_rounding(M)
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
-        from .dense_sweep import dense_sweeps
+        from ...kernels.dense_sweep import dense_sweeps
 
         n = y.size
         diagonal = self.M.diagonal()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...deadline import is_over
-from ...problem import LCP
+from ...problem.lcp import LCP
 
 FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]

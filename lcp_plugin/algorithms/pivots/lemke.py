@@ -11,8 +11,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...certificates.residuals import Certificate
+from ...checks import FloatVector
 from ...errors import InvalidOption, UnsuitableProblem
-from ...problem import LCP, FloatVector
+from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
 from ..base import Algorithm, Step, without_warnings
 from .canonical_box import CanonicalBox, canonical_box
@@ -114,7 +115,7 @@ class Lemke(Algorithm):
 
     def theorem(self, problem: LCP) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
-        from ...matrix_classes import analyze
+        from ...matrix import analyze
 
         _parts_that_fit(problem)
         if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...problem import FloatVector
+from ...checks import FloatVector
 
 FIRST_WAIT, LONGEST_WAIT = 8, 4096
 LARGEST = 1.998

@@ -15,7 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...matrix.matrix import Matrix, fact
+from ...problem.lcp import LCP
 from ..base import has_positive_diagonal
 
 LARGEST = 2.0
@@ -23,35 +25,30 @@ COUPLED = 0.9  # g θ ℓ stays this far below 1
 ROUNDING = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this share
 
 
-def automatic_factors(problem: LCP, coupling: float, sweep: str) -> FloatVector:
+@fact
+def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
     """Return θ, shape (n,): 1 where a row is not dominant in M, else up to 2; one pass over M, kept with M.
 
     Parameters
     ----------
-    problem : LCP
+    matrix : Matrix
     coupling : float
         g = β/α.
     sweep : str
         "forward", "backward" or "symmetric".
     """
-
-    def compute() -> FloatVector:
-        lower, upper = unit_triangle_sums(problem)
-        updated = lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
-        return balanced_factors(problem, abs(coupling), updated, (lower, upper))
-
-    return problem.shared(f"automatic_factors {coupling!r} {sweep}", compute)
+    lower, upper = unit_triangle_sums(matrix)
+    updated = lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
+    return balanced_factors(matrix, abs(coupling), updated, (lower, upper))
 
 
 def balanced_factors(
-    problem: LCP, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
+    matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
 ) -> FloatVector:
     """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
-    factors = np.empty(problem.n)
-    is_dominant = problem.residual_scale is problem.diagonal or np.array_equal(
-        problem.residual_scale, problem.diagonal
-    )
-    for rows in row_blocks(problem.n):
+    factors = np.empty(matrix.n)
+    is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(matrix.residual_scale, matrix.diagonal)
+    for rows in row_blocks(matrix.n):
         total = sums[0][rows] + sums[1][rows]
         is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDING)  # False where it is not a number
         if not is_dominant:
@@ -69,8 +66,8 @@ def scaled_rows(problem: LCP, factors: FloatVector | float) -> FloatVector:
 
     A diagonal that is small beside its row is of use: so it is in an H₊-matrix whose columns differ in unit.
     """
-    inverse = inverse_residual_scale(problem)
+    inverse = inverse_residual_scale(problem.matrix)
     with np.errstate(over="ignore", divide="ignore"):
         if problem.residual_scale is not problem.diagonal:
-            inverse = np.where(has_positive_diagonal(problem), 1.0 / problem.diagonal, inverse)
+            inverse = np.where(has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse)
         return np.minimum(factors * inverse, np.finfo(np.float64).max)

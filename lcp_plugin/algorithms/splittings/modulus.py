@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...certificates.convergence import MODULUS, IterationFacts
-from ...checks import FloatVector, real_vector
+from ...checks import FloatVector, is_number, real_vector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ...problem import LCP
+from ...problem.lcp import LCP
 from ..base import (
     SWEEPS,
     Algorithm,
@@ -29,7 +29,6 @@ from ..base import (
     check_positive,
     directions,
     inverse_residual_scale,
-    is_number,
     require_positive_diagonal,
     row_splits,
 )
@@ -89,7 +88,7 @@ class ModulusBased(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ... import kernels
+        from ...kernels import splitting_sweeps as kernels
 
         M = problem.csr
         _require_lower_bounds_only(problem, self.name)
@@ -99,9 +98,9 @@ class ModulusBased(Algorithm):
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is seen in the residual
             inverse_pivot = 1.0 / (alpha * omega + diagonal)
             q = problem.slack(problem.lower)
-        rows = kernels.packed(q, problem.lower, inverse_residual_scale(problem), omega, inverse_pivot)
+        rows = kernels.packed(q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot)
         passes = directions(self.sweep)
-        splits = {backward: row_splits(problem, backward) for backward in passes}
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
         z, x, new = z0, z0 - problem.lower, np.empty_like(z0)
         unwanted = np.empty_like(z0) if len(passes) > 1 else z
         work = 1.0

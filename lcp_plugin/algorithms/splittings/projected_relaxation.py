@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
+from ...checks import FloatVector
 from ...errors import InvalidOption
-from ...problem import LCP, FloatVector
+from ...problem.lcp import LCP
 from ..base import (
     SWEEPS,
     Algorithm,
@@ -56,13 +57,13 @@ class _InPlace(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
-        from ... import kernels
+        from ...kernels import splitting_sweeps as kernels
 
         M = problem.csr
         require_positive_diagonal(problem, self.name)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
         passes = directions(self.sweep)
-        splits = {backward: row_splits(problem, backward) for backward in passes}
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
         fixed = self.fixed_relaxation()
         adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
@@ -159,17 +160,17 @@ class _Simultaneous(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from ... import kernels
+        from ...kernels import splitting_sweeps as kernels
 
         M = problem.csr
         omega, beta = self.weights()
         with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
             step = omega / require_positive_diagonal(problem, self.name)
         rows = kernels.packed(
-            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step, np.ones(problem.n)
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step, np.ones(problem.n)
         )
         passes = directions(self.sweep)
-        splits = {backward: row_splits(problem, backward) for backward in passes}
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
         z, new = z0, np.empty_like(z0)
         work = 1.0
         while True:

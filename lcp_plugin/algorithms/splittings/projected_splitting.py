@@ -12,9 +12,11 @@ import scipy.sparse as sp
 from ...certificates.contraction import triangle_sums, unit_triangle_sums
 from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
 from ...certificates.residuals import euclidean_norm, scaled_residual
+from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...matrix_classes.factorisation import sparse_lu
-from ...problem import LCP, FloatVector
+from ...matrix.factorisation import sparse_lu
+from ...matrix.matrix import Matrix, fact
+from ...problem.lcp import LCP
 from ..base import Algorithm, Step, check_choice
 from .automatic_scaling import balanced_factors, scaled_rows
 from .projected_type import REFERENCE, check_scaling, clean_up_sweep
@@ -93,19 +95,12 @@ class NPSplitting(Algorithm):
             return np.ones(problem.n)
         if self.scaling == "diagonal" or not isinstance(self.splitting, str):
             return scaled_rows(problem, self.scaling_factor)
-
-        def compute() -> FloatVector:
-            taken = np.add(*triangle_sums(problem, np.ones(problem.n), splitting))
-            return balanced_factors(problem, 1.0, taken, unit_triangle_sums(problem))
-
-        return scaled_rows(problem, problem.shared(f"automatic_factors of {self.splitting}", compute))
+        return scaled_rows(problem, automatic_factors_of(problem.matrix, self.splitting))
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr
         if isinstance(self.splitting, str):
-            reach = {"diagonal": 0, "tridiagonal": 1, "lower": problem.n}[self.splitting]
-            upper_reach = 0 if self.splitting == "lower" else reach
-            return sp.csr_array(sp.tril(sp.triu(M, -reach), upper_reach))
+            return part_of(problem.matrix, self.splitting)
         need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
         shape = getattr(self.splitting, "shape", None)
         if shape is not None and shape != M.shape:
@@ -140,3 +135,18 @@ class _NothingToSolve:
     @staticmethod
     def solve(right_hand_side: FloatVector) -> FloatVector:
         return right_hand_side
+
+
+@fact
+def part_of(matrix: Matrix, splitting: str) -> sp.csr_array:
+    """Return the part of M that a splitting by name is, shape (n, n)."""
+    reach = {"diagonal": 0, "tridiagonal": 1, "lower": matrix.n}[splitting]
+    upper_reach = 0 if splitting == "lower" else reach
+    return sp.csr_array(sp.tril(sp.triu(matrix.csr, -reach), upper_reach))
+
+
+@fact
+def automatic_factors_of(matrix: Matrix, splitting: str) -> FloatVector:
+    """Return θ for a splitting that is a part of M, shape (n,); see :mod:`.automatic_scaling`."""
+    taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part_of(matrix, splitting)))
+    return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))

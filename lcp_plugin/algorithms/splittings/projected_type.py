@@ -19,8 +19,9 @@ from typing import ClassVar
 import numpy as np
 
 from ...certificates.convergence import PROJECTED_TYPE, IterationFacts
+from ...checks import FloatVector
 from ...errors import InvalidOption, UnsuitableMatrix
-from ...problem import LCP, FloatVector
+from ...problem.lcp import LCP
 from ..base import (
     SWEEPS,
     Algorithm,
@@ -42,7 +43,7 @@ def row_scaling(problem: LCP, scaling: str | None, factor: float, coupling: floa
     """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; see `scaled_rows` for d."""
     if scaling is None:
         return np.ones(problem.n)
-    return scaled_rows(problem, automatic_factors(problem, coupling, sweep) if scaling == "auto" else factor)
+    return scaled_rows(problem, automatic_factors(problem.matrix, coupling, sweep) if scaling == "auto" else factor)
 
 
 def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> None:
@@ -57,12 +58,12 @@ def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> N
 
 def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
     """Return z after one projected Gauss–Seidel sweep: components that should be active are then at their bound."""
-    from ... import kernels
+    from ...kernels import splitting_sweeps as kernels
 
     M = problem.csr
-    rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem))
+    rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
     cleaned = z.copy()
-    kernels.relaxation_sweep(M.indptr, row_splits(problem, False), M.indices, M.data, rows, 1.0, False, cleaned)
+    kernels.relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
     return cleaned
 
 
@@ -106,17 +107,17 @@ class ProjectedType(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from ... import kernels
+        from ...kernels import splitting_sweeps as kernels
 
         M = problem.csr
         alpha, beta = self.splitting()
         step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
         rows = kernels.packed(
-            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), step,
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
             self._inverse_pivot(problem, step * problem.diagonal, alpha),
         )
         passes = directions(self.sweep)
-        splits = {backward: row_splits(problem, backward) for backward in passes}
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
         z, new = z0, np.empty_like(z0)
 
         def advance(backward: bool) -> tuple[float, float]:

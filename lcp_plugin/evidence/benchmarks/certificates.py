@@ -11,9 +11,10 @@ import scipy.sparse as sp
 
 from ...certificates.error_bounds import error_bound
 from ...certificates.residuals import Certificate
-from ...driver import solve
-from ...matrix_classes import analyze
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...matrix import analyze
+from ...problem.lcp import LCP
+from ...solving.driver import solve
 from ..gallery import build
 
 TARGET_RATIO = 1.5

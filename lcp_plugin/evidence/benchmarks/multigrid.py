@@ -22,11 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...algorithms import REGISTRY
-from ...batch import prepare
-from ...driver import solve
+from ...checks import FloatVector
 from ...errors import InvalidProblem
-from ...problem import LCP, FloatVector
-from ...result import Result
+from ...problem.lcp import LCP
+from ...solving.batch import prepare
+from ...solving.driver import solve
+from ...solving.result import Result
 from ..gallery import Scene, build, parse
 
 TOLERANCE = 1e-8

@@ -9,8 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu, spsolve_triangular
 
-from ...driver import solve
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
+from ...solving.driver import solve
 from ..gallery import build
 from ..paper_tables import TOLERANCE
 from .timing import medians

@@ -16,8 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...algorithms.interior_points.interior_point import InteriorPoint
-from ...driver import solve
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
+from ...solving.driver import solve
 from .timing import medians
 
 TARGET_RESIDUAL = 1e-8
@@ -261,7 +262,7 @@ def _daqp(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
 
 def _psor(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
     """Plain projected Gauss–Seidel, compiled, its residual looked at every ten sweeps."""
-    from ... import kernels
+    from ...kernels import splitting_sweeps as kernels
 
     problem = LCP(M, q)
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)

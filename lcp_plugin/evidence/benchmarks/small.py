@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...driver import solve
+from ...solving.driver import solve
 from ..gallery import build
 from ..paper_tables import TOLERANCE
 from .timing import medians

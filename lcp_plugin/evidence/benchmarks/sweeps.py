@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ... import kernels
 from ...algorithms.base import inverse_residual_scale, row_splits
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...kernels import splitting_sweeps as kernels
+from ...problem.lcp import LCP
 from ..gallery import build
 from .timing import medians
 
@@ -38,9 +39,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
 
 def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one NPGS sweep with both residual norms."""
-    M, split, new = problem.csr, row_splits(problem, backward), np.empty(problem.n)
+    M, split, new = problem.csr, row_splits(problem.matrix, backward), np.empty(problem.n)
     rows = kernels.packed(
-        problem.q, problem.lower, problem.upper, inverse_residual_scale(problem), np.ones(problem.n),
+        problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), np.ones(problem.n),
         1.0 / (2.0 * problem.diagonal + 2.0),
     )
     return lambda: kernels.splitting_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, True, backward, z, new)
@@ -48,17 +49,18 @@ def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], 
 
 def pgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one projected Gauss–Seidel sweep in place, on a copy of z."""
-    M, split, own = problem.csr, row_splits(problem, backward), z.copy()
+    M, split, own = problem.csr, row_splits(problem.matrix, backward), z.copy()
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
     return lambda: kernels.relaxation_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, backward, own)
 
 
 def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
     """Return a call that does one modulus Gauss–Seidel sweep with both residual norms."""
-    M, split = problem.csr, row_splits(problem, False)
+    M, split = problem.csr, row_splits(problem.matrix, False)
     new, answer = np.empty(problem.n), np.empty(problem.n)
     rows = kernels.packed(
-        problem.q, problem.lower, inverse_residual_scale(problem), problem.diagonal, 1.0 / (2.0 * problem.diagonal)
+        problem.q, problem.lower, inverse_residual_scale(problem.matrix), problem.diagonal,
+        1.0 / (2.0 * problem.diagonal),
     )
     return lambda: kernels.modulus_sweep(
         M.indptr, split, M.indices, M.data, rows, 1.0, 1.0, False, z, new, answer

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ...problem import LCP
+from ...problem.lcp import LCP
 from .parameters import Count, Positive, Rule
 from .registry import scene_builder
 from .scene import Scene

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...checks import FloatVector
 from ...errors import InvalidOption
-from ...problem import FloatVector
 
 
 def binomial_put(

@@ -7,7 +7,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from .parameters import Count, Positive, at_least
 from .registry import scene_builder
 from .scene import Scene

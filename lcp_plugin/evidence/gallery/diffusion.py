@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 import scipy.sparse as sp
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Positive, Seed, at_least
 from .registry import scene_builder
 from .scene import Scene

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import FloatVector
 from ...conversions.bimatrix_game import lcp_from_bimatrix_game
-from ...problem import FloatVector
 from .parameters import one_of
 from .registry import scene_builder
 from .scene import Scene

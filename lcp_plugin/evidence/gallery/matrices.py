@@ -7,7 +7,8 @@ from typing import Annotated
 import numpy as np
 import scipy.sparse as sp
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from .parameters import Count, Seed, Share, at_least, between, one_of
 from .registry import scene_builder
 from .scene import Scene

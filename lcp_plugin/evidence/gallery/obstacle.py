@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...problem import LCP
+from ...problem.lcp import LCP
 from .parameters import Count, Seed
 from .registry import scene_builder
 from .scene import Scene

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Square
 from .registry import scene_builder
 from .scene import Scene

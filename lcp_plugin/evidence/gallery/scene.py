@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...checks import FloatVector
 from ...errors import InvalidProblem
-from ...problem import LCP, FloatVector
+from ...problem.lcp import LCP
 
 _VECTORS = ("exact", "continuum", "start")
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...problem import FloatVector
+from ...checks import FloatVector
 
 Field = NDArray[np.float64]
 Coefficient = float | Field

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...problem import LCP
+from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Positive
 from .registry import scene_builder
 from .scene import Scene

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ...algorithms import REGISTRY
-from ...driver import solve
 from ...errors import (
     ConvergenceWarning,
     InvalidOption,
@@ -24,7 +23,8 @@ from ...errors import (
     UnsuitableProblem,
     did_you_mean,
 )
-from ...result import Result
+from ...solving.driver import solve
+from ...solving.result import Result
 from ..contestants import checked_names
 from ..curves import write_text
 from .case import Case

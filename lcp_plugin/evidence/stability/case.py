@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.exact import exact_slack
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.exactly import exact_slack
+from ...problem.lcp import LCP
 from ..gallery.stencil import stencil_matrix
 from .exact_answers import Answer, condition_of_answer, exact_answer
 

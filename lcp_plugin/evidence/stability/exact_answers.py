@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.exact import exact_slack, is_exact_solution, power_of_two
-from ...certificates.exact_linear import solve_exactly
+from ...checks import FloatVector
 from ...errors import UnsuitableProblem
-from ...problem import LCP, FloatVector
+from ...exact.integers import power_of_two
+from ...exact.linear_systems import solve_exactly
+from ...problem.exactly import exact_slack, is_exact_solution
+from ...problem.lcp import LCP
 
 Answer = tuple[Fraction, ...]
 States = list[int]

@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...certificates.exact import exact_slack
 from ...certificates.residuals import scaled_residual
-from ...problem import LCP, FloatVector
-from ...result import Result, Status
-from ...rounding import compensated_product
+from ...checks import FloatVector
+from ...exact.rounding import compensated_product
+from ...problem.exactly import exact_slack
+from ...problem.lcp import LCP
+from ...settings import Status
+from ...solving.result import Result
 from .exact_answers import Answer
 
 EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)

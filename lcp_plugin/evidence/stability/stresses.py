@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...problem import LCP, FloatVector
+from ...checks import FloatVector
+from ...problem.lcp import LCP
 from .case import Case, grid, half_active, mostly_free, pattern, planted, rescaled
 
 SIDE = 10

@@ -1,0 +1,297 @@
+"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, run a benchmark."""
+
+from __future__ import annotations
+
+import functools
+import json as json_module
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+from .. import __version__
+from ..errors import InvalidOption, LCPError, did_you_mean
+from .completion import algorithm_names, benchmark_names, scene_names
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+def _ending(exit_codes: str, *examples: str) -> str:
+    """Return what stands below a help page."""
+    return "\n".join(["Examples:", *(f"  lcp-plugin {words}" for words in examples), "", f"Exit codes: {exit_codes}."])
+
+
+app = typer.Typer(
+    help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
+    epilog=_ending(
+        "0 done, 1 ran but not solved (or: answers differ, interrupted), 2 bad input",
+        "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
+    ),
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+Target = Annotated[
+    str,
+    typer.Argument(
+        help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…", autocompletion=scene_names
+    ),
+]
+AlgorithmName = Annotated[
+    str,
+    typer.Option(
+        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.", autocompletion=algorithm_names
+    ),
+]
+
+
+def run() -> None:
+    """Entry point of the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?', not a traceback
+    if "petsc" in sys.argv or "--backend=petsc" in sys.argv:  # before typer complains once a rank
+        from .distributed import on_all_ranks
+
+        with on_all_ranks():
+            app()
+    else:
+        app()
+
+
+def _speaks_plainly(command: F) -> F:
+    """Turn every expected failure into one line on stderr and exit code 2."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return command(*args, **kwargs)
+        except LCPError as error:
+            message = str(error)
+        except MemoryError as error:
+            message = f"not enough memory ({error}); choose a smaller problem"
+        except BrokenPipeError:
+            sys.stderr.close()  # the reader has gone; nothing is left to tell
+            raise typer.Exit(EXIT_UNSOLVED) from None
+        except OSError as error:
+            message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+        typer.echo(f"lcp-plugin: {message}", err=True)
+        raise typer.Exit(EXIT_BAD_INPUT)
+
+    return wrapped  # type: ignore[return-value]
+
+
+@app.callback(invoke_without_command=True)
+def main(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    """Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary."""
+    if version:
+        typer.echo(f"lcp-plugin {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:  # "lcp-plugin --" has an argument, but no command
+        typer.echo(context.get_help())
+        raise typer.Exit(EXIT_BAD_INPUT)
+
+
+@app.command(
+    epilog=_ending(
+        "0 solved, 1 ran but not solved, 2 bad input",
+        "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
+        "solve folder_with_M_and_q/ --json", "solve obstacle-2d --size 500 --backend petsc --out answer",
+    )
+)
+@_speaks_plainly
+def solve(
+    target: Target,
+    algorithm: AlgorithmName = "auto",
+    relaxation: Annotated[
+        str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
+    ] = None,
+    tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    tolerance_on: Annotated[
+        str, typer.Option(help="residual, or error: SOLVED then means a proved relative error.")
+    ] = "residual",
+    error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
+    measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
+    max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    size: Annotated[int | None, typer.Option(help="Size of a scene, as name:size=… says it.")] = None,
+    backend: Annotated[
+        str, typer.Option(help="serial, or petsc: the rows spread over the ranks of mpiexec.")
+    ] = "serial",
+) -> None:
+    """Solve a file or a scene; print status, residuals and counts."""
+    from . import distributed, solving
+
+    distributed.check_backend(backend)
+    options = solving.options(relaxation, option or [])
+    settings: dict[str, Any] = dict(
+        tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
+        max_iterations=max_iterations, max_seconds=max_seconds,
+    )
+    if backend == "petsc":
+        is_solved = distributed.solve(target, size, algorithm, options, settings, plot, out, as_json=json)
+    else:
+        settings |= {"algorithm": solving.chosen(algorithm, options), "record": plot is not None}
+        is_solved = _solve_here(target, size, settings, plot, out, as_json=json)
+    if not is_solved:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+def _solve_here(
+    target: str, size: int | None, settings: dict[str, Any], plot: Path | None, out: Path | None, *, as_json: bool
+) -> bool:
+    """Solve in this process, print and save; return whether it is solved."""
+    from . import solving
+    from .target import read_target
+    from .terminal import RunLine
+
+    solving.check_outputs(target, plot, out)
+    problem, scene = read_target(target, size)
+    with RunLine() as progress:
+        results = solving.solve_all(problem, scene, settings, progress)
+    result = results[-1]
+    typer.echo(solving.as_json(results) if as_json else solving.story(results, scene))
+    if out is not None:
+        solving.save_answer(result, out)
+    if plot is not None:
+        from ..evidence.pictures import draw
+
+        draw(result, plot, scene, results)
+    for path in filter(None, (plot, out)):
+        typer.echo(f"saved {path}", err=as_json)
+    return result.is_solved
+
+
+@app.command(
+    epilog=_ending(
+        "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
+        "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
+    )
+)
+@_speaks_plainly
+def check(
+    target: Target,
+    algorithm: AlgorithmName = "auto",
+    reference: Annotated[str, typer.Option(help="The convex solver to compare with, or auto.")] = "auto",
+    max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
+) -> None:
+    """Compare our answer with that of a convex solver that shares no code with it."""
+    from ..evidence.cross_check import cross_validate
+    from .target import read_target
+
+    problem, _ = read_target(target)
+    outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
+    typer.echo(str(outcome))
+    if not outcome.agrees:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command(epilog=_ending("0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json"))
+@_speaks_plainly
+def analyze(
+    target: Target,
+    json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
+) -> None:
+    """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
+    from .analysis import content, story
+    from .target import read_target
+
+    problem, _ = read_target(target)
+    typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
+
+
+@app.command("list", epilog=_ending("0 done", "list"))
+@_speaks_plainly
+def list_everything() -> None:
+    """List the algorithms with what they need, and the scenes with their parameters."""
+    from .listing import list_everything as print_lists
+
+    print_lists()
+
+
+@app.command(epilog=_ending("0 every iteration count is the paper's, 1 one differs", "tables"))
+@_speaks_plainly
+def tables() -> None:
+    """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
+    from .tables import print_tables
+
+    if not print_tables():
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command(epilog=_ending("0 done, 2 bad input", "bench", "bench sweeps --quick"))
+@_speaks_plainly
+def bench(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Which benchmark; without a name they are listed.", autocompletion=benchmark_names),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes: to see that it runs, not for figures.")] = False,
+) -> None:
+    """Run a benchmark: ratios measured in one run on this machine."""
+    from ..evidence.benchmarks import BENCHMARKS, load
+
+    if name is None:
+        for known, purpose in BENCHMARKS.items():
+            typer.echo(f"{known:<16} {purpose}")
+        return
+    if name not in BENCHMARKS:
+        raise InvalidOption(f"unknown benchmark {name!r}{did_you_mean(name, BENCHMARKS)}")
+    for line in load(name)(quick=quick):
+        typer.echo(line)
+
+
+@app.command(
+    epilog=_ending(
+        "0 complete, 1 interrupted (the same command goes on), 2 bad input",
+        "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
+    )
+)
+@_speaks_plainly
+def report(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Scenes, name:key=value,…, or files as solve takes them; by default the usual choice.",
+            autocompletion=scene_names,
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
+    ] = Path("report"),
+    quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
+) -> None:
+    """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
+    from .report import make
+
+    is_complete, story = make(scenes or [], out, quick=quick)
+    typer.echo(story)
+    if not is_complete:
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+@app.command("warm-up", epilog=_ending("0 done", "warm-up"))
+@_speaks_plainly
+def warm_up() -> None:
+    """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
+    from .warm_up import warm_up as compile_everything
+
+    typer.echo(compile_everything())
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,110 @@
+"""Doubles as integers: what is stored in them, without rounding."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import FloatVector
+from ..errors import InvalidProblem
+
+Rational = int | float | Fraction
+
+
+def integers(values: FloatVector) -> tuple[list[int], int]:
+    """Return integers and one exponent e with values_i = integer_i · 2^e, exactly; the values are finite.
+
+    Examples
+    --------
+    >>> integers(np.array([0.75, -2.0, 0.0]))
+    ([3, -8, 0], -2)
+    """
+    mantissa, exponent = np.frexp(values)
+    whole = (mantissa * 2.0**53).astype(np.int64)
+    lowest_bit = np.frexp((whole & -whole).astype(np.float64))[1] - 1
+    nonzero = whole != 0
+    if not nonzero.any():
+        return [0] * values.size, 0
+    # Trailing zeros go to the exponent, which keeps the integers short.
+    whole = np.where(nonzero, whole >> np.where(nonzero, lowest_bit, 0), 0)
+    exponent = exponent - 53 + lowest_bit
+    smallest = int(exponent[nonzero].min())
+    shifts = np.where(nonzero, exponent - smallest, 0)
+    return [m << s for m, s in zip(whole.tolist(), shifts.tolist(), strict=True)], smallest
+
+
+def power_of_two(exponent: int) -> Fraction:
+    """Return 2^exponent, exactly."""
+    return Fraction(1 << exponent) if exponent >= 0 else Fraction(1, 1 << -exponent)
+
+
+@dataclass(frozen=True)
+class IntegerMatrix:
+    """M as integers times 2^exponent, in rows."""
+
+    starts: list[int]
+    columns: list[int]
+    entries: list[int]
+    exponent: int
+
+    def row(self, i: int) -> list[tuple[int, int]]:
+        """Return the (column, integer) pairs of row i."""
+        span = slice(self.starts[i], self.starts[i + 1])
+        return list(zip(self.columns[span], self.entries[span], strict=True))
+
+    @classmethod
+    def of(cls, csr: Any) -> IntegerMatrix:
+        """Return a CSR array of finite doubles as integers."""
+        entries, exponent = integers(np.asarray(csr.data))
+        return cls(csr.indptr.tolist(), csr.indices.tolist(), entries, exponent)
+
+    def transposed_product(self, y: Sequence[int]) -> list[int]:
+        """Return Mᵀy / 2^exponent for integers y, shape (n,)."""
+        product = [0] * len(y)
+        for i, factor in enumerate(y):
+            if factor:
+                for k in range(self.starts[i], self.starts[i + 1]):
+                    product[self.columns[k]] += self.entries[k] * factor
+        return product
+
+
+def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
+    """Return integers and one positive denominator with values_i = integer_i / denominator."""
+    fractions = [Fraction(value) for value in values]
+    denominator = math.lcm(*(value.denominator for value in fractions))
+    return [value.numerator * (denominator // value.denominator) for value in fractions], denominator
+
+
+def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
+    """Return the vector in fractions, shape (n,).
+
+    Raises
+    ------
+    InvalidProblem
+        Where it has another length, or a number in it is not finite.
+    """
+    values: list[Any] = list(z)  # type: ignore[arg-type]
+    if len(values) != n:
+        raise InvalidProblem(f"z must have length {n}, got length {len(values)}; give one number a row")
+    try:
+        return [Fraction(value) for value in values]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidProblem(f"z must consist of finite real numbers, got one that is none: {error}") from error
+
+
+def rounded_down(value: Fraction | None) -> float:
+    """Return a double not above a value ≥ 0; ∞ for None."""
+    if value is None:
+        return math.inf
+    try:
+        near = float(value)
+    except OverflowError:
+        return sys.float_info.max
+    return near if Fraction(near) <= value else math.nextafter(near, 0.0)

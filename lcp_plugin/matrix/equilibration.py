@@ -1,0 +1,120 @@
+"""Row and column scaling by powers of two, which rounds nothing, for matrices whose units span many decades."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector
+
+LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
+DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
+DENSE_LIMIT = 300
+BALANCING_SWEEPS = 12
+LARGEST_EXPONENT = 1000.0
+
+IntVector = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class Exponents(NamedTuple):
+    """The scaled matrix has entries m_ij 2^(row_i + column_j); both of shape (n,)."""
+
+    row: IntVector
+    column: IntVector
+
+
+def row_numbers(M: Any) -> IntVector:
+    """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
+    return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
+
+
+def scaling_exponents(M: Any, rows: IntVector, is_symmetric: bool) -> Exponents | None:
+    """Return powers of two that bring the diagonal near 1 and balance the rest, or None where M needs none.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        Its diagonal has no zero.
+    rows : array, shape (nnz,)
+        Row number of each entry.
+    is_symmetric : bool
+        Then the scaled matrix is symmetric too.
+    """
+    pivots = np.abs(M.diagonal())
+    smallest, largest = float(np.log2(pivots.min())), float(np.log2(pivots.max()))
+    largest_entry = float(np.log2(max(M.data.max(), -M.data.min())))
+    if largest - smallest <= DIAGONAL_SPREAD and largest_entry - smallest <= LARGEST_RATIO:
+        return None
+    diagonal: FloatVector = np.log2(pivots)
+    off = (rows != M.indices) & (M.data != 0.0)
+    ratios = np.log2(np.abs(M.data[off])) - diagonal[rows[off]]
+    spread = float(np.ptp(diagonal))
+    if spread <= DIAGONAL_SPREAD and (ratios.size == 0 or ratios.max() <= LARGEST_RATIO):
+        return None
+    if is_symmetric:
+        half = -np.rint(diagonal / 2.0).astype(np.int64)
+        return Exponents(half, half)
+    position = _balanced(ratios, rows[off], M.indices[off], diagonal.size)
+    column = np.rint(np.clip(position, -LARGEST_EXPONENT, LARGEST_EXPONENT)).astype(np.int64)
+    return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
+
+
+def scaled(M: Any, rows: IntVector, exponents: Exponents | None) -> Any:
+    """Return the CSR array with entries m_ij 2^(row_i + column_j)."""
+    if exponents is None:
+        return M
+    shift = exponents.row[rows] + exponents.column[M.indices]
+    with np.errstate(under="ignore", over="ignore"):
+        return sp.csr_array((_ldexp(M.data, shift), M.indices, M.indptr), shape=M.shape)
+
+
+def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
+    """Return x_i 2^exponent_i, shape (n,)."""
+    return x if exponent is None else _ldexp(x, exponent)
+
+
+def _ldexp(x: FloatVector, exponent: IntVector) -> FloatVector:
+    with np.errstate(under="ignore", over="ignore"):
+        return np.ldexp(x, np.clip(exponent, -5000, 5000).astype(np.int32))
+
+
+def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+    """Return s such that ratio_ij 2^(s_j − s_i) is balanced, s in log2.
+
+    First the least squares fit of ratio_ij + s_j − s_i ≈ 0, which undoes any diagonal similarity at once, then
+    sweeps of Osborne's balancing.
+    """
+    position: Any = _least_squares(ratios, rows, columns, n)
+    for _ in range(BALANCING_SWEEPS):
+        magnitude = np.exp2(np.clip(ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT))
+        row_sum = np.bincount(rows, magnitude, n)
+        column_sum = np.bincount(columns, magnitude, n)
+        both = (row_sum > 0.0) & (column_sum > 0.0)
+        change = np.zeros(n)
+        change[both] = 0.25 * np.log2(row_sum[both] / column_sum[both])
+        position += change
+        if np.abs(change).max(initial=0.0) < 0.5:
+            break
+    centred: FloatVector = position - position.mean()
+    return centred
+
+
+def _least_squares(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+    rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
+    degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
+    if n <= DENSE_LIMIT:
+        dense = np.diag(degree.astype(np.float64))
+        np.add.at(dense, (rows, columns), -1.0)
+        np.add.at(dense, (columns, rows), -1.0)
+        solution: FloatVector = np.linalg.lstsq(dense, rhs, rcond=None)[0]
+        return solution
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    weights = np.where(degree > 0, degree, 1).astype(np.float64)
+    pattern = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
+    transposed = pattern.T.tocsr()
+    graph = LinearOperator((n, n), matvec=lambda x: degree * x - pattern @ x - transposed @ x)
+    jacobi = LinearOperator((n, n), matvec=lambda x: x / weights)
+    return np.asarray(cg(graph, rhs, rtol=1e-3, maxiter=300, M=jacobi)[0])

@@ -1,0 +1,173 @@
+"""Which unknowns go to the coarser grid, and how the others are interpolated from them; compiled, arrays only.
+
+Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
+pass of Ruge and Stüben: take the unknown on which most others depend, interpolate those from it, and prefer from
+then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
+of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
+
+References
+----------
+J. W. Ruge, K. Stüben, *Algebraic multigrid*, in: Multigrid Methods, SIAM 1987, doi:10.1137/1.9781611971057.ch4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import uintp
+
+from ...kernels.compilation import compiled
+
+UNDECIDED, COARSE, FINE = 0, 1, 2
+
+
+@compiled
+def strong_couplings(indptr, indices, data, strength, own, is_strong, first):  # type: ignore[no-untyped-def]
+    """Mark the entries i → j, j < own, where i depends strongly on j; count the dependents of j in first[j + 1].
+
+    Strong is what is so among all couplings of the row.
+    """
+    one = uintp(1)
+    for i in range(uintp(indptr.size - 1)):
+        largest = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if -data[k] > largest and uintp(indices[k]) != i:
+                largest = -data[k]
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            is_strong[k] = j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
+            if is_strong[k]:
+                first[j + one] += 1
+
+
+@compiled
+def list_dependents(indptr, indices, is_strong, first, dependents):  # type: ignore[no-untyped-def]
+    """Fill dependents[first[j]:first[j + 1]] with the unknowns that depend strongly on j."""
+    one = uintp(1)
+    place = first[:-1].copy()
+    for i in range(uintp(indptr.size - 1)):
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if is_strong[k]:
+                j = uintp(indices[k])
+                dependents[uintp(place[j])] = i
+                place[j] += 1
+
+
+@compiled
+def choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after):  # type: ignore[no-untyped-def]
+    """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
+
+    The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
+    once more. One list a weight holds the unknowns that had it at some time; an entry whose unknown has lost
+    weight since goes to the list where it belongs when its turn comes. `entry` and `after`, each of
+    shape (n + number of entries,), are work space for the lists.
+    """
+    one = uintp(1)
+    n = uintp(indptr.size - 1)
+    weight = np.empty(n, np.int32)
+    heaviest = 0
+    for i in range(n):
+        weight[i] = first[i + one] - first[i]
+        heaviest = max(heaviest, weight[i])
+    head = np.full(2 * heaviest + 2, -1, indptr.dtype)
+    size = uintp(0)
+    for back in range(n):
+        i = n - one - back
+        if weight[i] == 0:
+            kind[i] = FINE
+        else:
+            entry[size], after[size] = i, head[uintp(weight[i])]
+            head[uintp(weight[i])] = size
+            size += one
+    while heaviest > 0:
+        if head[heaviest] < 0:
+            heaviest -= 1
+            continue
+        place = uintp(head[heaviest])
+        head[heaviest] = after[place]
+        i = uintp(entry[place])
+        if kind[i] != UNDECIDED:
+            continue
+        if weight[i] < heaviest:
+            if weight[i] == 0:
+                kind[i] = FINE
+            else:
+                after[place] = head[uintp(weight[i])]
+                head[uintp(weight[i])] = place
+            continue
+        kind[i] = COARSE
+        for k in range(uintp(first[i]), uintp(first[i + one])):
+            j = uintp(dependents[k])
+            if kind[j] != UNDECIDED:
+                continue
+            kind[j] = FINE
+            for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+                p = uintp(indices[m])
+                if is_strong[m] and kind[p] == UNDECIDED:
+                    weight[p] += 1
+                    entry[size], after[size] = p, head[uintp(weight[p])]
+                    head[uintp(weight[p])] = size
+                    size += one
+                    heaviest = max(heaviest, weight[p])
+        for m in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            p = uintp(indices[m])
+            if is_strong[m] and kind[p] == UNDECIDED:
+                weight[p] -= 1
+
+
+@compiled
+def direct_interpolation(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+):
+    """Write the interpolation in CSR; return its number of entries. `number` numbers the coarse unknowns."""
+    one = uintp(1)
+    size = uintp(0)
+    for i in range(uintp(indptr.size - 1)):
+        p_indptr[i] = size
+        if kind[i] == COARSE:
+            p_indices[size] = number[i]
+            p_data[size] = 1.0
+            size += one
+            continue
+        diagonal = 0.0
+        all_negative = 0.0
+        interpolating = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if data[k] > 0.0 or j == i:
+                diagonal += data[k]
+            else:
+                all_negative += data[k]
+                if is_strong[k] and kind[j] == COARSE:
+                    interpolating += data[k]
+        if not (interpolating < 0.0 and diagonal > 0.0):
+            continue
+        factor = all_negative / interpolating
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if is_strong[k] and kind[j] == COARSE:
+                p_indices[size] = number[j]
+                p_data[size] = factor * (-data[k] / diagonal)
+                size += one
+    p_indptr[indptr.size - 1] = size
+    return size
+
+
+@compiled
+def positive_share(indptr, indices, data):  # type: ignore[no-untyped-def]
+    """Return the sum of the positive off-diagonal entries, divided by that of all in absolute value (0 of none)."""
+    one = uintp(1)
+    positive, total = 0.0, 0.0
+    for i in range(uintp(indptr.size - 1)):
+        row_positive, row_total = 0.0, 0.0
+        largest = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if uintp(indices[k]) != i:
+                size = abs(data[k])
+                row_total += size
+                if data[k] > 0.0:
+                    row_positive += data[k]
+                largest = max(largest, size)
+        if largest > 0.0:  # each row counts alike, whatever its unit
+            positive += row_positive / largest
+            total += row_total / largest
+    return positive / total if total > 0.0 else 0.0

@@ -1,0 +1,94 @@
+"""Krylov steps on the free rows, preconditioned by one V-cycle each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...checks import FloatVector
+from . import sweeps
+from .truncation import Truncation
+
+
+class KrylovCorrection:
+    """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
+
+    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept.
+
+    Parameters
+    ----------
+    truncation : Truncation
+        Seen from its finest grid; its free rows are F.
+    residual : ndarray, shape (n,)
+        −w on the free rows, 0 elsewhere; overwritten by what is left of it.
+    is_symmetric : bool
+    """
+
+    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
+        self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
+        self.peers = truncation.grids[0].grid.peers
+        # Squares of very large or small numbers leave the range of a double.
+        self.unit = power_of_two(self.peers.largest(span(residual)))
+        self.residual /= self.unit
+        self._sum = np.zeros(residual.size)
+        self._scratch = np.empty(residual.size)
+        self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+
+    def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
+        """Overwrite z by origin + c."""
+        np.multiply(self._sum, self.unit, out=z)
+        z += origin
+
+    def largest(self) -> float:
+        """Return the largest scaled residual that is left."""
+        scaled = np.multiply(self.residual, self.truncation.grids[0].inverse, out=self._scratch)
+        return self.unit * self.peers.largest(span(scaled))
+
+    @np.errstate(all="ignore")
+    def step(self) -> bool:
+        """Take one step; return False where the matrix allows none."""
+        top = self.truncation.grids[0]
+        matrix = top.grid.matrix
+        np.copyto(top.b, self.residual)
+        self.truncation.correct(0)
+        p = top.x[: top.grid.n].copy()
+        product = np.empty(p.size)
+        self.peers.fetch(top.x)
+        sweeps.free_product(*matrix.arrays, top.is_free, top.x, product)
+        self.truncation.work += matrix.data.size
+        for old_p, old_product, old_scale in self.directions:
+            share = self._dot(self._against(old_p, old_product), product) / old_scale
+            self._add(-share, old_p, p)
+            self._add(-share, old_product, product)
+        against = self._against(p, product)
+        scale = self._dot(against, product)
+        length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
+        if not np.isfinite(length):
+            return False
+        self._add(length, p, self._sum)
+        self._add(-length, product, self.residual)
+        if self.is_symmetric:
+            self.directions.clear()
+        self.directions.append((p, product, scale))
+        return True
+
+    def _dot(self, one: FloatVector, other: FloatVector) -> float:
+        return self.peers.total(float(one @ other))
+
+    def _add(self, factor: float, vector: FloatVector, to: FloatVector) -> None:
+        np.multiply(vector, factor, out=self._scratch)
+        to += self._scratch
+
+    def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
+        return p if self.is_symmetric else product
+
+
+def span(vector: FloatVector) -> float:
+    """Return the largest entry in absolute value; 0 of no entry."""
+    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+
+
+def power_of_two(largest: float) -> float:
+    """Return the power of two just above a number ≥ 0; 1 where that is 0 or not finite."""
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))

@@ -1,0 +1,181 @@
+"""A square matrix, canonical and read-only, with the facts about it: each computed once, by whoever asks first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import update_wrapper
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector, checked_matrix, frozen, read_only
+from ..locks import Lock
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+NEGLIGIBLE_DIAGONAL = 1e-10
+
+
+class fact(Generic[P, T]):  # noqa: N801 - a decorator
+    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix.
+
+    A fact about M is one such function, in whichever room knows it: the function is its key, its annotation the type.
+
+    Examples
+    --------
+    >>> @fact
+    ... def trace(matrix: Matrix) -> float:
+    ...     print("summed")
+    ...     return float(matrix.diagonal.sum())
+    >>> identity = Matrix([[1.0, 0.0], [0.0, 1.0]])
+    >>> trace(identity), trace(identity)
+    summed
+    (2.0, 2.0)
+    """
+
+    def __init__(self, compute: Callable[Concatenate[Any, P], T]) -> None:
+        self._compute = compute
+        update_wrapper(self, compute)
+
+    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+        """Return the value, computed where nobody has asked before."""
+        key = (self, *args)
+        try:
+            value: T = matrix._facts[key]
+        except KeyError:
+            with matrix._lock.held():
+                if key not in matrix._facts:
+                    matrix._facts[key] = self._compute(matrix, *args, **kwargs)
+                value = matrix._facts[key]
+        return value
+
+    def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
+        """Return whether it was asked for before."""
+        return (self, *args) in matrix._facts
+
+
+class Matrix:
+    """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
+
+    Parameters
+    ----------
+    M : array or sparse array, shape (n, n)
+        As for :class:`lcp_plugin.LCP`.
+
+    Raises
+    ------
+    InvalidProblem
+        Where M is no such matrix.
+
+    Examples
+    --------
+    >>> Matrix([[4, 1e-12], [1, 0]]).residual_scale
+    array([4., 1.])
+    """
+
+    def __init__(self, M: Any) -> None:
+        self._csr, self._dense = checked_matrix(M)
+        self.n: int = self.array.shape[0]
+        self._begin()
+
+    def _begin(self) -> None:
+        self._facts: dict[Hashable, Any] = {}
+        self._lock = Lock()
+
+    @property
+    def array(self) -> Any:
+        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        return self._csr if self._dense is None else self._dense
+
+    @property
+    def csr(self) -> sp.csr_array:
+        """The matrix as canonical, read-only CSR, shape (n, n)."""
+        if self._csr is None:
+            self._csr = _csr_of_dense(self)
+        return self._csr
+
+    @property
+    def is_dense(self) -> bool:
+        """True where it is kept as an ndarray."""
+        return self._dense is not None
+
+    @property
+    def index_width(self) -> str:
+        """The integer type of the indices of `csr`, which need not exist yet for that."""
+        return "int32" if self._dense is not None else str(self.csr.indices.dtype.name)
+
+    @property
+    @fact
+    def nonzeros(self) -> int:
+        """Number of nonzero entries."""
+        return int(self.csr.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
+
+    @property
+    @fact
+    def diagonal(self) -> FloatVector:
+        """The diagonal, shape (n,)."""
+        return read_only(np.array(self.array.diagonal(), dtype=np.float64))
+
+    @property
+    @fact
+    def residual_scale(self) -> FloatVector:
+        """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
+
+        d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
+        """
+        return read_only(residual_scale_of(self.array, self.diagonal))
+
+    @property
+    @fact
+    def csc(self) -> sp.csc_array:
+        """The matrix by columns, shape (n, n)."""
+        return sp.csc_array(self.csr)
+
+    @property
+    @fact
+    def transpose(self) -> sp.csr_array:
+        """Mᵀ as CSR, shape (n, n)."""
+        return sp.csr_array(self.csr.T)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again, and the lock."""
+        return {"n": self.n, "_dense": self._dense, "_csr": self._csr if self._dense is None else None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._begin()
+        # Unpickled arrays are writable again.
+        if self._dense is not None:
+            self._dense.flags.writeable = False
+        if self._csr is not None:
+            self._csr = frozen(self._csr)
+
+
+@fact
+def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
+    """Return a dense matrix as CSR; where it has no zeros, its entries are used as they are."""
+    dense, n = matrix.array, matrix.n
+    if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
+        return frozen(sp.csr_array(dense))
+    columns = np.tile(np.arange(n, dtype=np.int32), n)
+    rows = np.arange(0, n * n + 1, n, dtype=np.int32) if n else np.zeros(1, np.int32)
+    compressed = sp.csr_array((dense.reshape(-1), columns, rows), shape=dense.shape)
+    compressed.has_sorted_indices = compressed.has_canonical_format = True
+    return frozen(compressed)
+
+
+def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
+    """Return D of the scaled residual for some rows of a matrix and their diagonal; see `Matrix.residual_scale`."""
+    entries = M.data if sp.issparse(M) else M
+    if entries.size == 0:
+        return np.ones(M.shape[0])
+    largest = max(float(entries.max()), -float(entries.min()))
+    if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
+        return diagonal
+    row_largest = np.asarray(abs(M).max(axis=1).toarray() if sp.issparse(M) else abs(M).max(axis=1)).ravel()
+    # The product may underflow to 0, which no diagonal of 0 may pass.
+    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
+    scale = np.where(is_usable, diagonal, row_largest)
+    return np.where(row_largest == 0.0, 1.0, scale)

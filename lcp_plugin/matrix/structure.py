@@ -1,0 +1,94 @@
+"""Structure of a matrix: what its pattern and its row sums tell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector
+from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from .equilibration import row_numbers
+from .matrix import Matrix, fact
+
+IntVector = np.ndarray[Any, np.dtype[np.int64]]
+
+
+def strong_blocks(M: Any) -> tuple[int, IntVector]:
+    """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
+    return _connected(M, "strong")
+
+
+def components(M: Any) -> tuple[int, IntVector]:
+    """Return the number of connected components of M's graph and the component of each row, shape (n,)."""
+    return _connected(M, "weak")
+
+
+def _connected(M: Any, connection: str) -> tuple[int, IntVector]:
+    from scipy.sparse.csgraph import connected_components
+
+    # The routine drops explicit zeros of floats; only the pattern counts.
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    count, labels = connected_components(pattern, directed=True, connection=connection)
+    return int(count), labels.astype(np.int64)
+
+
+def block_rows(labels: IntVector, count: int) -> list[IntVector]:
+    """Return the row numbers of each block, in order of the labels."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
+
+
+def within_blocks(M: Any, labels: IntVector) -> Any:
+    """Return a CSR array without the entries that couple rows of different blocks."""
+    within = labels[row_numbers(M)] == labels[M.indices]
+    return sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape)
+
+
+def triangular_form(M: Any) -> str | None:
+    """Return "diagonal", "lower", "upper", or None."""
+    rows = row_numbers(M)
+    if (rows == M.indices).all():
+        return "diagonal"
+    if (rows >= M.indices).all():
+        return "lower"
+    return "upper" if (rows <= M.indices).all() else None
+
+
+def row_excess_signs(M: Any) -> IntVector:
+    """Return the sign of |m_ii| − Σ_j≠i |m_ij| of each row, exactly, shape (n,)."""
+    ones = np.ones(M.shape[0])
+    value, radius = comparison_product(M, ones)
+    signs = np.where(lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0))
+    for row in np.flatnonzero((signs == 0) & (radius > 0.0)):
+        exact = exact_comparison_row(M, ones, int(row))
+        signs[row] = (exact > 0) - (exact < 0)
+    return signs.astype(np.int64)
+
+
+def scale_spread(M: Any) -> dict[str, float]:
+    """Return log10 of largest over smallest nonzero magnitude: of entries, row and column maxima, diagonal."""
+    magnitudes = np.abs(M.data)
+    row_largest, column_largest = (np.zeros(size) for size in M.shape)
+    np.maximum.at(row_largest, row_numbers(M), magnitudes)
+    np.maximum.at(column_largest, M.indices, magnitudes)
+    parts = {
+        "entries": magnitudes, "rows": row_largest, "columns": column_largest, "diagonal": np.abs(M.diagonal())
+    }
+    return {name: _decades(values) for name, values in parts.items()}
+
+
+def _decades(values: FloatVector) -> float:
+    nonzero = values[values > 0.0]
+    return float(np.log10(nonzero.max()) - np.log10(nonzero.min())) if nonzero.size else 0.0
+
+
+@fact
+def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
+    """Return the numbers of sub- and superdiagonals of a sparse M, None where M is kept dense."""
+    M = matrix.array
+    if not sp.issparse(M):
+        return None
+    offsets = M.indices.astype(np.int64) - np.repeat(np.arange(matrix.n), np.diff(M.indptr))
+    return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)

@@ -1,0 +1,1 @@
+"""The linear complementarity problem, and its files."""

@@ -1,0 +1,113 @@
+"""Slack, complementarity and what a Farkas vector proves, without rounding on the stored doubles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import FloatVector
+from ..exact.integers import IntegerMatrix, Rational, common_denominator, exact_vector, integers, power_of_two
+from ..matrix.matrix import Matrix, fact
+from .lcp import LCP
+
+Bounds = tuple[Sequence[float], Sequence[float]]
+
+
+@fact
+def integer_matrix(matrix: Matrix) -> IntegerMatrix:
+    """Return M in integers."""
+    return IntegerMatrix.of(matrix.csr)
+
+
+def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fraction]:
+    """Return w = M z + q without rounding, shape (n,).
+
+    Raises
+    ------
+    InvalidProblem
+        Where z is no vector of n finite numbers.
+
+    Examples
+    --------
+    >>> exact_slack(LCP([[3, 0], [0, 1]], [-1, 0]), [Fraction(1, 3), 0])
+    [Fraction(0, 1), Fraction(0, 1)]
+    """
+    numerators, denominator = common_denominator(exact_vector(z, problem.n))
+    matrix = integer_matrix(problem.matrix)
+    unit = power_of_two(matrix.exponent) / denominator
+    sums = (sum(entry * numerators[j] for j, entry in matrix.row(i)) for i in range(problem.n))
+    return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
+
+
+def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
+    """Return whether z solves the problem without any rounding.
+
+    Raises
+    ------
+    InvalidProblem
+        Where z is no vector of n finite numbers.
+
+    Examples
+    --------
+    >>> is_exact_solution(LCP([[3]], [-1]), [Fraction(1, 3)]), is_exact_solution(LCP([[3]], [-1]), [1 / 3])
+    (True, False)
+    """
+    exact = exact_vector(z, problem.n)
+    rows = zip(exact, exact_slack(problem, exact), problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    return all(_is_complementary(*row) for row in rows)
+
+
+def _is_complementary(z: Fraction, w: Fraction, lower: float, upper: float) -> bool:
+    if not lower <= z <= upper:
+        return False
+    return (w >= 0 or z == upper) and (w <= 0 or z == lower)
+
+
+def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
+    """Return the signs of w that the bounds of z permit, as bounds of w, each of shape (n,).
+
+    0 ≤ w_i where z_i has no upper bound, w_i ≤ 0 where it has no lower bound; a box permits both signs.
+    """
+    return (
+        np.where(problem.upper == np.inf, 0.0, -np.inf),
+        np.where(problem.lower == -np.inf, 0.0, np.inf),
+    )
+
+
+def farkas_margin(problem: LCP, y: Sequence[Rational], z_bounds: Bounds, w_bounds: Bounds) -> Fraction | None:
+    """Return sup (Mᵀy)ᵀz − yᵀw + qᵀy over all z and w within their bounds, exactly; None for ∞.
+
+    Every z with w = M z + q gives 0, so a negative margin proves that none lies within the bounds.
+
+    Parameters
+    ----------
+    y : sequence of numbers, shape (n,)
+    z_bounds, w_bounds : pair of sequences, shape (n,)
+        Lower and upper bounds, ±∞ included.
+    """
+    numerators, denominator = common_denominator(y)
+    matrix = integer_matrix(problem.matrix)
+    of_z = _support(matrix.transposed_product(numerators), *z_bounds)
+    of_w = _support([-value for value in numerators], *w_bounds)
+    if of_z is None or of_w is None:
+        return None
+    q, exponent = integers(problem.q)
+    of_q = power_of_two(exponent) * sum(a * b for a, b in zip(numerators, q, strict=True))
+    return (power_of_two(matrix.exponent) * of_z + of_w + of_q) / denominator
+
+
+def _support(direction: Sequence[int], lower: Sequence[float], upper: Sequence[float]) -> Fraction | None:
+    """Return the largest directionᵀx over lower ≤ x ≤ upper; None for ∞."""
+    total = Fraction(0)
+    for d, low, high in zip(direction, lower, upper, strict=True):
+        if d:
+            bound = high if d > 0 else low
+            if math.isinf(bound):
+                return None
+            if bound:
+                total += d * Fraction(bound)
+    return total

@@ -1,0 +1,208 @@
+"""Reading and writing problems: one ``.npz`` without pickle, or Matrix Market files side by side."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector
+from ..errors import InvalidOption, InvalidProblem, UnreadableFile
+from .lcp import LCP
+from .matrix_market import read_matrix_market
+
+INFINITE_BOUND = 1e20
+MATRIX_KEYS = ("data", "indices", "indptr", "shape")
+VECTORS = ("q", "lower", "upper")
+
+
+def save(problem: LCP, path: str | PathLike[str]) -> None:
+    """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
+    target = checked_path(path)
+    _refuse_huge_bounds(problem)
+    if target.suffix.lower() == ".npz":
+        M = problem.csr
+        arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
+        arrays |= {name: getattr(problem, name) for name in VECTORS}
+        write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
+    else:
+        _save_folder(problem, target)
+
+
+def checked_path(path: Any) -> Path:
+    """Return the path, or raise InvalidOption or UnreadableFile where it can be none."""
+    try:
+        target = Path(path)
+    except TypeError:
+        raise InvalidOption(f"path must be a string or a Path, got {type(path).__name__}") from None
+    if "\0" in str(target):
+        raise UnreadableFile(f"no file can be called {str(target)!r}; leave out the null character")
+    return target
+
+
+def load(path: str | PathLike[str]) -> LCP:
+    """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
+    source = checked_path(path)
+    if source.suffix.lower() == ".npz":
+        return _load_npz(source)
+    prefix = _matrix_market_prefix(source)
+    M = read_matrix_market(Path(prefix + "M.mtx"))
+    if not Path(prefix + "q.mtx").exists():
+        raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q beside it")
+    q = _read_vector(Path(prefix + "q.mtx"))
+    if q.shape != M.shape[:1]:  # before M becomes CSR, which takes memory for every row that it announces
+        raise UnreadableFile(
+            f"{prefix}M.mtx holds a matrix of {M.shape[0]} rows and {prefix}q.mtx an array of shape {q.shape}; "
+            "q must have one number a row"
+        )
+    bounds = {}
+    for name in ("lower", "upper"):
+        if Path(f"{prefix}{name}.mtx").exists():
+            bounds[name] = _with_infinities(_read_vector(Path(f"{prefix}{name}.mtx")))
+    return _problem(prefix + "M.mtx", M, q, bounds)
+
+
+def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
+    """Let each writer fill a temporary file beside its target, then rename them all: all whole, or nothing.
+
+    Raises
+    ------
+    UnreadableFile
+        Where a folder does not exist or cannot be written to.
+    """
+    finished: dict[Path, Path] = {}
+    try:
+        for target, write in contents.items():
+            if not target.name:
+                raise UnreadableFile(f"cannot write {str(target)!r}: it names no file")
+            temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
+            with temporary.open("xb") as file:
+                finished[target] = temporary
+                write(file)
+        for target, temporary in finished.items():
+            temporary.replace(target)
+    except OSError as error:
+        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+    finally:
+        for temporary in finished.values():
+            temporary.unlink(missing_ok=True)
+
+
+def _save_folder(problem: LCP, folder: Path) -> None:
+    from scipy.io import mmwrite
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnreadableFile(f"cannot make the folder {folder}: {error.strerror or error}") from error
+
+    def writer(content: Any) -> Callable[[Any], object]:
+        if 0 in content.shape:  # scipy divides by the number of columns
+            kind = "coordinate real general\n0 0 0" if sp.issparse(content) else "array real general\n0 1"
+            return lambda file: file.write(f"%%MatrixMarket matrix {kind}\n".encode())
+        return lambda file: mmwrite(file, content, precision=17, symmetry="general")
+
+    contents = {folder / "M.mtx": writer(sp.coo_array(problem.csr)), folder / "q.mtx": writer(problem.q.reshape(-1, 1))}
+    for name in ("lower", "upper"):
+        bound = np.clip(getattr(problem, name), -INFINITE_BOUND, INFINITE_BOUND)
+        contents[folder / f"{name}.mtx"] = writer(bound.reshape(-1, 1))
+    write_whole(contents)
+
+
+def _refuse_huge_bounds(problem: LCP) -> None:
+    for name in ("lower", "upper"):
+        bound = getattr(problem, name)
+        huge = np.isfinite(bound) & (np.abs(bound) >= INFINITE_BOUND)
+        if huge.any():
+            i = int(np.flatnonzero(huge)[0])
+            raise InvalidProblem(
+                f"{name}[{i}] = {bound[i]} would be read back as infinite (|bound| ≥ 1e20); use ±inf or rescale z"
+            )
+
+
+def _load_npz(source: Path) -> LCP:
+    content = _read_npz(source)
+    if "P_data" in content:
+        raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP with the keys data … q")
+    missing = [key for key in (*MATRIX_KEYS, "q") if key not in content]
+    if missing:
+        wanted = ", ".join((*MATRIX_KEYS, *VECTORS))
+        raise UnreadableFile(f"{source} lacks the keys {missing}; an LCP file holds {wanted}")
+    for key in ("indices", "indptr", "shape"):
+        if content[key].dtype.kind not in "iu":
+            raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
+    try:
+        shape = tuple(int(k) for k in content["shape"])
+        M = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
+    except (ValueError, TypeError, OverflowError, MemoryError) as error:
+        raise UnreadableFile(f"{source} holds no valid CSR matrix: {error}") from error
+    bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
+    return _problem(str(source), M, content["q"], bounds)
+
+
+def _read_npz(source: Path) -> Mapping[str, Any]:
+    wanted = {*MATRIX_KEYS, *VECTORS, "P_data"}
+    try:
+        with source.open("rb") as file:
+            if file.read(2) != b"PK":
+                raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return {key: archive[key] for key in archive.files if key in wanted}
+    except FileNotFoundError as error:
+        raise UnreadableFile(f"no such file: {source}") from error
+    except UnreadableFile:
+        raise
+    except Exception as error:  # a damaged archive raises whatever its decoders raise
+        if "allow_pickle" in str(error):
+            raise UnreadableFile(f"cannot read {source}: it holds pickled objects, which are never read") from error
+        raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive ({error})") from error
+
+
+def _matrix_market_prefix(source: Path) -> str:
+    if source.is_dir():
+        prefix = f"{source}{os.sep}"
+    elif source.name.endswith("M.mtx"):
+        prefix = str(source)[: -len("M.mtx")]
+    else:
+        prefix = str(source)
+    if not Path(prefix + "M.mtx").exists():
+        if source.is_dir():
+            raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
+        if source.is_file():
+            raise UnreadableFile(f"cannot read {source}: expected a .npz file, or M.mtx with q.mtx beside it")
+        tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
+        raise UnreadableFile(f"no such file: {source}{tried}")
+    return prefix
+
+
+def _read_vector(source: Path) -> FloatVector:
+    values = read_matrix_market(source)
+    dense = np.asarray(values.toarray() if sp.issparse(values) else values)
+    return dense.reshape(-1) if 1 in dense.shape else dense
+
+
+def _with_infinities(bound: Any) -> Any:
+    """Return the bound with ±1e20 and beyond read as ±∞, the convention of most file formats."""
+    values = np.asarray(bound)
+    if values.dtype.kind not in "fiu":
+        return values
+    values = values.astype(np.float64)
+    values[values >= INFINITE_BOUND] = np.inf
+    values[values <= -INFINITE_BOUND] = -np.inf
+    return values
+
+
+def _problem(source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:
+    try:
+        return LCP(M, q, **bounds)
+    except InvalidProblem as error:
+        raise UnreadableFile(f"{source} states no linear complementarity problem: {error}") from error
+    except MemoryError as error:
+        raise UnreadableFile(f"{source} states a problem too large for the memory ({error})") from error

@@ -1,0 +1,277 @@
+"""The linear complementarity problem: checked, canonical, read-only data."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector
+from ..errors import InvalidOption, InvalidProblem
+from ..matrix.matrix import Matrix
+
+
+class LCP:
+    """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
+
+    For every row i: w_i ≥ 0 where z_i = lower_i, w_i = 0 where lower_i < z_i < upper_i, and w_i ≤ 0
+    where z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
+    a row with bounds (−∞, ∞) is an equation.
+
+    Parameters
+    ----------
+    M : array or sparse array, shape (n, n)
+        Real, finite. Integers, booleans and single precision become float64. A dense M is copied. A canonical
+        CSR array of float64 (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as
+        they are while the problem lives, or give ``M.copy()``; nothing given is ever modified.
+    q : array, shape (n,)
+        Real, finite.
+    lower, upper : scalar or array, shape (n,)
+        Bounds of z in the unit of z; −∞ and ∞ are allowed, lower ≤ upper.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the data do not state such a problem.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> problem
+    LCP(n=2, nonzeros=4, bounds 0 ≤ z)
+    >>> problem.slack([2.5, 0])
+    array([0. , 3.5])
+    """
+
+    def __init__(
+        self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
+    ) -> None:
+        self.matrix = Matrix(M)
+        self._set_vectors(q, lower, upper)
+        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
+
+    def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
+        self.q: FloatVector = finite_vector(q, "q", self.n)
+        self.lower: FloatVector = checked_bound(lower, "lower", self.n)
+        self.upper: FloatVector = checked_bound(upper, "upper", self.n)
+        check_order(self.lower, self.upper)
+
+    @property
+    def n(self) -> int:
+        """The number of unknowns."""
+        return self.matrix.n
+
+    @property
+    def M(self) -> Any:
+        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        return self.matrix.array
+
+    @property
+    def csr(self) -> sp.csr_array:
+        """The matrix as canonical, read-only CSR, shape (n, n)."""
+        return self.matrix.csr
+
+    @property
+    def is_dense(self) -> bool:
+        """True where M is kept as an ndarray."""
+        return self.matrix.is_dense
+
+    @property
+    def nonzeros(self) -> int:
+        """Number of nonzero entries of M."""
+        return self.matrix.nonzeros
+
+    @property
+    def is_plain(self) -> bool:
+        """True for the classical problem: lower = 0 and upper = ∞ on every row."""
+        return not self.lower.any() and bool(np.all(self.upper == np.inf))
+
+    @property
+    def diagonal(self) -> FloatVector:
+        """The diagonal of M, shape (n,)."""
+        return self.matrix.diagonal
+
+    @property
+    def residual_scale(self) -> FloatVector:
+        """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.matrix.matrix.Matrix.residual_scale`."""
+        return self.matrix.residual_scale
+
+    @cached_property
+    def nearest_to_zero(self) -> FloatVector:
+        """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
+        return read_only(np.clip(0.0, self.lower, self.upper))
+
+    def slack(self, z: ArrayLike) -> FloatVector:
+        """Return w = M z + q, shape (n,).
+
+        Parameters
+        ----------
+        z : array, shape (n,)
+        """
+        if not isinstance(z, np.ndarray) or z.dtype != np.float64 or z.shape != (self.n,):
+            z = real_vector(z, "z", self.n)
+        w: FloatVector = self.M @ z
+        w += self.q
+        return w
+
+    def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
+        """Return the problem with another q (and bounds) that shares all that depends on M alone.
+
+        Parameters
+        ----------
+        q : array, shape (n,)
+            Real, finite.
+        lower, upper : scalar or array, shape (n,), optional
+            The present bounds by default.
+
+        Raises
+        ------
+        InvalidProblem
+            As the constructor.
+        """
+        other = object.__new__(LCP)
+        other.origin, other.matrix = None, self.matrix
+        other._set_vectors(
+            q, self.lower if lower is None else lower, self.upper if upper is None else upper
+        )
+        return other
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
+
+        A path ending in ``.npz`` gets the keys data, indices, indptr, shape, q, lower, upper; any other
+        path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : str or PathLike
+        """
+        from .files import save
+
+        save(self, path)
+
+    @classmethod
+    def from_qp(
+        cls, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf, *, form: str = "auto",
+    ) -> LCP:
+        """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
+
+        ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
+        :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. The tolerance of
+        ``solve`` speaks of the complementarity problem: ``recover(result).is_optimal()`` says whether the program is
+        solved; if not, solve again with a smaller tolerance and ``z0=result.z``.
+
+        Parameters
+        ----------
+        P : array or sparse array, shape (n, n)
+            Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
+        c : array, shape (n,)
+        G, h : shapes (p, n) and (p,), optional
+            Inequalities G x ≤ h.
+        A, b : shapes (m, n) and (m,), optional
+            Equations A x = b.
+        lower, upper : scalar or array, shape (n,)
+            Bounds of x; none by default.
+        form : {"auto", "direct", "dual", "kkt"}
+            Which optimality conditions become the problem.
+        """
+        from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+
+        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
+
+    def to_qp(self) -> Any:
+        """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
+        from ..conversions.quadratic_program import qp_from_lcp
+
+        return qp_from_lcp(self)
+
+    @classmethod
+    def from_cvxpy(cls, problem: Any) -> LCP:
+        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+            Of :func:`lcp_plugin.complements` and equalities.
+        """
+        from ..modeling.model import build_from
+
+        model = build_from(problem)
+        model.problem.origin = model
+        return model.problem
+
+    def to_cvxpy(self) -> Any:
+        """Return a ``ComplementarityProblem`` in one variable that states this problem."""
+        from ..modeling.model import stated_in_cvxpy
+
+        return stated_in_cvxpy(self)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> LCP:
+        """Return a problem written by :meth:`save`, or a folder or prefix with ``M.mtx`` and ``q.mtx``.
+
+        A bound of 1e20 or more in absolute value means ∞. Pickled content is never read.
+
+        Parameters
+        ----------
+        path : str or PathLike
+
+        Raises
+        ------
+        UnreadableFile
+            Where the file is missing, damaged, or no linear complementarity problem.
+        """
+        from .files import load
+
+        return load(path)
+
+    def __repr__(self) -> str:
+        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {_describe_bounds(self.lower, self.upper)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # Unpickled arrays are writable again.
+        for array in (self.q, self.lower, self.upper):
+            array.flags.writeable = False
+
+
+def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
+    """Return the start within the bounds, shape (n,).
+
+    Raises
+    ------
+    InvalidOption
+        Where z0 is no finite real vector of length n.
+    """
+    if z0 is None:
+        return problem.nearest_to_zero
+    try:
+        start = real_vector(z0, "z0", problem.n)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+    if not np.isfinite(start).all():
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got NaN or infinite entries")
+    return np.clip(start, problem.lower, problem.upper)
+
+
+def _describe_bounds(lower: FloatVector, upper: FloatVector) -> str:
+    if not lower.any() and np.all(upper == np.inf):
+        return "0 ≤ z"
+    free = int(np.count_nonzero((lower == -np.inf) & (upper == np.inf)))
+    boxed = int(np.count_nonzero(np.isfinite(lower) & np.isfinite(upper)))
+    one_sided = lower.size - free - boxed
+    parts = [(one_sided, "one-sided"), (boxed, "boxed"), (free, "free")]
+    return ", ".join(f"{count} {kind}" for count, kind in parts if count)

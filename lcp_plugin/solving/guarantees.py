@@ -1,0 +1,400 @@
+"""convergence_guarantee(): what is proven about an algorithm on a matrix."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..algorithms import Algorithm
+from ..algorithms.base import has_positive_diagonal, identity
+from ..certificates.contraction import inverse_residual_scale, triangle_sums, unit_triangle_sums
+from ..certificates.convergence import (
+    CAN_DIVERGE,
+    GUARANTEED,
+    MODULUS,
+    NOT_COVERED,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    PROJECTED_TYPE,
+    Contraction,
+    Guarantee,
+    IterationFacts,
+    Sums,
+    contraction,
+    next_weights,
+    numbers,
+    sums_for,
+)
+from ..certificates.divergence import divergence
+from ..certificates.method_3_1 import theorem_4_1
+from ..certificates.spectral_radius import jacobi_radius
+from ..certificates.theorems import PAPER, positive_definite_theorem, theorem_4_2, theorem_of
+from ..checks import FloatVector
+from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..matrix.matrix import Matrix, fact
+from ..policy.choice import Single, last_resort, policy_for
+from ..problem.lcp import LCP
+
+Kept = TypeVar("Kept")
+
+NEAR_ONE = (0.05, 1.0)
+WEIGHT_STEPS = 40
+QUICK_STEPS = 2
+LARGEST_QUICK = 20_000
+DENSE_SPLITTING = 500
+CLEARLY = 1.0 + 1e-12
+
+
+def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **options: Any) -> Guarantee:
+    """Return what is proven about the convergence of an algorithm on this matrix, whatever q and the start are.
+
+    Parameters
+    ----------
+    problem : LCP
+    algorithm : str or Algorithm
+        A registered name, "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Guarantee
+        ``verdict`` "guaranteed", "not covered" or "can diverge", with theorem, rate, weights v and a remedy. Kept with
+        the matrix.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where the name or an option does not exist.
+
+    Notes
+    -----
+    Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, a
+    factorisation where M is symmetric, and dense eigenvalues where n ≤ 100 and nothing covers the iteration. It
+    speaks of exact arithmetic with step sizes rounded as a run has them; q is any, boxes and free rows are covered.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP
+    >>> guarantee = convergence_guarantee(LCP([[4, -1], [-1, 4]], [-3, 5]), "npsor")
+    >>> guarantee.verdict, round(guarantee.rate, 3)
+    ('guaranteed', 0.648)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+    policy = policy_for(algorithm, options)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
+
+
+def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
+    """Return a guarantee at the cost of at most three passes over M, or None where that does not decide.
+
+    It never answers "not covered" where the full one says "guaranteed" by weights v; see
+    :func:`convergence_guarantee`.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            facts = algorithm.facts(problem)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            return None
+        return None if facts is None else _kept(problem, algorithm, "quick", lambda: _quick(problem, facts))
+
+
+def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool, stacklevel: int) -> None:
+    """Warn, once a matrix and choice, where nothing proves that the algorithm converges.
+
+    Before a run the question may cost three passes over M, and is asked up to n = 20 000 only; after a run that
+    failed it is worth an analysis of M.
+    """
+    if has_failed:
+        guarantee: Guarantee | None = _of_one(problem, algorithm)
+    else:
+        guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
+    warned = warnings_given(problem.matrix)
+    key = identity(algorithm) or (type(algorithm), repr(algorithm))
+    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts or key in warned:
+        return
+    warned.add(key)
+    remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
+    warnings.warn(
+        f"{algorithm.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
+        ConvergenceWarning, stacklevel=stacklevel + 1,
+    )
+
+
+
+def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    if problem.n == 0:
+        return Guarantee(GUARANTEED, "there are no rows")
+    try:
+        facts = algorithm.facts(problem)
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if facts is None:
+        return _of_a_direct_method(problem, algorithm)
+    options = {field.name for field in fields(algorithm)}
+    return _kept(problem, algorithm, "full", lambda: _full(problem, facts, options))
+
+
+@fact
+def warnings_given(matrix: Matrix) -> set[Hashable]:
+    """Return the choices of which a caller was warned on this matrix."""
+    return set()
+
+
+@fact
+def _guarantees(matrix: Matrix) -> dict[Hashable, Any]:
+    return {}
+
+
+def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
+    """Return what `compute` gives, kept with M where all that the algorithm holds are numbers and words."""
+    known, held = _guarantees(problem.matrix), identity(algorithm)
+    if held is None:
+        return compute()
+    value: Kept = known[kind, held] if (kind, held) in known else known.setdefault((kind, held), compute())
+    return value
+
+
+def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    try:
+        theorem = algorithm.theorem(problem)
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if theorem is None:
+        return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+    return Guarantee(GUARANTEED, theorem)
+
+
+def _of_auto(problem: LCP) -> Guarantee:
+    """Return that of the method which auto follows to its end where the ones before it fail."""
+    last = _of_one(problem, last_resort(problem))
+    if not last.is_guaranteed:
+        return Guarantee(NOT_COVERED, last.theorem)
+    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {last_resort(problem).name}: {last.theorem}")
+
+
+def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
+    paper = _paper_says(problem, facts)
+    proof = _best_proof(problem, facts)
+    if proof is not None:
+        return _guaranteed(problem, facts, proof, paper)
+    quick = _quick(problem, facts)  # its weights are others
+    if quick is not None and quick.is_guaranteed:
+        return replace(quick, paper=paper)
+    by_blocks = _theorem_by_blocks(problem, facts)
+    if by_blocks is not None:
+        return Guarantee(GUARANTEED, by_blocks, paper=paper)
+    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
+        found = _by_theorem_4_1(problem, facts)
+        if found is not None:
+            return found
+    theorem = _positive_definite(problem, facts)
+    if theorem is not None:
+        return Guarantee(GUARANTEED, theorem)
+    remedy = _remedy(problem, facts, options)
+    reason = divergence(facts, problem)
+    if reason is not None:
+        return Guarantee(CAN_DIVERGE, reason, remedy=remedy, paper=paper)
+    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
+
+
+def _guaranteed(problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = "") -> Guarantee:
+    theorem = theorem_of(facts, problem, proof)
+    if facts.relaxation is None and facts.family == PROJECTED_RELAXATION:
+        return Guarantee(GUARANTEED, theorem)
+    v = proof.v.copy()
+    v.flags.writeable = False
+    speaks_of = "x" if facts.family == MODULUS else "z"
+    return Guarantee(
+        GUARANTEED, theorem, proof.rate, v if proof.rate is not None else None, paper=paper, speaks_of=speaks_of
+    )
+
+
+def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return the contraction with the best rate of all weights tried, or None.
+
+    Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
+    """
+    from ..matrix import h_verdict
+
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return None
+    if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
+        return None
+    proofs = [contraction(facts, problem, v, sums) for v, sums in _usual_weights(problem, facts)]
+    found = [proof for proof in proofs if proof is not None]
+    if found:
+        return min(found, key=lambda proof: proof.sortable)
+    return _by_better_weights(problem, facts)
+
+
+def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem that covers each strongly connected block, or None where one is not covered.
+
+    The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
+    """
+    from ..matrix import analyze
+    from ..matrix.structure import within_blocks
+
+    report = analyze(problem)
+    if report.is_irreducible or not _is_h_plus(problem):
+        return None
+    blocks = LCP(within_blocks(problem.csr, report.block_labels), problem.q)
+    if facts.splitting is not None:
+        facts = replace(facts, splitting=within_blocks(facts.splitting, report.block_labels))
+    proof = _best_proof(blocks, facts)
+    return None if proof is None else theorem_of(facts, blocks, proof)
+
+
+def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
+    """Yield 1, the weights of the H₊ certificate, and sums of both, each with its triangle sums."""
+    from ..matrix import comparison_certificate
+
+    ones = np.ones(problem.n)
+    of_ones = sums_for(facts, problem, ones)
+    yield ones, of_ones
+    certificate = comparison_certificate(problem.matrix)
+    if certificate is None or np.array_equal(certificate.v, ones):
+        return
+    of_v = sums_for(facts, problem, certificate.v)
+    yield certificate.v, of_v
+    largest = float(certificate.v.max(initial=0.0))
+    for share in NEAR_ONE:
+        factor = share / largest
+        if factor * largest > 0.0 and np.isfinite(factor):
+            mixed = ones + factor * certificate.v
+            yield mixed, sums_for(facts, problem, mixed)
+
+
+def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return a contraction found by iterating the row bound itself, or None.
+
+    The bound is monotone and homogeneous in v: its steps lead to the best weights there are, and where a step grows
+    in every row there are none.
+    """
+    v = np.ones(problem.n)
+    for _ in range(WEIGHT_STEPS):
+        sums = sums_for(facts, problem, v)
+        proof = contraction(facts, problem, v, sums)
+        if proof is not None:
+            return proof
+        grown = next_weights(facts, problem, v, sums)
+        if not np.isfinite(grown).all() or bool(np.all(grown > v * CLEARLY)):
+            return None
+        v = 0.5 * (v + grown)
+        v = v / v.max(initial=1e-300)
+        if not v.min(initial=1.0) > 0.0:
+            return None
+    return None
+
+
+def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    splitting: Any = facts.splitting
+    with np.errstate(all="ignore"):
+        found = theorem_4_1(scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray())
+    if found is None:
+        return None
+    return Guarantee(GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found)
+
+
+def _quick(problem: LCP, facts: IterationFacts) -> Guarantee | None:
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return None
+    v = np.ones(problem.n)
+    sums = unit_triangle_sums(problem.matrix) if facts.family != PROJECTED_SPLITTING else sums_for(facts, problem, v)
+    for step in range(QUICK_STEPS + 1):
+        proof = contraction(facts, problem, v, sums)
+        if proof is not None:
+            return _guaranteed(problem, facts, proof)
+        grown = next_weights(facts, problem, v, sums)
+        if step == QUICK_STEPS or not np.isfinite(grown).all() or facts.family == PROJECTED_SPLITTING:
+            return None
+        if facts.family == PROJECTED_TYPE and bool(np.all(grown > v * CLEARLY)):
+            remedy = f"{_scaling_remedy(facts)}, which is proven where M is an H₊-matrix"
+            return Guarantee(NOT_COVERED, "no weighted maximum norm contracts", remedy=remedy)
+        v = grown
+        sums = triangle_sums(problem.matrix, v)
+    return None
+
+
+
+def _is_h_plus(problem: LCP) -> bool:
+    from ..matrix import h_verdict
+
+    return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
+
+
+def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
+    from ..matrix import analyze
+
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
+        largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
+    theorem = positive_definite_theorem(facts, largest_sum)
+    if theorem is None:
+        return None
+    report = analyze(problem)
+    return theorem if report.is_symmetric and report.is_positive_definite else None
+
+
+def _paper_says(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family != PROJECTED_TYPE or facts.is_scaled:
+        return ""
+    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))[1]
+
+
+def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_SPLITTING:
+        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_SPLITTING}"
+    if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
+        return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
+    if _is_h_plus(problem):
+        return "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
+    if facts.family == PROJECTED_RELAXATION:
+        return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
+    return "M is not proven to be an H₊-matrix"
+
+
+def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
+    """Return what to change; followed literally, it is guaranteed wherever it names options."""
+    from ..matrix import analyze
+
+    if _is_h_plus(problem):
+        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
+            return _scaling_remedy(facts)
+        limit = "relaxation ≤ 1" if facts.family == MODULUS else _relaxation_limit(problem, facts)
+        limit = f"0 ≤ acceleration ≤ {limit}" if "acceleration" in options else limit
+        if facts.family == PROJECTED_RELAXATION:
+            return limit
+        return f"omega=1.0 and {limit}" if "relaxation" in options else "omega=1.0"
+    report = analyze(problem)
+    if has_positive_diagonal(problem.matrix).all() and report.is_symmetric and report.is_positive_definite:
+        return 'algorithm="psor": M is symmetric positive definite'
+    return 'nothing here is proven for this M; algorithm="auto" tries more than one'
+
+
+def _scaling_remedy(facts: IterationFacts) -> str:
+    alpha, beta = numbers(facts)
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return 'a splitting by name, with scaling="auto"'
+    inside = facts.family == PROJECTED_SPLITTING or 0.0 <= beta <= alpha
+    return 'scaling="auto"' + ("" if inside else " and 0 ≤ acceleration ≤ relaxation")
+
+
+def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
+    """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
+        largest = min(
+            float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
+        )
+    limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
+    return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

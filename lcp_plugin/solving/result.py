@@ -1,0 +1,307 @@
+"""What a run gives back: a status that is an advice, the answer, and the record of how it was found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..certificates.conditioning import estimated_error
+from ..certificates.residuals import Certificate, reference_residual
+from ..checks import FloatVector
+from ..errors import NotConverged
+from ..settings import PROVEN, Status
+from .error_watch import Bounded
+
+if TYPE_CHECKING:
+    from ..certificates.error_bounds import ErrorBound
+
+STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
+STIFF_SPREAD = 1e6
+FAR = 1e-2  # part of ‖z‖∞
+
+
+def status_of(proof: Any) -> Status:
+    """Return what a proof that there is no solution proves."""
+    from ..certificates.infeasibility import Infeasibility
+
+    return Status.INFEASIBLE if isinstance(proof, Infeasibility) else Status.NO_SOLUTION
+
+
+class StageRecord(NamedTuple):
+    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M, what it left open."""
+
+    name: str
+    because: str
+    iterations: int
+    work: float
+    remark: str = ""
+
+
+ON_ERROR = {
+    Status.SOLVED: "the error is proved to be within the tolerance",
+    Status.PRECISION_LIMIT: (
+        "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
+        "precision explains: accept z with the bound it has, or rescale the data"
+    ),
+    Status.STALLED: (
+        "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
+        "raise the tolerance, or try another algorithm or a better start z0"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One point of a run's history.
+
+    Attributes
+    ----------
+    iteration : int
+        0 is the projected start, after the set-up.
+    work : float
+        Matrix entries touched so far, divided by the nonzeros of M.
+    seconds : float
+        Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
+    residual : float or None
+        In the measure of the run; None in a callback at a step where nobody measured it.
+    label : str
+        The algorithm at work.
+    error_bound : float or None
+        A proved bound of ‖z − z*‖∞, where asked for. Above 100 000 unknowns it is seldom the sharpest there is: a
+        sharp one costs a linear solve, and is computed only once the run has cost as much.
+    """
+
+    iteration: int
+    work: float
+    seconds: float
+    residual: float | None
+    label: str = ""
+    error_bound: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The answer of a run, judged by its certificate.
+
+    Attributes
+    ----------
+    z, w : ndarray, shape (n,)
+        The best iterate and its slack M z + q, read-only.
+    status : Status
+        Derived from the certificate; where that does not pass, the reason why the run ended.
+    certificate : Certificate
+        All residuals of z on the caller's own data.
+    algorithm : str
+        What ran; for ``auto`` the chain of what it chose.
+    iterations, work, seconds, setup_seconds
+        Of the whole run; see :class:`Sample` for the units.
+    tolerance, tolerance_on, measure
+        As given to :func:`lcp_plugin.solve`.
+    history : tuple of Sample
+        Empty unless asked for with ``record=True``.
+    bounded : Bounded, or a function that returns it
+        The error bound, or how it is computed once somebody looks at it.
+    stages : tuple of StageRecord
+        What ran, in order; more than one for ``auto``.
+    infeasibility : Refutation or None
+        A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
+        ``measured(measure)`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
+        that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
+    """
+
+    z: FloatVector = field(repr=False)
+    w: FloatVector = field(repr=False)
+    status: Status
+    certificate: Certificate = field(repr=False)
+    algorithm: str
+    iterations: int
+    work: float
+    seconds: float
+    setup_seconds: float
+    tolerance: float
+    measure: str
+    history: tuple[Sample, ...] = field(default=(), repr=False)
+    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
+    infeasibility: Any = field(default=None, repr=False)
+    tolerance_on: str = "residual"
+    bounded: Bounded | Callable[[], Bounded] = field(default=Bounded(), repr=False)
+
+    @property
+    def error_bound(self) -> ErrorBound | None:
+        """The bound of the error where asked for and where M allows one; the first look at it computes it.
+
+        What that took stands in ``error_bound.seconds``, and not in the run's.
+        """
+        return self._bounded.bound
+
+    @property
+    def no_error_bound(self) -> str:
+        """The reason where a bound was asked for and there is none."""
+        return self._bounded.reason
+
+    @cached_property
+    def _bounded(self) -> Bounded:
+        return self.bounded() if callable(self.bounded) else self.bounded
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def residual(self) -> float:
+        """The residual in the measure of the run."""
+        return self.certificate.measured(self.measure)
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this run, in a sentence."""
+        advice = ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        if self.is_solved or self.is_refuted:
+            return advice
+        remarks = [stage.remark for stage in self.stages if stage.remark]
+        return "; ".join([*self._small_contradiction(), advice, *remarks])
+
+    @property
+    def is_refuted(self) -> bool:
+        """True where the status is INFEASIBLE or NO_SOLUTION."""
+        return self.status in PROVEN
+
+    def _small_contradiction(self) -> list[str]:
+        """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
+        if self.infeasibility is None or self.is_refuted:
+            return []
+        what = "infeasible" if status_of(self.infeasibility) is Status.INFEASIBLE else "without solution"
+        margin = self.infeasibility.measured(self.measure)
+        if margin > self.tolerance:
+            return [f"{what} beside its own data, but not beside those of the program that it was made from"]
+        return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
+
+    def require_solved(self) -> Result:
+        """Return this result, or raise where it is not solved.
+
+        Raises
+        ------
+        NotConverged
+            With the status, the residual reached and the advice.
+        """
+        if not self.is_solved:
+            raise NotConverged(
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self._reached()}; "
+                f"{self.advice}"
+            )
+        return self
+
+    def explain(self) -> str:
+        """Return the story of the run in a few lines."""
+        lines = [
+            f"{self.status.name}: {self.advice}.",
+            self._reached(),
+            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
+            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
+        ]
+        if len(self.stages) > 1:
+            total = sum(stage.work for stage in self.stages) or 1.0
+            lines += [
+                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work"
+                + (stage.because and f"; {stage.because}")
+                for stage in self.stages
+            ]
+        if self.is_solved:
+            lines += [f"the stored doubles are {small}" for small in self._small_contradiction()]
+        if self.infeasibility is not None:
+            lines.append(str(self.infeasibility))
+        if self.no_error_bound:
+            lines.append(f"no error bound: {self.no_error_bound}")
+        return "\n".join([*lines, *self._stiffness(), *self._complementarity()])
+
+    __str__ = explain
+
+    def _reached(self) -> str:
+        """Return what was reached beside what was asked for."""
+        residual = f"{self.measure} residual {self.residual:.3e}"
+        asked_on_error = self.tolerance_on == "error"
+        if self.error_bound is None:
+            what = "a relative error of " if asked_on_error else ""
+            return f"{residual}, asked for {what}{self.tolerance:.3e}"
+        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e})"
+        asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
+        bound, *proven = str(self.error_bound).splitlines()
+        return "\n".join([f"{residual}; {bound}{asked}", *proven])
+
+    def _stiffness(self) -> list[str]:
+        """Return a line where a small residual goes, or may go, with a much larger error."""
+        relative = self.certificate.relative_residual
+        if self.error_bound is not None:
+            factor = self.error_bound.relative / relative if relative > 0.0 else 0.0
+            if not factor > STIFF_FACTOR:
+                return []
+            further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
+            return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
+        spread = self.certificate.scale_spread
+        if not self.is_solved:
+            return []
+        if not spread > STIFF_SPREAD:
+            return self._far()
+        return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
+                "error; error_bound=True bounds it"]
+
+    def _far(self) -> list[str]:
+        """Return a line where the error may be a good part of z although the residual is small."""
+        certificate, problem = self.certificate, self.certificate.problem
+        if not hasattr(problem, "csr"):  # its rows are not all here
+            return []
+        residual = certificate.relative_residual * reference_residual(problem)
+        error = estimated_error(problem, self.z, self.w, residual)
+        size = float(np.abs(self.z).max(initial=0.0))
+        if error is None or not error > FAR * size:
+            return []
+        known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
+        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
+                f"‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
+
+    def _complementarity(self) -> list[str]:
+        """Return a line where z was accepted and a product of z and w is large."""
+        if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
+            return []
+        return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
+                'product counts, try another algorithm ("lemke" for a small problem) or a start z0 near a smaller z']
+
+    def to_json(self) -> str:
+        """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""
+        return json.dumps(self.to_content(), indent=2)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what :meth:`to_json` writes, as a dictionary."""
+        certificate = self.certificate
+        numbers: dict[str, Any] = {
+            "relative_residual": certificate.relative_residual,
+            "natural_residual": certificate.natural_residual,
+            "euclidean_residual": certificate.euclidean_residual,
+            "bound_violation": certificate.bound_violation,
+            "slack_violation": certificate.slack_violation,
+            "complementarity": certificate.complementarity,
+            "work": self.work,
+            "seconds": self.seconds,
+            "setup_seconds": self.setup_seconds,
+            "tolerance": self.tolerance,
+        }
+        if self.error_bound is not None:
+            numbers["error_bound"] = self.error_bound.infinity
+            numbers["relative_error_bound"] = self.error_bound.relative
+        return {
+            "status": self.status.name,
+            "advice": self.advice,
+            "algorithm": self.algorithm,
+            "n": certificate.problem.n,
+            "iterations": self.iterations,
+            "measure": self.measure,
+            "tolerance_on": self.tolerance_on,
+            **({} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}),
+            **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
+        }

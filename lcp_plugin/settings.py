@@ -130,6 +130,13 @@ def _flag(value: Any, name: str) -> bool:
     return bool(value)
 
 
+def checked_callback(callback: Any) -> CallersOwn | None:
+    """Return the caller's function as one that remembers what it raised, or None where there is none."""
+    if callback is not None and not callable(callback):
+        raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
+    return None if callback is None else CallersOwn(callback)
+
+
 class CallersOwn:
     """The caller's function, which remembers what it raised: that is no refusal of ours.
 

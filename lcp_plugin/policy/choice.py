@@ -130,6 +130,8 @@ class Policy(Protocol):
     """Chooses the first algorithm, and after each step whether another one takes over."""
 
     name: str
+    chosen: Any
+    """What the caller asked for: an algorithm, or "auto"."""
 
     def first(self, problem: LCP) -> Choice:
         """Return the algorithm to begin with."""
@@ -142,7 +144,7 @@ class Single:
     """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility."""
 
     def __init__(self, algorithm: Algorithm) -> None:
-        self.algorithm = algorithm
+        self.algorithm = self.chosen = algorithm
         self.name = algorithm.name
 
     def first(self, problem: LCP) -> Choice:
@@ -161,7 +163,7 @@ class Single:
 class Auto:
     """The tables of this module."""
 
-    name = "auto"
+    name = chosen = "auto"
 
     def __init__(self) -> None:
         self._direct: Iterator[Choice] | None = None

@@ -22,9 +22,7 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.evidence.curves", "lcp_plugin.evidence.drawing"),
     ("lcp_plugin.modeling.constraint", "lcp_plugin.modeling.model"),
     ("lcp_plugin.modeling.model", "lcp_plugin.modeling.registration"),
-    ("lcp_plugin.distributed.problem", "lcp_plugin.distributed.files"),
-    ("lcp_plugin.distributed.problem", "lcp_plugin.distributed.solving"),
-    ("lcp_plugin.distributed.guarantees", "lcp_plugin.distributed.solving"),
+    ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
 }
 FLOORS = 14
 HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")

@@ -61,8 +61,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `is_compiled` asks the driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual
-    are legal, and that the iterator ends by itself where nothing more can be done.
+    `is_compiled` asks the driver for a rehearsal off the clock; `runs_on_ranks` says that it takes rows that are spread
+    over the ranks of an MPI job, asking `problem.peers` for what other ranks know; `is_monotone` False says that rises
+    of the residual are legal, and that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -71,6 +72,7 @@ class Algorithm(ABC):
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     is_compiled: ClassVar[bool] = False
+    runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 
     @abstractmethod
@@ -172,7 +174,7 @@ def require_step(name: str, step: Any) -> None:
 
 @fact
 def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
+    """Return where the diagonal is positive and not too small to invert, shape (own,)."""
     with np.errstate(over="ignore", divide="ignore"):
         return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
@@ -180,20 +182,25 @@ def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
-    if not usable.all():
-        i = int(np.flatnonzero(~usable)[0])
-        raise UnsuitableMatrix(
-            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
-        )
+
+    def check() -> None:
+        if not usable.all():
+            i = int(np.flatnonzero(~usable)[0])
+            row = problem.first + i
+            raise UnsuitableMatrix(
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
+            )
+
+    problem.peers.together(check)
     return diagonal
 
 
 @fact
 def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (n,)."""
+    """Return the row splits of a sweep direction, shape (own,)."""
     from ..kernels import splitting_sweeps as kernels
 
-    return kernels.row_splits(matrix.csr, backward=backward)
+    return kernels.row_splits(matrix.csr_rows, backward=backward)
 
 
 def directions(sweep: str) -> tuple[bool, ...]:

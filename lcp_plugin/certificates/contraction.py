@@ -64,12 +64,13 @@ def inverse_residual_scale(matrix: Matrix) -> FloatVector:
 
 
 def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
-    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,); one pass over M.
+    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
 
-    With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
+    On several ranks v has shape (width,), and what others hold is part of U: no sweep has updated it. With a CSR array
+    `part`, shape (n, n), of its triangles instead of those of M.
     """
-    lower, upper = np.empty(matrix.n), np.empty(matrix.n)
-    M = matrix.csr if part is None else part
+    lower, upper = np.empty(matrix.own), np.empty(matrix.own)
+    M = matrix.csr_rows if part is None else part
     # One compiled signature for writable and read-only arrays.
     arrays = [array.view() for array in (M.indptr, M.indices, M.data, inverse_residual_scale(matrix), np.asarray(v))]
     for array in arrays:
@@ -86,7 +87,7 @@ def underflow(v: FloatVector, terms: int) -> float:
 @fact
 def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     """Return the triangle sums of v = 1."""
-    return triangle_sums(matrix, np.ones(matrix.n))
+    return triangle_sums(matrix, np.ones(matrix.width))
 
 
 def row_blocks(n: int) -> Iterator[slice]:

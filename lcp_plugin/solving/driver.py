@@ -113,7 +113,8 @@ def solve(
             with clock.paused(to_compile=True):
                 rehearse(None, problem)  # the judge
             run = _Run(problem, policy, settings, own, clock)
-            run.judge.errors.require_rigorous()
+            if settings.is_on_error:
+                run.judge.require_rigorous_bounds()
             warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
             with time_limit(settings.max_seconds):
                 reason = run.drive(start)
@@ -247,7 +248,7 @@ class _Run:
             if is_due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self.judge.measure(step.z) if residual is None else residual
-                bound = self.judge.errors.along_the_run(step.z, ledger.work)
+                bound = self.judge.bound_along_the_run(step.z, ledger.work)
                 ledger.samples.append(Sample(self.iteration, ledger.work, ledger.seconds, residual, name, bound))
         return wants_to_stop
 
@@ -265,5 +266,5 @@ class _Run:
             algorithm=ledger.name(self.policy.name), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
             stages=ledger.records(), infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.errors.final(certificate.z) if ledger.stages else Bounded(),
+            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else Bounded(),
         )

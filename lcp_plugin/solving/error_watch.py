@@ -43,7 +43,6 @@ class ErrorWatch:
         self.problem, self.settings = problem, settings
         self.next_cheap = self.last_residual = self.last_cheap = self.last_sharp = math.inf
         self.sharp_from = math.inf
-        self.is_wanted = bool(settings.error_bound or settings.is_on_error)
         self.sampled: ErrorBound | None = None  # the last sharp one for a sample
         self.last_sampled, self.sample_from = math.inf, float(SHARP_WORTH)
         self.proof: tuple[FloatVector, ErrorBound] | None = None
@@ -90,13 +89,11 @@ class ErrorWatch:
         return residual <= SHARP_EVERY * self.last_sharp
 
     def along_the_run(self, z: FloatVector, work: float) -> float | None:
-        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it, after so much work.
+        """Return a bound of ‖z − z*‖∞ where M allows it, after so much work.
 
         Where the cheap one is far above the residual, a sharp one is computed as often as the run can afford it. The
         point near z* that it knows bounds the error of the iterates that follow, too.
         """
-        if not self.is_wanted:
-            return None
         try:
             bound = self._bound(z, sharp=False)
         except UnsuitableMatrix:
@@ -126,9 +123,7 @@ class ErrorWatch:
         return bound.proves(self.settings.tolerance)
 
     def final(self, z: FloatVector) -> Bounded | Callable[[], Bounded]:
-        """Return how the bound of z is computed once somebody looks at it; nothing where none is wanted."""
-        if not self.is_wanted:
-            return Bounded()
+        """Return the bound of z, or how it is computed once somebody looks at it."""
         known = self.proof[1] if self.proof is not None and np.array_equal(self.proof[0], z) else None
         return Bounded(known) if known is not None and not known.is_loose else partial(_sharpest, self.problem, z)
 

@@ -14,8 +14,9 @@ from ..algorithms.rehearsal import rehearse
 from ..checks import FloatVector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..policy.choice import Choice, Policy, Stage, policy_for
+from ..policy.choice import Policy, policy_for
 from ..policy.pacing import CheckSchedule, Progress, reason_to_end
+from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
 from ..settings import CallersOwn, Settings, Status, checked_callback
 from .error_watch import Bounded

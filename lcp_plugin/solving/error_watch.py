@@ -11,6 +11,7 @@ import numpy as np
 
 from ..certificates.contraction import unit_triangle_sums
 from ..checks import FloatVector
+from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
 from ..problem.lcp import LCP
 from ..settings import Settings
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next cheap bound
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
-SAMPLED_UP_TO = 100_000  # unknowns with which a sharp bound takes half a second
 OUT_OF_STEP = 2.0
 
 
@@ -105,7 +105,7 @@ class ErrorWatch:
         least = bound.infinity
         if self.sampled is not None:
             least = min(least, float(self.sampled.carried_to(z).max(initial=0.0)))
-        is_affordable = self.problem.n <= SAMPLED_UP_TO or work >= self.sample_from
+        is_affordable = self.problem.n <= SHARP_SAMPLES_UP_TO or work >= self.sample_from
         if least > LOOSE * bound.residual and bound.residual <= SHARP_EVERY * self.last_sampled and is_affordable:
             self.last_sampled, self.sample_from = bound.residual, work + max(SHARP_WORTH, work / 2.0)
             self.sampled = self._bound(z, sharp=True)

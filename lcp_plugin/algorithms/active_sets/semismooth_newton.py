@@ -11,7 +11,7 @@ import numpy as np
 
 from ...checks import FloatVector
 from ...problem.lcp import LCP
-from ..base import Algorithm, Step, without_warnings
+from ..base import Algorithm, Step, direct_passes, without_warnings
 from .active_set import classify
 from .damped_newton import damped_steps
 from .newton_state import LARGE_PATIENCE, NewtonState
@@ -58,6 +58,10 @@ class Newton(Algorithm):
         "doi:10.1007/BF02592192"
     )
     is_monotone: ClassVar[bool] = False
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of a direct answer."""
+        return direct_passes(problem)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the best z so far, once a factorisation; end where nothing more can be done."""

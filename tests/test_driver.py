@@ -220,6 +220,24 @@ def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.Monkey
     assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
 
 
+@pytest.mark.parametrize(
+    "place", ["driver.policy_for", "driver.checked_start", "driver.Judge.final", "driver.Judge.verdict"]
+)
+def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
+    clock = FakeClock(monkeypatch)
+    path, _, name = f"lcp_plugin.solving.{place}".rpartition(".")
+    owner = pkgutil.resolve_name(path)
+    original = getattr(owner, name)
+
+    def slow(*arguments: Any, **named: Any) -> Any:
+        clock.now += 7.0
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, slow)
+    assert solve(TWO, "npsor").seconds == 7.0
+
+
 def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a callback takes is not the algorithm's time, but it counts against max_seconds."""
     clock = FakeClock(monkeypatch)

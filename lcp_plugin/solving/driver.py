@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -104,11 +106,11 @@ def solve(
         )
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
+    clock = Clock()
     with np.errstate():  # Ctrl-C that hits one further down while it ends leaves its settings behind
         policy = policy_for(algorithm, options)
         settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
-        own = checked_callback(callback)
-        clock, start = Clock(), checked_start(problem, z0)
+        own, start = checked_callback(callback), checked_start(problem, z0)
         run: _Run | None = None
         try:
             with clock.paused(to_compile=True):
@@ -117,7 +119,7 @@ def solve(
             if settings.is_on_error:
                 run.judge.require_rigorous_bounds()
             warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
-            with time_limit(settings.max_seconds):
+            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
                 reason = run.drive(start)
             return run.judged(start, reason)
         except KeyboardInterrupt:
@@ -133,10 +135,14 @@ class _Run:
     ) -> None:
         self.problem, self.policy, self.settings, self.callback, self.clock = problem, policy, settings, callback, clock
         self.judge, self.incumbent, self.ledger = Judge(problem, settings), Incumbent(), Ledger()
-        self.checks = CheckSchedule(self.judge.per_increment, settings.tolerance)
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
         self._next_sample = 0
+
+    @cached_property
+    def checks(self) -> CheckSchedule:
+        """When to measure what the algorithm does not tell."""
+        return CheckSchedule(self.judge.per_increment, self.settings.tolerance)
 
     def drive(self, start: FloatVector) -> Status:
         """Run the chain of algorithms; return why it ended."""

@@ -128,7 +128,7 @@ class _Fixed:
     values: FloatVector
 
     def put_back(self, z: Any) -> None:
-        z[self.indices] = _like(self.values, z)
+        z[self.indices] = like(self.values, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +145,8 @@ class _Separate:
     upper: FloatVector
 
     def put_back(self, z: Any) -> None:
-        rest = _like(self.offset, z).copy()
-        np.add.at(rest, self.row, _like(self.entry, z) * z[self.column])
+        rest = like(self.offset, z).copy()
+        np.add.at(rest, self.row, like(self.entry, z) * z[self.column])
         if z.dtype == object:
             for k, i in enumerate(self.indices):
                 z[i] = _one_unknown(Fraction(self.diagonal[k]), rest[k], self.lower[k], self.upper[k])
@@ -344,6 +344,6 @@ def _lowest_bit(values: FloatVector) -> Indices:
     return np.where(whole == 0, 0, lowest + exponent - 53).astype(np.int64)
 
 
-def _like(values: FloatVector, z: Any) -> Any:
+def like(values: FloatVector, z: Any) -> Any:
     """Return doubles as they are, or as Fractions beside a z of Fractions."""
     return np.array([Fraction(v) for v in values.tolist()], dtype=object) if z.dtype == object else values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,13 +21,11 @@ from ..matrix.definiteness import (
 )
 from ..problem.lcp import LCP
 from .checked import asymmetry_of, attach_origin, checked_matrix, checked_vector, symmetric
+from .constraints import Constraints, FoldedRows, fold_simple_rows
 from .convexity import refuse_nonconvex
+from .qp_certificates import proof_of_no_minimum
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
-from .qp_units import Units
-from .simple_rows import FoldedRows, fold_simple_rows
-
-if TYPE_CHECKING:
-    from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 INFINITE_LIMIT = 1e20  # the convention of file formats
@@ -111,12 +109,7 @@ class QuadraticProgram:
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(below, above)
-        data = {
-            "P": P, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
-            "lower": below, "upper": above, "asymmetry": asymmetry, "ranges": None,
-        }
-        for name, value in data.items():
-            object.__setattr__(self, name, value)
+        self._keep(P=P, c=vector, G=rows, h=limits, A=equations, b=right, lower=below, upper=above, asymmetry=asymmetry)
 
     @classmethod
     def from_ranges(
@@ -161,7 +154,7 @@ class QuadraticProgram:
             _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
         )
         ranges = RangeRows(m, np.concatenate([above, below]), equal, above.size)
-        object.__setattr__(program, "ranges", ranges)
+        program._keep(ranges=ranges)
         return program
 
     @property
@@ -180,8 +173,6 @@ class QuadraticProgram:
 
         It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
         """
-        from .qp_certificates import proof_of_no_minimum
-
         return proof_of_no_minimum(self)
 
     def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
@@ -190,9 +181,21 @@ class QuadraticProgram:
         return proof if proof is not None and proof.excludes(tolerance) else None
 
     @cached_property
-    def units(self) -> Units:
-        """The sizes of the data in which residuals are judged."""
-        return Units.of(self)
+    def constraints(self) -> Constraints:
+        """All constraints as rows of one matrix, with the units in which they are judged."""
+        return Constraints.of(self)
+
+    def with_rows(
+        self, G: Any, h: FloatVector, A: Any, b: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> QuadraticProgram:
+        """Return the program with other constraints, which are not checked."""
+        made = object.__new__(QuadraticProgram)
+        made._keep(P=self.P, c=self.c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+        return made
+
+    def _keep(self, **data: Any) -> None:
+        for name, value in data.items():
+            object.__setattr__(self, name, value)
 
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
@@ -283,12 +286,12 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
         solver = positive_definite_solver(program.P)
     if form == "auto":
         is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
-        form = "direct" if not rows.count else "dual" if is_dual else "kkt"
+        form = "direct" if not rows.left.size else "dual" if is_dual else "kkt"
     if form == "direct":
-        if rows.count:
+        if rows.left.size:
             raise UnsuitableProblem(
-                f'form="direct" needs a program with bounds only, but {rows.count} rows of G and A have more than one '
-                'nonzero (or contradict one another); use form="dual" or form="kkt"'
+                f'form="direct" needs a program with bounds only, but {rows.left.size} rows of G and A have more than '
+                'one nonzero (or contradict one another); use form="dual" or form="kkt"'
             )
         direct = DirectForm(program, rows)
         return attach_origin(direct.problem(), direct)
@@ -372,11 +375,11 @@ def _with_infinities(limit: FloatVector) -> FloatVector:
 
 def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
     """Whether the dual problem is no larger than the KKT one, no large dense matrix, and not clearly insoluble."""
-    if not rows.count:
+    if not rows.left.size:
         return False
     size = DualForm.size(rows)
-    is_small = size <= rows.count + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
-    return is_small and not rows.contradict(program)
+    is_small = size <= rows.left.size + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
+    return is_small and not rows.contradict()
 
 
 def _checked_rows(

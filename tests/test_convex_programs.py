@@ -15,12 +15,10 @@ from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
-from lcp_plugin.conversions.convexity import is_shown_convex
-from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.qp_solution import QPSolution
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.exact.rational import solved_nearby
 from lcp_plugin.modeling.model import build
 from lcp_plugin.modeling.qp_attempts import solve_quadratic_program
@@ -310,7 +308,7 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
         P = scale * (B.T @ B)
         P = np.maximum(P, P.T)
         problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
-        assert is_shown_convex(problem.origin.program)
+        assert problem.origin.program.is_shown_convex
         solution = problem.origin.recover(solve(problem, tolerance=1e-12))
         assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
         assert solution.is_stationary(1e-6) or scale > 1.0

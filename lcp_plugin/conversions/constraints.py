@@ -15,7 +15,7 @@ from ..exact.rounding import compensated_product
 from .presolve import like
 
 if TYPE_CHECKING:
-    from .quadratic_program import QuadraticProgram
+    from .program import QuadraticProgram
 
 Indices = NDArray[np.intp]
 

@@ -22,7 +22,7 @@ from .constraints import FoldedRows, activity, fold_simple_rows, largest_entries
 from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
 if TYPE_CHECKING:
-    from .quadratic_program import QuadraticProgram
+    from .program import QuadraticProgram
 
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 300_000

@@ -18,7 +18,7 @@ from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
 
 if TYPE_CHECKING:
-    from .quadratic_program import QuadraticProgram
+    from .program import QuadraticProgram
 
 FORMS = ("direct", "dual", "kkt")
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default

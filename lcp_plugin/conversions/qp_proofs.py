@@ -16,7 +16,7 @@ from ..exact.rational import ZERO, Row, Vector, products, rational_rows, transpo
 from .constraints import Constraints, constraint_tolerance, dual_unit
 
 if TYPE_CHECKING:
-    from .quadratic_program import QuadraticProgram
+    from .program import QuadraticProgram
 
 EPSILON = 2.0**-52
 

@@ -13,11 +13,10 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem
 from .checked import checked_vector
 from .constraints import constraint_tolerance, dual_unit, enclosed_sum
-from .convexity import is_shown_convex
 
 if TYPE_CHECKING:
+    from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
-    from .quadratic_program import QuadraticProgram
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,11 +159,7 @@ class QPSolution:
         InvalidOption
             Where the tolerance is no number ≥ 0.
         """
-        return self.is_stationary(tolerance) and self._is_shown_convex
-
-    @cached_property
-    def _is_shown_convex(self) -> bool:
-        return is_shown_convex(self.program)
+        return self.is_stationary(tolerance) and self.program.is_shown_convex
 
     def is_stationary(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.

@@ -265,7 +265,7 @@ class _Reduction:
     def _moved_into_q(self, indices: Indices, values: FloatVector) -> NDArray[np.bool_]:
         """Add the columns times the values to q; return which of them could be added without rounding."""
         block = sp.coo_array(self.given.matrix.csc[:, indices])
-        acts = self.alive[block.row] & (block.row != indices[block.col])
+        acts = self.alive[block.row] & (block.row != indices[block.col]) & (values[block.col] != 0.0)
         entries = (block.data * acts, (block.row, block.col))
         columns = sp.csr_array(entries, shape=block.shape)
         usable = np.ones(indices.size, dtype=bool)

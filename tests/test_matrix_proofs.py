@@ -29,11 +29,11 @@ from lcp_plugin.matrix.definiteness import (
     positive_definite_solver,
     symmetric_part,
 )
-from lcp_plugin.matrix.equilibration import row_numbers, scaled, scaling_exponents
-from lcp_plugin.matrix.factorisation import positive_pivot_factor, sparse_lu
+from lcp_plugin.matrix.equilibration import scaled, scaling_exponents
+from lcp_plugin.matrix.factors import positive_factor, sparse_lu
 from lcp_plugin.matrix.h_matrix import _centred, _joined, is_nonpositive, positive_margin
 from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.matrix.structure import row_excess_signs, scale_spread
+from lcp_plugin.matrix.structure import row_excess_signs, row_numbers, scale_spread
 from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 
 property_test = settings(deadline=None, max_examples=150)
@@ -252,9 +252,9 @@ def test_solvers_take_vectors_and_matrices(build: type, diagonal_only: bool) -> 
 @pytest.mark.parametrize("first", [1.0, 26.0])
 def test_pivots_stay_on_the_diagonal(first: float) -> None:
     """A definite matrix is factorised without exchanges, also where a pivot is smaller than what stands beside it."""
-    factor = positive_pivot_factor(sp.csc_array([[first, 5.0], [5.0, 27.0 - first]]))
+    factor = positive_factor(sp.csc_array([[first, 5.0], [5.0, 27.0 - first]]))
     assert factor is not None
-    assert positive_pivot_factor(sp.csc_array([[first, 5.5], [5.5, 27.0 - first]])) is None
+    assert positive_factor(sp.csc_array([[first, 5.5], [5.5, 27.0 - first]])) is None
 
 
 def test_explicit_zeros_do_not_count_for_the_rank() -> None:

@@ -14,15 +14,15 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..locks import Lock
-from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
-from .factorisation import diagonal_pivot_factor, factor_fits
+from .equilibration import Exponents, scaled, scaling_exponents, times_power
+from .factors import factor_fits, solver_of
 from .matrix import Matrix, fact
+from .structure import row_numbers
 from .symmetry import is_symmetric_entrywise
 
 Solver = Callable[[FloatVector], FloatVector]
 BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 
-DENSE_LIMIT = 300
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
 
@@ -91,7 +91,7 @@ class ComparisonMatrix:
             self._multigrid_failed = True
         with self._lock.held():
             if self._whole is None:
-                self._whole = direct_solver(self.matrix)
+                self._whole = _direct_solver(self.matrix)
         return None if self._whole is None else _finite(self._whole(rhs))
 
     def _solve_part(self, part: Any, rhs: FloatVector, tolerance: float) -> FloatVector | None:
@@ -104,7 +104,7 @@ class ComparisonMatrix:
             x = krylov(block, rhs, cycle, tolerance, self.is_symmetric, KRYLOV_STEPS)
             if x is not None:
                 return x
-        solver = direct_solver(block)
+        solver = _direct_solver(block)
         return None if solver is None else _finite(solver(rhs))
 
     def preconditioner(self) -> Solver:
@@ -162,19 +162,8 @@ def comparison_solve(
     return None if x is None else comparison.to_caller(x)
 
 
-def direct_solver(matrix: Any) -> Solver | None:
-    """Return rhs ↦ matrix⁻¹ rhs by LAPACK or sparse LU, or None where it is singular or too large for that."""
-    if not factor_fits(matrix):
-        return None
-    if matrix.shape[0] <= DENSE_LIMIT:
-        import scipy.linalg.lapack
-
-        lu, pivots, info = scipy.linalg.lapack.dgetrf(matrix.toarray())
-        if info != 0:
-            return None
-        return lambda rhs: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, rhs)[0])
-    factor = diagonal_pivot_factor(matrix)
-    return None if factor is None else lambda rhs: np.asarray(factor.solve(rhs))
+def _direct_solver(matrix: Any) -> Solver | None:
+    return solver_of(matrix) if factor_fits(matrix) else None
 
 
 def hierarchy(matrix: Any) -> Any:

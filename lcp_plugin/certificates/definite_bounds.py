@@ -146,9 +146,9 @@ def _proven_bound(part: Any, blur: float) -> float | None:
         factor = positive_factor(shifted)
         if factor is not None:
             rounding = _rounding(shifted, factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
-            value: float = (shift - rounding - blur) / OUTWARD
+            value = (shift - rounding - blur) / OUTWARD
             if value > 0.0:
-                return value
+                return float(value)
     return None
 
 
@@ -158,7 +158,7 @@ def _rounding(matrix: Any, factor: PositiveFactor) -> float:
         return _factor_error(factor.superlu)
     n = matrix.shape[0]
     trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
-    return 1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW
+    return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
 
 
 def _factor_error(factor: Any) -> float:

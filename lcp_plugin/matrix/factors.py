@@ -108,15 +108,19 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     return Factor("Cholesky", lambda right: lapack.dpotrs(factor, right, lower=1)[0], n**3 / 6.0, float(n * n))
 
 
-def dense_lu(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
-    """Return P A = L U of a dense matrix with partial pivoting, or None where a pivot is zero."""
+def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
+    """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
+
+    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A.
+    """
     from scipy.linalg import lapack
 
     n = matrix.shape[0]
-    factor, pivots, info = lapack.dgetrf(matrix.T, overwrite_a=overwrite)
+    factor, pivots, info = lapack.dgetrf(matrix if by_columns else matrix.T, overwrite_a=overwrite)
     if info != 0:
         return None
-    return Factor("LU", lambda right: lapack.dgetrs(factor, pivots, right, trans=1)[0], n**3 / 3.0, float(n * n))
+    trans = 0 if by_columns else 1
+    return Factor("LU", lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0], n**3 / 3.0, float(n * n))
 
 
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
@@ -207,7 +211,7 @@ def solver_of(matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL) -> Cal
         Rows up to which a sparse matrix is factorised as a dense one, with partial pivoting.
     """
     if not sp.issparse(matrix) or matrix.shape[0] <= dense_up_to:
-        factor: Any = dense_lu(matrix.toarray() if sp.issparse(matrix) else matrix)
+        factor: Any = dense_lu(matrix.toarray() if sp.issparse(matrix) else matrix, by_columns=True)
     else:
         factor = diagonal_pivot_factor(matrix)
     return None if factor is None else factor.solve

@@ -17,14 +17,14 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..exact.upward import sum_above
 from ..matrix import analyze
-from ..matrix.comparison import hierarchy, krylov, shared_comparison, v_cycle
+from ..matrix.comparison import LinearSystem, shared_comparison
 from ..matrix.factors import factor_fits, solver_of
 from ..problem.lcp import LCP
 from .row_inequality import BoolVector, RowInequality, distance_above
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
-KRYLOV_STEPS = 60
+KRYLOV_STEPS = 60  # where there is no hierarchy
 ITERATIVE_TOLERANCE = 1e-2
 
 Solver = Callable[[FloatVector], FloatVector]
@@ -90,11 +90,10 @@ def _solver(problem: LCP, free: BoolVector) -> Solver:
 
 def _multigrid_solver(problem: LCP, block: Any) -> Solver:
     """Return the solver of a large system with a Z-matrix; its hierarchy serves for several right-hand sides."""
-    cycle = v_cycle(hierarchy(block))
-    is_symmetric = shared_comparison(problem.matrix).is_symmetric
+    system = LinearSystem(block, shared_comparison(problem.matrix).is_symmetric)
 
     def solve(rhs: FloatVector) -> FloatVector:
-        solution = krylov(block, rhs, cycle, ITERATIVE_TOLERANCE, is_symmetric, KRYLOV_STEPS)
+        solution = system.iterated(rhs, ITERATIVE_TOLERANCE)
         return np.full(rhs.shape, np.nan) if solution is None else solution
 
     return solve

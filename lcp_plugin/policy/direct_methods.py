@@ -34,7 +34,7 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the second table."""
     from ..algorithms.search import is_searchable
     from ..algorithms.search.stages import ExhaustiveSearch, FeasibilityCheck
-    from ..matrix.factorisation import factor_fits
+    from ..matrix.factors import factor_fits
 
     reduced = presolve(problem)
     left = reduced.problem

@@ -16,6 +16,7 @@ from ...matrix import analyze
 from ...problem.lcp import LCP
 from ...solving.driver import solve
 from ..gallery import build
+from .multigrid import require_pyamg
 
 TARGET_RATIO = 1.5
 TARGET_SHARPNESS = 2.0
@@ -49,9 +50,9 @@ def _laplacian(size: int) -> Iterator[str]:
     near: FloatVector = solve(problem, tolerance=1e-6, max_iterations=200).z
     M, rhs = sp.csr_matrix(problem.csr), -np.ones(problem.n)
 
-    def linear_solve() -> None:
-        import pyamg
+    pyamg = require_pyamg()
 
+    def linear_solve() -> None:
         pyamg.ruge_stuben_solver(M).solve(rhs, tol=1e-8, accel="cg")
 
     def bounded(sharp: bool) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from ..curves import write_text
+from ..exporting import write_text
 from .machine import machine
 from .plan import Part
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import re
@@ -13,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import LCPError
-from ..curves import COLUMNS, Curve, Report, csv_text, finite_content, write_text
-from ..drawing import COLOURS, styled
+from ..curves import Curve, Report
+from ..drawing import COLOURS, svg
+from ..exporting import csv_text, finite_content, write_text
 from ..performance_profile import Profile, performance_profile
-from ..sketches import draw_sketch
+from ..pictures import draw_sketch
 from .collect import Collected
 from .machine import machine
 from .plan import TOO_LONG_FOR_QUICK
@@ -83,27 +83,10 @@ def _template() -> Any:
 
 
 def figure_svg(figure: Any, name: str, description: str) -> Any:
-    """Return a figure as SVG to stand inside a page: every id with the name before it, so that none meets another's."""
-    from markupsafe import Markup, escape
-    from matplotlib import rc_context
+    """Return a figure as SVG to stand inside a page."""
+    from markupsafe import Markup
 
-    buffer = io.StringIO()
-    with styled(), rc_context({"svg.hashsalt": name}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg"):]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = re.sub(r"url\(#", f"url(#{name}-", text)
-    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
-    text = re.sub(r' d="[^"]*"', lambda path: _rounded(path[0]), text)
-    return Markup(text.replace("<svg", f'<svg role="img" aria-label="{escape(description)}"', 1))
-
-
-def _rounded(path: str) -> str:
-    """Return a path with its coordinates to a hundredth of a point, on one line."""
-    return re.sub(r"\s*\n", "", re.sub(r"(\.\d\d)\d+", r"\1", path))
+    return Markup(svg(figure, name, description))
 
 
 # --- Scenes ---------------------------------------------------------------------------------------------------
@@ -245,7 +228,7 @@ def _tally(cells: Sequence[Any]) -> dict[str, Any] | None:
 
 def _write_tables(collected: Collected, reports: Sequence[Report], profiles: Sequence[Profile], folder: Path) -> None:
     rows = [row for report in reports for row in report.rows()]
-    write_text(folder / "curves.csv", csv_text(COLUMNS, rows))
+    write_text(folder / "curves.csv", csv_text(Report.columns, rows))
     left_out = [(report.title, *entry) for report in reports for entry in report.left_out]
     write_text(folder / "left_out.csv", csv_text(("scene", "what", "reason"), left_out))
     for profile in profiles:

@@ -133,7 +133,7 @@ def _hash(scene: str | Scene) -> str:
 def _scene(name: str, given: str | Scene, effort: Effort, say: SAY) -> dict[str, Any]:
     from ..contestants import comparison
     from ..error_against_time import best_answer, error_against_time
-    from ..sketches import sketch_of
+    from ..pictures import sketch_of
 
     scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
@@ -167,7 +167,7 @@ def _dominance(problem: Any) -> float:
 
 def _check(text: str, effort: Effort, say: SAY) -> dict[str, Any]:
     from ..cross_check import cross_validate
-    from ..curves import finite_content
+    from ..exporting import finite_content
 
     problem = parse(text).problem
     outcome = cross_validate(problem, max_seconds=effort.reference_seconds)
@@ -181,7 +181,7 @@ def _check(text: str, effort: Effort, say: SAY) -> dict[str, Any]:
 
 
 def _tables(say: SAY) -> dict[str, Any]:
-    from ..curves import finite_content
+    from ..exporting import finite_content
     from ..paper_tables import cells
 
     return {"cells": [finite_content(asdict(cell)) for cell in cells()]}

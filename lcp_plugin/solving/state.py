@@ -11,7 +11,7 @@ import numpy as np
 
 from ..algorithms import Step
 from ..checks import FloatVector
-from ..policy.choice import Stage
+from ..policy.stages import Stage
 from .result import Sample, StageRecord
 
 

@@ -220,6 +220,24 @@ def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.Monkey
     assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
 
 
+@pytest.mark.parametrize(
+    "place", ["driver.policy_for", "driver.checked_start", "driver.Judge.final", "driver.Judge.verdict"]
+)
+def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
+    clock = FakeClock(monkeypatch)
+    path, _, name = f"lcp_plugin.solving.{place}".rpartition(".")
+    owner = pkgutil.resolve_name(path)
+    original = getattr(owner, name)
+
+    def slow(*arguments: Any, **named: Any) -> Any:
+        clock.now += 7.0
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, slow)
+    assert solve(TWO, "npsor").seconds == 7.0
+
+
 def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a callback takes is not the algorithm's time, but it counts against max_seconds."""
     clock = FakeClock(monkeypatch)
@@ -528,7 +546,7 @@ def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: py
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
     assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
-    monkeypatch.setattr("lcp_plugin.solving.error_watch.SAMPLED_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.solving.error_watch.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
     assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound

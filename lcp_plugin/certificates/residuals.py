@@ -92,7 +92,11 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
-        certificate = cls(problem, problem.own_part(z))
+        if problem.is_distributed or type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+            z = problem.own_part(z)
+        else:
+            z = read_only(z.copy())
+        certificate = cls(problem, z)
         if problem.is_distributed:
             certificate._measure_at_once()
         return certificate

@@ -41,7 +41,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: HasFacts, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the value, computed where nobody has asked before."""
         key = (self, *args)
         try:
@@ -53,12 +53,20 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
                 value = matrix._facts[key]
         return value
 
-    def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
+    def is_known(self, matrix: HasFacts, *args: Hashable) -> bool:
         """Return whether it was asked for before."""
         return (self, *args) in matrix._facts
 
 
-class Matrix:
+class HasFacts:
+    """What facts are kept with, under a lock of its own."""
+
+    def __init__(self) -> None:
+        self._facts: dict[Hashable, Any] = {}
+        self._lock = Lock()
+
+
+class Matrix(HasFacts):
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
     It is its own rows and its peers, the processes that hold the others; usually it is whole, and there are none.
@@ -90,7 +98,7 @@ class Matrix:
         self.peers: Peers = ALONE
         self.n: int = self.rows.shape[0]
         self.own: int = self.n
-        self._begin()
+        super().__init__()
 
     @classmethod
     def of_own_rows(cls, rows: sp.csr_array, peers: Peers) -> Matrix:
@@ -98,13 +106,9 @@ class Matrix:
         matrix = object.__new__(cls)
         matrix._csr, matrix._dense, matrix.peers, matrix.own = rows, None, peers, rows.shape[0]
         matrix.n = int(peers.total(matrix.own))
-        matrix._begin()
+        HasFacts.__init__(matrix)
         matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
         return matrix
-
-    def _begin(self) -> None:
-        self._facts: dict[Hashable, Any] = {}
-        self._lock = Lock()
 
     @property
     def width(self) -> int:
@@ -206,7 +210,7 @@ class Matrix:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._begin()
+        super().__init__()
         # Unpickled arrays are writable again.
         if self._dense is not None:
             self._dense.flags.writeable = False

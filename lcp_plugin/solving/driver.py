@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ from ..algorithms.rehearsal import rehearse
 from ..checks import FloatVector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..policy.choice import Choice, Policy, Stage, policy_for
+from ..policy.choice import Policy, policy_for
 from ..policy.pacing import CheckSchedule, Progress, reason_to_end
+from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
 from ..settings import CallersOwn, Settings, Status, checked_callback
 from .error_watch import Bounded
@@ -98,9 +101,9 @@ def solve(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
-    peers = problem.peers
+    peers, clock = problem.peers, Clock(problem.peers)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(), peers.interruptions() as is_interrupted:
+    with np.errstate(), peers.interruptions() as clock.hears:
         policy, settings, own, start = peers.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed),
             Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound),
@@ -108,15 +111,15 @@ def solve(
         ))
         asked = policy.chosen, settings
         peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
-        clock = Clock(peers, is_interrupted)
         run: _Run | None = None
         try:
             with clock.paused(to_compile=True):
                 rehearse(None, problem)  # the judge
             run = _Run(problem, policy, settings, own, clock)
-            run.judge.errors.require_rigorous()
+            if settings.is_on_error:
+                run.judge.require_rigorous_bounds()
             warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
-            with time_limit(settings.max_seconds):
+            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
                 reason = run.drive(start)
             return run.judged(start, reason)
         except KeyboardInterrupt:
@@ -134,11 +137,15 @@ class _Run:
     ) -> None:
         self.problem, self.policy, self.settings, self.callback, self.clock = problem, policy, settings, callback, clock
         self.judge, self.incumbent, self.ledger = Judge(problem, settings), Incumbent(), Ledger()
-        self.checks = CheckSchedule(self.judge.per_increment, settings.tolerance)
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
         self._is_watched = settings.record or not problem.peers.everywhere(callback is None)
         self._next_sample = 0
+
+    @cached_property
+    def checks(self) -> CheckSchedule:
+        """When to measure what the algorithm does not tell."""
+        return CheckSchedule(self.judge.per_increment, self.settings.tolerance)
 
     def drive(self, start: FloatVector) -> Status:
         """Run the chain of algorithms; return why it ended."""
@@ -253,7 +260,7 @@ class _Run:
             if is_due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self.judge.measure(step.z) if residual is None else residual
-                bound = self.judge.errors.along_the_run(step.z, ledger.work)
+                bound = self.judge.bound_along_the_run(step.z, ledger.work)
                 ledger.samples.append(Sample(self.iteration, ledger.work, ledger.seconds, residual, name, bound))
         return wants_to_stop
 
@@ -277,5 +284,5 @@ class _Run:
             algorithm=ledger.name(self.policy.name), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
             stages=ledger.records(), infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.errors.final(certificate.z) if ledger.stages else Bounded(),
+            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else Bounded(),
         )

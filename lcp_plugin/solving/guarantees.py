@@ -36,7 +36,8 @@ from ..certificates.theorems import PAPER, positive_definite_theorem, theorem_4_
 from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.matrix import Matrix, fact
-from ..policy.choice import Policy, Single, last_resort, policy_for
+from ..policy.choice import Policy, Single, policy_for
+from ..policy.direct_methods import last_resort
 from ..problem.lcp import LCP
 
 NEAR_ONE = (0.05, 1.0)

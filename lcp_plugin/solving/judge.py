@@ -31,7 +31,7 @@ class Judge:
     def __init__(self, problem: LCP, settings: Settings) -> None:
         self.problem, self.settings = problem, settings
         self.reference = reference_residual(problem)
-        self.errors = ErrorWatch(problem, settings)
+        self.errors = ErrorWatch(problem, settings) if settings.error_bound or settings.is_on_error else None
         self.proof: Any = None
         self._certificate: Certificate | None = None
 
@@ -66,11 +66,20 @@ class Judge:
 
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
-        if not self.settings.is_on_error:
+        if self.errors is None or not self.settings.is_on_error:
             return bool(residual <= self.settings.tolerance)
         if self.settings.measure == "euclidean":  # another norm, in another unit
             residual = Certificate.of(self.problem, z).relative_residual
         return self.errors.proves(z, residual * self.reference, iteration)
+
+    def require_rigorous_bounds(self) -> None:
+        """Raise where the run stops on the error and M allows no rigorous bound of it."""
+        if self.errors is not None:
+            self.errors.require_rigorous()
+
+    def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
+        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
+        return None if self.errors is None else self.errors.along_the_run(z, work)
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether the residual of z is no larger than rounding explains."""
@@ -93,7 +102,7 @@ class Judge:
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
-        if self.errors.proof is not None:  # in another measure it need not be the best
+        if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
             z = self.errors.proof[0]
         everywhere, certificate = self.problem.peers.everywhere, self._certificate
         if certificate is None or not everywhere(np.array_equal(certificate.z, z)):
@@ -107,7 +116,7 @@ class Judge:
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""
-        if self.settings.is_on_error:
+        if self.errors is not None and self.settings.is_on_error:
             is_solved = self.errors.is_proved(certificate.z)
         else:
             is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance

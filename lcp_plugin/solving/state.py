@@ -12,7 +12,7 @@ import numpy as np
 from ..algorithms import Step
 from ..checks import FloatVector
 from ..peers.alone import Peers
-from ..policy.choice import Stage
+from ..policy.stages import Stage
 from .result import Sample, StageRecord
 
 
@@ -25,19 +25,22 @@ class Clock:
     ----------
     elapsed : float
         Seconds that count against the limit, up to the last reading.
+    hears : callable
+        Tells whether this rank was asked to end by Ctrl-C.
     is_interrupted : bool
-        Whether a rank wished to end before the last reading.
+        Whether one of them was, before the last reading.
     """
 
-    def __init__(self, peers: Peers, is_interrupted: Callable[[], bool]) -> None:
+    def __init__(self, peers: Peers) -> None:
         self._began = time.perf_counter()
         self._paused = self._compiling = self.elapsed = 0.0
-        self._peers, self._hears, self.is_interrupted = peers, is_interrupted, False
+        self._peers, self.is_interrupted = peers, False
+        self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         wall = time.perf_counter() - self._began
-        read = wall - self._paused, wall - self._compiling, self._hears()
+        read = wall - self._paused, wall - self._compiling, self.hears()
         seconds, self.elapsed, wishes = self._peers.all_largest(*read)
         self.is_interrupted = bool(wishes)
         return seconds

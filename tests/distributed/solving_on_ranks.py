@@ -312,11 +312,12 @@ def what_needs_all_rows_says_so(comm: Any) -> None:
     problem = LCP.from_problem(mixed(), comm)
     for call in (
         analyze, all_solutions, convergence_guarantee, lambda p: p.to_qp(), lambda p: p.M, lambda p: p.csr,
-        lambda p: LCP.from_problem(p, comm), prepare,
+        lambda p: LCP.from_problem(p, comm),
     ):
         with pytest.raises(UnsuitableProblem, match="spread over") as caught:
             call(problem)
         assert len(set(comm.allgather(str(caught.value).removeprefix("rank 0: ")))) == 1
+    assert solve(prepare(problem)).is_solved
 
 
 @check(3)

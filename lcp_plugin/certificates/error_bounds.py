@@ -21,8 +21,8 @@ from ..matrix import HCertificate, comparison_certificate, comparison_solve
 from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
-from .residuals import scaled_residual
 from .row_inequality import BoolVector, RowInequality
+from .row_residuals import scaled_residual
 
 SMALL = 1000  # up to here every stage is cheap
 REFINEMENTS = 5
@@ -174,30 +174,6 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         else:
             found = _definite_bound(problem, z, sharp)
     return replace(found, seconds=time.perf_counter() - began)
-
-
-def v_bound(problem: LCP, z: FloatVector, certificate: HCertificate) -> FloatVector:
-    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone; one pass over M, always rigorous.
-
-    Parameters
-    ----------
-    problem : LCP
-    z : array, shape (n,)
-        ∞ is returned where it is not finite.
-    certificate : HCertificate
-        Of this M.
-
-    Examples
-    --------
-    >>> from lcp_plugin.matrix import comparison_certificate
-    >>> problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem.matrix)).tolist()
-    [0.0, 0.0]
-    """
-    if not np.isfinite(z).all():
-        return np.full(problem.n, np.inf)
-    with np.errstate(all="ignore"):
-        return _v_bound(RowInequality.at(problem, z), certificate)
 
 
 def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:

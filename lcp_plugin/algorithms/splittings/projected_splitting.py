@@ -11,7 +11,8 @@ import scipy.sparse as sp
 
 from ...certificates.contraction import triangle_sums, unit_triangle_sums
 from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
-from ...certificates.residuals import euclidean_norm, scaled_residual
+from ...certificates.residuals import euclidean_norm
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...matrix.factors import sparse_lu

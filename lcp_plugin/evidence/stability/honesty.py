@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...exact.rounding import compensated_product
 from ...problem.exactly import exact_slack

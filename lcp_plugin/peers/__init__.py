@@ -35,8 +35,8 @@ many rows, and more is lost near a free boundary.
 every rank; ``error_bound=True`` turns it into a rigorous bound. ``Certificate.of`` and ``error_bound`` take such a
 problem as any other.
 
-**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks, as
-well as PETSc's binary files with M, q, lower, upper. ``LCP.from_problem`` cuts a whole problem into equal parts.
+**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks,
+and PETSc's binary files with M, q, lower, upper. ``LCP.from_problem`` cuts a whole problem into equal parts.
 
 **Failures:** bad input is refused on every rank and told once; a rank that dies or raises ends the job.
 

@@ -40,9 +40,10 @@ class Clock:
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         wall = time.perf_counter() - self._began
-        read = wall - self._paused, wall - self._compiling, self.hears()
-        seconds, self.elapsed, wishes = self._peers.all_largest(*read)
-        self.is_interrupted = bool(wishes)
+        seconds, self.elapsed = wall - self._paused, wall - self._compiling
+        if not self._peers.is_alone:
+            seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
+            self.is_interrupted = wishes > 0.0
         return seconds
 
     @contextmanager

@@ -26,10 +26,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, real_vector
-from ..errors import InvalidOption
+from ..checks import FloatVector
 from ..problem.lcp import LCP
 from .contraction import (
     Case,
@@ -101,7 +99,8 @@ class Guarantee:
     theorem : str
         The theorem and its source, or what stands in the way.
     rate : float or None
-        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x where `speaks_of` is "x".
+        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x where `speaks_of` is "x". So
+        |z_k − z*| ≤ c/(1 − c) ‖z_k − z_{k−1}‖_v v, in exact arithmetic.
     v : array, shape (n,), or None
         The weights of that norm, positive.
     remedy : str
@@ -125,38 +124,6 @@ class Guarantee:
     def is_guaranteed(self) -> bool:
         """True where convergence is proven."""
         return self.verdict == GUARANTEED
-
-    @property
-    def has_contraction_bound(self) -> bool:
-        """True where :meth:`contraction_bound` can be asked."""
-        return self.rate is not None and self.v is not None and self.speaks_of == "z"
-
-    def contraction_bound(self, z_new: ArrayLike, z_old: ArrayLike) -> FloatVector:
-        """Return c/(1 − c) ‖z_k − z_{k−1}‖_v v ≥ |z_k − z*| for two consecutive iterates, shape (n,).
-
-        It holds for iterates in exact arithmetic; those of a run carry rounding errors of their own.
-
-        Parameters
-        ----------
-        z_new, z_old : array, shape (n,)
-            z_k and z_{k−1}.
-
-        Raises
-        ------
-        InvalidOption
-            Where there is no rate of z.
-        """
-        if self.rate is None or self.v is None or self.speaks_of != "z":
-            raise InvalidOption(
-                f"a contraction bound needs a guarantee with a rate of z, got {self.verdict!r} with rate {self.rate} "
-                f"of {self.speaks_of}; use error_bound instead"
-            )
-        step = np.abs(real_vector(z_new, "z_new", self.v.size) - real_vector(z_old, "z_old", self.v.size))
-        with np.errstate(over="ignore"):
-            largest = float(np.max(step / self.v, initial=0.0))
-            factor = self.rate / (1.0 - self.rate) * (1.0 + 2.0**-48)
-            bound: FloatVector = factor * largest * self.v
-        return bound
 
     def __str__(self) -> str:
         speed = ""

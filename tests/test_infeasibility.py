@@ -23,8 +23,8 @@ from lcp_plugin.certificates.infeasibility import (
     margin_with_rounding,
 )
 from lcp_plugin.certificates.residuals import reference_residual
-from lcp_plugin.exact.integers import integers
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
+from lcp_plugin.exact.rational import integers
 from lcp_plugin.problem.exactly import exact_slack, farkas_margin, is_exact_solution
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..exact.integers import Rational
+from ..exact.rational import Rational
 from ..exact.rounding import compensated_product, lower_end, upper_end
 from ..matrix.structure import row_numbers
 from ..problem.exactly import slack_bounds

@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, solved_nearby, transposed_product
+from ..exact.linear_systems import solved_nearby
+from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
 from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, is_feasible, is_recession
 from .quadratic_program import QuadraticProgram
 from .simple_rows import OWN, FoldedRows, activity, fold_simple_rows

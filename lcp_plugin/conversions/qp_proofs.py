@@ -12,8 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..exact.integers import rounded_down
-from ..exact.rational import ZERO, Row, Vector, products, rational_rows, transposed_product
+from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
 from .qp_units import constraint_tolerance
 from .quadratic_program import QuadraticProgram
 

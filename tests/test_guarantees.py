@@ -24,14 +24,15 @@ from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.algorithms.splittings.automatic_scaling import automatic_factors
 from lcp_plugin.algorithms.splittings.projected_splitting import NPSplitting
-from lcp_plugin.certificates.contraction import triangle_sums
 from lcp_plugin.certificates.convergence import PROJECTED_RELAXATION, IterationFacts
-from lcp_plugin.certificates.method_3_1 import theorem_4_1
-from lcp_plugin.certificates.spectral_radius import nonnegative_radius, radius_above_one
+from lcp_plugin.certificates.divergence import radius_above_one
+from lcp_plugin.certificates.theorems import theorem_4_1
 from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.matrix import analyze
+from lcp_plugin.matrix.row_sums import triangle_sums
+from lcp_plugin.matrix.spectral_radius import nonnegative_radius
 from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 

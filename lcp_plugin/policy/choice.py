@@ -36,13 +36,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..algorithms import Algorithm, Step, create
-from ..algorithms.base import has_positive_diagonal
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..certificates.infeasibility import contradictory_row
 from ..checks import FloatVector
 from ..conversions.presolve import Presolved, presolve
 from ..errors import InvalidOption, UnknownAlgorithm
+from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 2, 3

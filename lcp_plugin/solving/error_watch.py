@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..certificates.contraction import unit_triangle_sums
 from ..checks import FloatVector
 from ..errors import UnsuitableMatrix
+from ..matrix.row_sums import unit_triangle_sums
 from ..problem.lcp import LCP
 from ..settings import Settings
 

@@ -20,9 +20,8 @@ from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram
 from ..settings import Status
 from ..solving.result import Result
-from .hooks import accompany
 from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
-from .user_terms import FAR, Claim
+from .user_terms import FAR, Claim, accompany
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal

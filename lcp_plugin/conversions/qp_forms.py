@@ -134,12 +134,9 @@ class DualForm(QPOrigin):
 
     form = "dual"
 
-    @classmethod
-    def with_solver(cls, program: QuadraticProgram, rows: FoldedRows, solver: Solver) -> DualForm:
-        """Return the form with the factorisation that proved P positive definite."""
-        made = cls(program, rows)
-        made.__dict__["_solve"] = solver
-        return made
+    def keep_solver(self, solver: Solver) -> None:
+        """Use the factorisation that proved P positive definite."""
+        self.__dict__["_solve"] = solver
 
     @staticmethod
     def size(rows: FoldedRows) -> int:

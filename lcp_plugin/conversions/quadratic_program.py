@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,8 +24,10 @@ from .checked import asymmetry_of, attach_origin, checked_vector
 from .constraints import FoldedRows, fold_simple_rows
 from .program import QuadraticProgram, refuse_nonconvex
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
+from .qp_solution import QPSolution
+from .substitution import Substitution, substitute_definitions
 
-__all__ = ["QuadraticProgram", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 
@@ -150,23 +154,59 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     if form == "auto":
         is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
         form = "direct" if not rows.left.size else "dual" if is_dual else "kkt"
-    if form == "direct":
-        if rows.left.size:
-            raise UnsuitableProblem(
-                f'form="direct" needs a program with bounds only, but {rows.left.size} rows of G and A have more than '
-                'one nonzero (or contradict one another); use form="dual" or form="kkt"'
-            )
-        direct = DirectForm(program, rows)
-        return attach_origin(direct.problem(), direct)
-    if form == "kkt":
-        kkt = KKTForm(program, rows)
-        return attach_origin(kkt.problem(), kkt)
-    if solver is None:
+    if form == "direct" and rows.left.size:
+        raise UnsuitableProblem(
+            f'form="direct" needs a program with bounds only, but {rows.left.size} rows of G and A have more than one '
+            'nonzero (or contradict one another); use form="dual" or form="kkt"'
+        )
+    if form == "dual" and solver is None:
         raise UnsuitableMatrix(
             'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
         )
-    dual = DualForm.with_solver(program, rows, solver)
-    return attach_origin(dual.problem(), dual)
+    origin = {"direct": DirectForm, "kkt": KKTForm, "dual": DualForm}[form](program, rows)
+    if isinstance(origin, DualForm) and solver is not None:
+        origin.keep_solver(solver)
+    return attach_origin(origin.problem(), origin)
+
+
+class Attempt(NamedTuple):
+    """A complementarity problem that states a program, the way back, and why it is tried."""
+
+    problem: LCP
+    substitution: Substitution | None
+    because: str
+
+    def recover(self, answer: Any) -> QPSolution:
+        """Return the program's solution that an answer of the problem stands for."""
+        solution: QPSolution = self.problem.origin.recover(answer)
+        return solution if self.substitution is None else self.substitution.recover(solution)
+
+
+def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iterator[Attempt]:
+    """Yield the forms in which a convex program is worth solving, the most promising first.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+    needs_diagonal : bool
+        Whether the method cannot run on the zeros of the form "kkt": then the dual form where P allows it.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
+    >>> [attempt.because for attempt in attempts(program)]
+    ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
+    """
+    substitution = substitute_definitions(program)
+    smaller = program if substitution is None else substitution.reduced
+    problem = optimality_conditions(smaller)
+    if problem.origin.form == "kkt" and needs_diagonal:
+        with suppress(UnsuitableMatrix):
+            problem = optimality_conditions(smaller, "dual")
+    form = f"the {problem.origin.form} form"
+    yield Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")
+    if substitution is not None or problem.origin.form == "dual":
+        yield Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

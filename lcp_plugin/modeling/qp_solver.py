@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,14 +16,20 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from ..checks import FloatVector
+from ..conversions.program import refuse_nonconvex
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import QuadraticProgram
+from ..conversions.quadratic_program import QuadraticProgram, attempts
+from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status
-from ..solving.result import Result
-from .qp_attempts import ended_by_caller, kkt_goal, solve_quadratic_program
+from ..solving.driver import solve as solve_lcp
+from ..solving.result import Result, Sample, StageRecord
 from .user_terms import FAR, Claim, accompany
 
+KKT_TOLERANCE = 1e-6
+TIGHTER = 1e-4
+PROVES_ITSELF = "feasibility"  # the stage that looks for a proof on the complementarity problem
+ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
@@ -196,6 +203,95 @@ def _status(
     if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
         return str(settings.OPTIMAL)
     return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)
+
+
+def solve_quadratic_program(
+    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
+    **options: Any,
+) -> tuple[Result, QPSolution]:
+    """Return the run and the answer with the smallest residuals in the program's own terms.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex; merely convex and linear programs included.
+    algorithm, tolerance, **options
+        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
+        and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
+        As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
+        one, it ends them too, and the run is INTERRUPTED.
+
+    guess : array, optional
+        An earlier run's z: the start where it has the right length.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    """
+    refuse_nonconvex(program)
+    goal, own_callback = kkt_goal(tolerance), options.pop("callback", None)
+    best: tuple[Result, QPSolution] | None = None
+    stages: tuple[StageRecord, ...] = ()
+    refusal: Exception | None = None
+
+    def callback(sample: Sample, z: FloatVector) -> bool:
+        is_told = own_callback is not None and bool(own_callback(sample, z))
+        return is_told or (sample.label == PROVES_ITSELF and program.refutation(goal) is not None)
+
+    for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
+        problem = attempt.problem
+        for factor in (1.0, TIGHTER):
+            start = {"z0": guess} if guess is not None and guess.size == problem.n else {}
+            try:
+                result = solve_lcp(
+                    problem, algorithm, tolerance=factor * tolerance, callback=callback, **{**start, **options}
+                )
+            except (UnsuitableMatrix, UnsuitableProblem) as error:
+                refusal = refusal or error
+                break
+            stages = _chained(stages, result.stages, attempt.because)
+            solution = attempt.recover(result)
+            if best is None or _error(solution) < _error(best[1]):
+                best = replace(result, stages=stages), solution
+            if solution.is_stationary(goal) or ended_by_caller(result, options):
+                return best
+            guess = result.z
+            options.pop("z0", None)
+            if not result.is_solved:  # a smaller tolerance would change nothing
+                if program.refutation(goal) is not None:
+                    return best
+                break
+    if best is None:
+        raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
+    return best
+
+
+def _chained(
+    before: tuple[StageRecord, ...], stages: tuple[StageRecord, ...], because: str
+) -> tuple[StageRecord, ...]:
+    """Return the stages of all attempts so far; what is asked of a later one, its first stage says."""
+    if not before or not stages:
+        return before + stages
+    first = stages[0]._replace(because=f"{because}; {stages[0].because}" if stages[0].because else because)
+    return (*(stage._replace(remark="") for stage in before), first, *stages[1:])
+
+
+def kkt_goal(tolerance: float) -> float:
+    """Return the size of a program's own residuals that is called optimal at this tolerance of the run."""
+    return max(KKT_TOLERANCE, 10.0 * tolerance)
+
+
+def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
+    """Return whether a limit that the caller set, or the caller, ended the run."""
+    limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
+    return result.status is Status.INTERRUPTED or limits.get(result.status) in options
+
+
+def _error(solution: QPSolution) -> float:
+    error = max(solution.residual, solution.row_residual)
+    return math.inf if math.isnan(error) else error
 
 
 QPSolver = _LCPQuadraticSolver()

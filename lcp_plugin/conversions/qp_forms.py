@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked_answer
 from ..errors import UnsuitableMatrix
 from ..matrix.definiteness import Solver, is_diagonal, positive_definite_solver
 from ..problem.lcp import LCP
-from .checked import checked_answer
 from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
 

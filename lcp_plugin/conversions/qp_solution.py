@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .checked import checked_vector
 from .constraints import constraint_tolerance, dual_unit, enclosed_sum
 
 if TYPE_CHECKING:

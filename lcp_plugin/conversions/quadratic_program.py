@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import DENSE_UP_TO_SIZE
+from ..checks import DENSE_UP_TO_SIZE, checked_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..matrix.definiteness import (
     Solver,
@@ -20,9 +20,8 @@ from ..matrix.definiteness import (
     positive_definite_solver,
 )
 from ..problem.lcp import LCP
-from .checked import asymmetry_of, attach_origin, checked_vector
 from .constraints import FoldedRows, fold_simple_rows
-from .program import QuadraticProgram, refuse_nonconvex
+from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
 from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
 from .qp_solution import QPSolution
 from .substitution import Substitution, substitute_definitions
@@ -166,7 +165,9 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     origin = {"direct": DirectForm, "kkt": KKTForm, "dual": DualForm}[form](program, rows)
     if isinstance(origin, DualForm) and solver is not None:
         origin.keep_solver(solver)
-    return attach_origin(origin.problem(), origin)
+    problem = origin.problem()
+    problem.origin = origin
+    return problem
 
 
 class Attempt(NamedTuple):

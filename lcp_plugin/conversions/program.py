@@ -25,26 +25,6 @@ LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest ei
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
 
-@dataclass(frozen=True, eq=False)
-class RangeRows:
-    """Which rows l ≤ a x ≤ u became which: G holds the rows with a finite u, then those with a finite l, negated.
-
-    Attributes
-    ----------
-    count : int
-        Number of rows that were given.
-    inequalities, equalities : ndarray of int
-        For each row of G and of A the row it comes from.
-    upper_count : int
-        How many rows of G come from an upper limit.
-    """
-
-    count: int
-    inequalities: Any
-    equalities: Any
-    upper_count: int
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class QuadraticProgram:
     """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
@@ -66,6 +46,8 @@ class QuadraticProgram:
     ----------
     asymmetry : float
         max |p_ij − p_ji| of the P that was given.
+    ranges : CSR array or None
+        Of a program made by `from_ranges`: what the multipliers of G and A are times to be those of the given rows.
 
     Raises
     ------
@@ -90,7 +72,7 @@ class QuadraticProgram:
     lower: FloatVector
     upper: FloatVector
     asymmetry: float = field(default=0.0)
-    ranges: RangeRows | None = field(default=None, repr=False)
+    ranges: Any = field(default=None, repr=False)
 
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
@@ -141,14 +123,13 @@ class QuadraticProgram:
         check_order(low, high)
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
-        equal = np.flatnonzero(is_equality)
+        equal, identity, sides = np.flatnonzero(is_equality), sp.eye_array(m, format="csr"), above.size + below.size
+        picked = sp.vstack([identity[above], -identity[below], identity[equal]], format="csr")
         program = cls(
-            P, c, sp.vstack([rows[above], -rows[below]], format="csr"), np.concatenate([high[above], -low[below]]),
-            rows[equal], low[equal],
+            P, c, picked[:sides] @ rows, np.concatenate([high[above], -low[below]]), picked[sides:] @ rows, low[equal],
             _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
         )
-        ranges = RangeRows(m, np.concatenate([above, below]), equal, above.size)
-        program._keep(ranges=ranges)
+        program._keep(ranges=picked.T)
         return program
 
     @property

@@ -10,21 +10,17 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import DENSE_UP_TO_SIZE, checked_vector
+from ..checks import checked_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..matrix.definiteness import (
-    Solver,
-    condition_estimate,
-    is_diagonal,
-    is_semidefinite_to_rounding,
-    positive_definite_solver,
-)
+from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..problem.lcp import LCP
-from .constraints import FoldedRows, fold_simple_rows
+from .constraints import fold_simple_rows
 from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
-from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
+from .qp_forms import FORMS, DualForm
 from .qp_solution import QPSolution
 from .substitution import Substitution, substitute_definitions
+
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
@@ -147,24 +143,10 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
     rows = fold_simple_rows(program)
-    solver: Solver | None = None
-    if form == "dual" or (form == "auto" and _dual_is_small(program, rows)):
-        solver = positive_definite_solver(program.P)
+    dual = DualForm(program, rows)
     if form == "auto":
-        is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
-        form = "direct" if not rows.left.size else "dual" if is_dual else "kkt"
-    if form == "direct" and rows.left.size:
-        raise UnsuitableProblem(
-            f'form="direct" needs a program with bounds only, but {rows.left.size} rows of G and A have more than one '
-            'nonzero (or contradict one another); use form="dual" or form="kkt"'
-        )
-    if form == "dual" and solver is None:
-        raise UnsuitableMatrix(
-            'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
-        )
-    origin = {"direct": DirectForm, "kkt": KKTForm, "dual": DualForm}[form](program, rows)
-    if isinstance(origin, DualForm) and solver is not None:
-        origin.keep_solver(solver)
+        form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
+    origin = dual if form == "dual" else FORMS[form](program, rows)
     problem = origin.problem()
     problem.origin = origin
     return problem
@@ -270,12 +252,3 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
         A=M[free], b=-q[free], lower=lower, upper=upper,
     )
-
-
-def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
-    """Whether the dual problem is no larger than the KKT one, no large dense matrix, and not clearly insoluble."""
-    if not rows.left.size:
-        return False
-    size = DualForm.size(rows)
-    is_small = size <= rows.left.size + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
-    return is_small and not rows.contradict()

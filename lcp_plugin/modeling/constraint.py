@@ -214,17 +214,7 @@ class Complements(Constraint):  # type: ignore[misc]
         """Return False: complementarity is not convex."""
         return False
 
-    def is_dgp(self, dpp: bool = False) -> bool:
-        """Return False."""
-        return False
-
-    def is_dqcp(self) -> bool:
-        """Return False."""
-        return False
-
-    def is_dnlp(self) -> bool:
-        """Return False."""
-        return False
+    is_dgp = is_dqcp = is_dnlp = is_dcp
 
     def parameters(self) -> list[Any]:
         """Return the parameters of both sides, those of the bounds of a box included."""

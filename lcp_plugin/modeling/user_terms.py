@@ -99,10 +99,8 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
     limit = claim.tolerance
     if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
-    for constraint in problem.constraints:
-        violation = float(_violation(constraint).max(initial=0.0))
-        if not violation <= limit and not violation <= limit * _size(_expression(constraint)):
-            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
+    if (violated := _violated(problem, limit, limit)) is not None:
+        return violated
     for variable in problem.variables():
         entries = _dense(leaf_value(variable))
         miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
@@ -154,10 +152,17 @@ def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
             goal, claimed = _goal(problem), sign * float(point.opt_val)
             if goal > claimed and not goal - claimed <= claim.tolerance * _size(problem.objective.args[0]):
                 return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
-            for constraint in problem.constraints:
-                violation = float(_violation(constraint).max(initial=0.0))
-                if violation > ROUNDING and not violation <= claim.tolerance * _size(_expression(constraint)):
-                    return f"its constraint {name_of(constraint)} is violated by {violation:.3g} on the ray"
+            if (violated := _violated(problem, ROUNDING, claim.tolerance)) is not None:
+                return f"{violated} on the ray"
+    return None
+
+
+def _violated(problem: Any, least: float, tolerance: float) -> str | None:
+    """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
+    for constraint in problem.constraints:
+        violation = float(_violation(constraint).max(initial=0.0))
+        if not violation <= least and not violation <= tolerance * _size(_expression(constraint)):
+            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
 
 

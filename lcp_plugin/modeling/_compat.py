@@ -90,6 +90,7 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
     if not any(map(sp.issparse, values)):
         return node.numeric(values)
     if _multiplies_sparse(node, values):
+        # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
         return values[0] @ values[1]
     if isinstance(node, TRANSPOSE):
         return values[0].T
@@ -105,19 +106,14 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
     if isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
         return node.numeric([sp.csr_matrix(value) for value in values])
-    if isinstance(node, KEEP_SPARSE):
+    if isinstance(node, KEEP_SPARSE) and all(value.ndim <= 2 for value in values):
         return node.numeric(values)
     return node.numeric([dense(value) for value in values])
 
 
 def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
     """Return the atom's value where variables enter: as large as its result, which is dense anyway."""
-    # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
-    if _multiplies_sparse(node, values):
-        value = values[0] @ values[1]
-    else:
-        value = node.numeric([dense(value) for value in values])
-    result: NDArray[Any] = dense(shaped(node, value))
+    result: NDArray[Any] = dense(shaped(node, constant_numeric(node, values)))
     return result
 
 

@@ -98,12 +98,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
         result, qp = solution.result, solution.solution
-        attributes = {
-            settings.SOLVE_TIME: result.seconds,
-            settings.SETUP_TIME: result.setup_seconds,
-            settings.NUM_ITERS: result.iterations,
-            settings.EXTRA_STATS: result,
-        }
+        attributes = statistics(result)
         if solution.status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.infeasibility is None else str(result.infeasibility)
             return failure_solution(solution.status, attributes)
@@ -115,13 +110,20 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return the multipliers in the layout that this version of cvxpy wants."""
         if self.EQ_CONSTR not in inverse_data:
             return {self.DUAL_VAR_ID: np.concatenate([qp.equality, qp.inequality])}
-        equalities = utilities.get_dual_values(
-            qp.equality, utilities.extract_dual_value, inverse_data[self.EQ_CONSTR]
-        )
-        inequalities = utilities.get_dual_values(
-            qp.inequality, utilities.extract_dual_value, inverse_data[self.NEQ_CONSTR]
-        )
-        return {**equalities, **inequalities}
+        duals: dict[Any, Any] = {}
+        for values, constraints in ((qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)):
+            duals |= utilities.get_dual_values(values, utilities.extract_dual_value, inverse_data[constraints])
+        return duals
+
+
+def statistics(result: Result) -> dict[str, Any]:
+    """Return what cvxpy keeps of a run besides its values."""
+    return {
+        settings.SOLVE_TIME: result.seconds,
+        settings.SETUP_TIME: result.setup_seconds,
+        settings.NUM_ITERS: result.iterations,
+        settings.EXTRA_STATS: result,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,31 +146,27 @@ class Answer:
             The way back to the user's variables.
         """
         proof, program = self.result.infeasibility, self.solution.program
-        zero = np.zeros(program.n)
+        rows = program.constraints
+
+        def inverted(x: FloatVector, y: FloatVector) -> Solution:
+            solution = QPSolution(program, x, *rows.split(y))
+            return invert(Answer(self.result, solution, settings.OPTIMAL, self.goal))
+
         if isinstance(proof, QPInfeasibility):
-            rows, y = program.constraints, numbers(proof.multipliers)
-            largest = np.abs(y).max(initial=0.0)
-            value = -float(y[y != 0.0] @ rows.limit[y != 0.0]) / largest
-            inequality, equality, _, _ = rows.split(y / largest)
-            multipliers = QPSolution(program, zero, inequality, equality, zero, zero)
-            return Claim(unpacked, self.goal, (invert(self._with(multipliers)), value))
+            y = numbers(proof.multipliers)
+            y /= np.abs(y).max(initial=0.0)
+            value = -float(y[y != 0.0] @ rows.limit[y != 0.0])
+            y[rows.rows :] = 0.0  # cvxpy knows no multipliers of bounds
+            return Claim(unpacked, self.goal, (inverted(np.zeros(program.n), y), value))
         if isinstance(proof, QPUnboundedness):
             point, direction = numbers(proof.point), numbers(proof.direction)
             step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
-            ray = [point + k * step * direction for k in range(3)]
-            return Claim(unpacked, SAME * self.goal, points=tuple(invert(self._with(self._at(x))) for x in ray))
+            ray = (inverted(point + k * step * direction, np.zeros(rows.limit.size)) for k in range(3))
+            return Claim(unpacked, SAME * self.goal, points=tuple(ray))
         if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
             return None  # a limit came first: the values are the best so far, and nobody claims anything
         errors = (self.goal, self.solution.residual, self.solution.row_residual)
         return Claim(unpacked, SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors))))
-
-    def _at(self, x: FloatVector) -> QPSolution:
-        program = self.solution.program
-        zero = np.zeros(program.n)
-        return QPSolution(program, x, np.zeros(program.h.size), np.zeros(program.b.size), zero, zero)
-
-    def _with(self, solution: QPSolution) -> Answer:
-        return Answer(self.result, solution, settings.OPTIMAL, self.goal)
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:

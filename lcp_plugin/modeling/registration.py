@@ -23,7 +23,7 @@ from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
 from .builder import Builder, Model
 from .constraint import Complements, box, complements
-from .qp_solver import QPSolver
+from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
 
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
@@ -239,13 +239,7 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     status = CVXPY_STATUS.get(result.status)
     if status is None:
         raise SolverError(f"{result.status.name}: {result.advice}")
-    attributes = {
-        settings.SOLVE_TIME: result.seconds,
-        settings.SETUP_TIME: result.setup_seconds,
-        settings.NUM_ITERS: result.iterations,
-        settings.EXTRA_STATS: result,
-    }
-    duals = model.duals(result.z, result.w)
+    attributes, duals = statistics(result), model.duals(result.z, result.w)
     own = {constraint.id for constraint in problem.constraints}
     if status == settings.INFEASIBLE:
         problem.unpack(Solution(status, np.inf, {}, {}, attributes))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-from ..problem.files import checked_path, write_whole
+import numpy as np
+
+from ..errors import InvalidOption
+from ..problem.files import checked_path
+from .drawing import Line, draw_errors, save
+from .exporting import AnyPath, Exported, finite_content, number
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -18,10 +19,7 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-COLUMNS = (
-    "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
-    "error_kind", "error", "residual",
-)
+AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
 
 
 class Point(NamedTuple):
@@ -97,6 +95,13 @@ class Curve:
         """Iterations until the answer."""
         return self.points[-1].iteration
 
+    def line(self, against: str) -> Line:
+        """Return what a figure shows of it: errors against seconds with their spread, or against passes."""
+        _, work, seconds, low, high, error, _ = map(np.array, zip(*self.points, strict=True))
+        if against == "work":
+            return Line(self.label, self.family, np.maximum(work, 1.0), error, self.is_solved)
+        return Line(self.label, self.family, seconds, error, self.is_solved, (low, high))
+
 
 @dataclass(frozen=True)
 class ReferencePoint:
@@ -110,7 +115,7 @@ class ReferencePoint:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Exported):
     """Error against time and work of several algorithms on one problem.
 
     Attributes
@@ -133,6 +138,11 @@ class Report:
         What this problem does not need or cannot have.
     """
 
+    columns: ClassVar = (
+        "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
+        "error_kind", "error", "residual",
+    )
+
     title: str
     description: str
     n: int
@@ -151,7 +161,7 @@ class Report:
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
-        curves = [_curve_content(curve) for curve in self.curves]
+        curves = [asdict(curve) | {"points": [list(point) for point in curve.points]} for curve in self.curves]
         content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
         return content
 
@@ -168,20 +178,6 @@ class Report:
         given["left_out"] = tuple((what, reason) for what, reason in given["left_out"])
         return cls(**given)
 
-    def to_json(self, path: str | PathLike[str] | None = None) -> str:
-        """Return everything as JSON text, and write it to `path` where one is given."""
-        text = json.dumps(self.to_content(), indent=1, ensure_ascii=False)
-        if path is not None:
-            write_text(path, text)
-        return text
-
-    def to_csv(self, path: str | PathLike[str] | None = None) -> str:
-        """Return one line a point as CSV text, and write it to `path` where one is given."""
-        text = csv_text(COLUMNS, self.rows())
-        if path is not None:
-            write_text(path, text)
-        return text
-
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row a point, in the columns of the CSV; a reference has neither iteration nor work."""
         rows: list[tuple[Any, ...]] = [
@@ -195,7 +191,7 @@ class Report:
                          reference.error, reference.residual))
         return rows
 
-    def plot(self, path: str | PathLike[str] | None = None, *, against: str = "seconds") -> Any:
+    def plot(self, path: AnyPath | None = None, *, against: str = "seconds") -> Any:
         """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
 
         Parameters
@@ -206,12 +202,18 @@ class Report:
 
         Raises
         ------
+        InvalidOption
+            Where `against` is something else.
         LCPError
             Where matplotlib is not installed.
         """
-        from .drawing import draw_curves, save
-
-        figure = draw_curves(self, against)
+        if not isinstance(against, str) or against not in AXES:
+            raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
+        timed = against == "seconds"
+        marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
+        level = self.tolerance if self.error_kind == RESIDUAL else None
+        lines = [curve.line(against) for curve in self.curves]
+        figure = draw_errors(lines, marks, (AXES[against], AXIS_LABELS[self.error_kind]), level)
         if path is not None:
             save(figure, checked_path(path))
         return figure
@@ -228,40 +230,6 @@ class Report:
         return "\n".join([*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)])
 
 
-def _curve_content(curve: Curve) -> dict[str, Any]:
-    return asdict(curve) | {"points": [list(point) for point in curve.points]}
-
-
 def _curve(content: Mapping[str, Any]) -> Curve:
     points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
     return Curve(content["label"], content["family"], content["status"], points, content["note"])
-
-
-def finite_content(value: Any) -> Any:
-    """Return the value with every number that JSON does not know replaced by None, tuples as lists."""
-    if isinstance(value, Mapping):
-        return {key: finite_content(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_content(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def number(value: float | None) -> float:
-    """Return the value, NaN for None."""
-    return math.nan if value is None else float(value)
-
-
-def csv_text(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
-    """Return a table as CSV text; floats keep all their digits."""
-    import io
-
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return buffer.getvalue()
-
-
-def write_text(path: str | PathLike[str], text: str) -> None:
-    """Write the whole file or nothing."""
-    write_whole({checked_path(path): lambda file: file.write(text.encode("utf-8"))})

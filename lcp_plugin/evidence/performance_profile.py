@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from os import PathLike
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from ..errors import InvalidOption
 from ..problem.files import checked_path
-from .curves import Curve, Report, csv_text, finite_content, write_text
+from .curves import Curve, Report
+from .drawing import Line, draw_shares, save
+from .exporting import AnyPath, Exported
 
 LEAST = {"work": 1.0, "seconds": 1e-9}
 """Less is not told apart: a run whose start is the answer counts one pass."""
 
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(Exported):
     """Cost of every algorithm on every problem, divided by the least on that problem.
 
     Attributes
@@ -33,6 +33,8 @@ class Profile:
         One row an algorithm, one entry a problem, ≥ 1; ∞ where it was not solved.
     """
 
+    columns: ClassVar = ("algorithm", "family", "scene", "by", "ratio")
+
     by: str
     labels: tuple[str, ...]
     families: tuple[str, ...]
@@ -46,35 +48,23 @@ class Profile:
         row = self.ratios[self.labels.index(label)]
         return sum(ratio <= within and ratio < math.inf for ratio in row) / len(row) if row else math.nan
 
-    def to_content(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it; ∞ becomes None."""
-        found: dict[str, Any] = finite_content(asdict(self))
-        return found
-
-    def to_json(self, path: str | PathLike[str] | None = None) -> str:
-        """Return everything as JSON text, and write it to `path` where one is given."""
-        text = json.dumps(self.to_content(), indent=1, ensure_ascii=False)
-        if path is not None:
-            write_text(path, text)
-        return text
-
-    def to_csv(self, path: str | PathLike[str] | None = None) -> str:
-        """Return one line an algorithm and problem as CSV text, and write it to `path` where one is given."""
-        rows: list[tuple[Any, ...]] = [
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row an algorithm and problem, in the columns of the CSV."""
+        return [
             (label, family, problem, self.by, ratio)
             for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
             for problem, ratio in zip(self.problems, row, strict=True)
         ]
-        text = csv_text(("algorithm", "family", "scene", "by", "ratio"), rows)
-        if path is not None:
-            write_text(path, text)
-        return text
 
-    def plot(self, path: str | PathLike[str] | None = None) -> Any:
+    def plot(self, path: AnyPath | None = None) -> Any:
         """Return a matplotlib figure, and save it where `path` is given."""
-        from .drawing import draw_profile, save
-
-        figure = draw_profile(self)
+        lines = [
+            Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
+            for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
+            for finite in [sorted(ratio for ratio in row if math.isfinite(ratio))]
+        ]
+        unit = {"work": "passes over M", "seconds": "seconds"}[self.by]
+        figure = draw_shares(lines, (f"{unit}, as a multiple of the best", "share of the problems solved"))
         if path is not None:
             save(figure, checked_path(path))
         return figure

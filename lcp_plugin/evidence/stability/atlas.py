@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
-from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,7 +23,7 @@ from ...errors import (
 from ...solving.driver import solve
 from ...solving.result import Result
 from ..contestants import checked_names
-from ..curves import write_text
+from ..exporting import Exported
 from .case import Case
 from .exact_answers import relative_error
 from .honesty import lie_in
@@ -90,7 +87,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Exported):
     """How each algorithm fared under each stress.
 
     Attributes
@@ -100,6 +97,8 @@ class Atlas:
     skipped : tuple of (str, str)
         What was left out, and why.
     """
+
+    columns: ClassVar = tuple(field.name for field in fields(Cell))
 
     cells: tuple[Cell, ...]
     skipped: tuple[tuple[str, str], ...] = ()
@@ -161,13 +160,9 @@ class Atlas:
         cells = tuple(_cell_of(cell) for cell in content["cells"])
         return cls(cells, tuple((what, reason) for what, reason in content["skipped"]))
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one row a cell; the file appears whole or not at all (UnreadableFile where it cannot)."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, [field.name for field in fields(Cell)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(cell) for cell in self.cells)
-        write_text(path, text.getvalue())
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row a cell, in the columns of the CSV."""
+        return [tuple(asdict(cell).values()) for cell in self.cells]
 
     def __add__(self, other: Atlas) -> Atlas:
         return Atlas(self.cells + other.cells, self.skipped + other.skipped)

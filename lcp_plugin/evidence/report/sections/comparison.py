@@ -1,52 +1,58 @@
-"""What the measurements say, in sentences computed from them: each claim can come out either way."""
+"""The comparison that the paper promises: passes of every splitting method, and what they say about its claims."""
 
 from __future__ import annotations
 
 import math
+import re
 import statistics
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from ..curves import Curve, Report
-from ..performance_profile import performance_profile
-from .collect import Collected
+from ...curves import Curve, Report
+from ...drawing import COLOURS
+from ..section import Claim, Collected, Section, count, many, percent
 
-SPLITTING = {
-    "projected-type (NP)": "NP", "projected relaxation (P)": "P", "modulus (M)": "M",
-    "general fixed point (GFP)": "GFP",
-}
+SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")
 WORTH_A_WORD = 1.1
 NO_ROOM = 1e-3  # of the diagonal: below, M has no zeroth-order term worth the name
 ACTIVE = (0.1, 0.9)
+WIDEST = 6  # scenes in one table: what a telephone can show
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A heading of a few words and the sentence with the figures."""
+class Comparison(Section):
+    """Passes over M of every splitting method on the scenes with active constraints."""
 
-    heading: str
-    text: str
+    place = 1
+    title = "The comparison the paper promises"
+    short = "Comparison"
+
+    def tell(self, collected: Collected) -> Iterator[Claim]:
+        """Yield what the passes say, the paper's promise first."""
+        reports = collected.reports()
+        yield from _promised(reports)
+        yield from _own_examples(reports)
+        yield from _slow_on_active(reports)
+        yield from _tuning(reports)
+        dominance = [content["dominance"] for content in collected.of("scene")]
+        yield from _no_room([
+            report for report, spare in zip(reports, dominance, strict=True)
+            if -NO_ROOM <= spare <= NO_ROOM and report.curve("multigrid") is not None
+        ])
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return the tables, each as wide as a telephone can show."""
+        reports = with_active(collected.reports())
+        chosen = [report for report in reports if any(curve.family in SPLITTING for curve in report.curves)]
+        if not chosen:
+            return {}
+        width = -(-len(chosen) // -(-len(chosen) // WIDEST))
+        families = {one.label: one.family for report in chosen for one in report.curves if one.family in SPLITTING}
+        parts = [chosen[first : first + width] for first in range(0, len(chosen), width)]
+        return {"comparison": [_table(part, families) for part in parts]}
 
 
-def claims(collected: Collected) -> list[Claim]:
-    """Return what the collected parts say, the paper's promise first; nothing is said where data are missing."""
-    scenes = [(content, Report.from_content(content["report"])) for content in collected.of("scene")]
-    reports = [report for _, report in scenes]
-    found: list[Iterator[Claim]] = [
-        _promised(reports), _own_examples(reports), _slow_on_active(reports), _tuning(reports), _no_room(scenes),
-        _profile(reports), _tables(collected), _checks(collected), _atlas(collected),
-    ]
-    return [claim for some in found for claim in some]
-
-
-def _many(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+# --- What is told ---------------------------------------------------------------------------------------------
 
 
 def _work(report: Report, *labels: str) -> list[float]:
@@ -70,18 +76,22 @@ def _promised(reports: Sequence[Report]) -> Iterator[Claim]:
     chosen = [report for report in active if _splittings(report)]
     if not chosen:
         return
-    wins = Counter(SPLITTING[min(_splittings(report), key=lambda one: one.work).family] for report in chosen)
-    said = ", ".join(f"{family} on {wins[short]}" for family, short in SPLITTING.items())
-    text = (f"On {_many(len(chosen), 'scene')} with 10 to 90 % of the constraints active, the family with "
+    wins = Counter(min(_splittings(report), key=lambda one: one.work).family for report in chosen)
+    said = ", ".join(f"{family} on {wins[family]}" for family in SPLITTING)
+    text = (f"On {many(len(chosen), 'scene')} with 10 to 90 % of the constraints active, the family with "
             f"the fewest passes over M is {said}.")
     factors = [_behind(report, "projected-type (NP)") for report in chosen]
     finite = [factor for factor in factors if math.isfinite(factor)]
     if finite:
         text += (f" The best projected-type (NP) method, tuned or not, needs {statistics.median(finite):.1f} times the "
-                 f"passes of the best splitting in the median ({min(finite):.1f} to {max(finite):.1f}).")
+                 f"passes of the best splitting{_in_the_median(finite)}.")
     if len(active) > len(chosen):
         text += f" On {len(active) - len(chosen)} more no splitting arrives."
     yield Claim("The comparison the paper promises", text)
+
+
+def _in_the_median(values: Sequence[float]) -> str:
+    return f" in the median ({min(values):.1f} to {max(values):.1f})" if len(values) > 1 else ""
 
 
 def _splittings(report: Report) -> list[Curve]:
@@ -122,7 +132,7 @@ def _slow_on_active(reports: Sequence[Report]) -> Iterator[Claim]:
             if (sentence := _ratio(label, _work(other, label), _work(report, label)))
         ]
         if sentences:
-            text = f"From no constraint active to {_percent(report.active_share)} of them, with the same matrix"
+            text = f"From no constraint active to {percent(report.active_share)} of them, with the same matrix"
             text = f"{text} (n = {report.n}): {'; '.join(sentences)}."
             yield Claim(f"Active constraints, δ = {_delta(report):g}", text)
 
@@ -154,19 +164,16 @@ def _tuning(reports: Sequence[Report]) -> Iterator[Claim]:
         against = [t[0] / r[0] for report in reports if (t := _work(report, tuned)) and (r := _work(report, rival))]
         if gains and against:
             behind = sum(factor > 1.0 for factor in against)
+            measured = f"median of {len(gains)} scenes" if len(gains) > 1 else "on 1 scene"
             yield Claim(
                 f"What tuning {family} buys",
                 f"Its parameters tuned on each very problem, {family} needs {statistics.median(gains):.1f} times fewer "
-                f"passes than with the paper's (median of {len(gains)} scenes). {rival}, which finds its relaxation "
+                f"passes than with the paper's ({measured}). {rival}, which finds its relaxation "
                 f"by itself, needs fewer on {behind} of {len(against)}.",
             )
 
 
-def _no_room(scenes: Sequence[tuple[dict[str, Any], Report]]) -> Iterator[Claim]:
-    chosen = [
-        report for content, report in scenes
-        if -NO_ROOM <= content["dominance"] <= NO_ROOM and report.curve("multigrid") is not None
-    ]
+def _no_room(chosen: Sequence[Report]) -> Iterator[Claim]:
     if not chosen:
         return
 
@@ -178,68 +185,41 @@ def _no_room(scenes: Sequence[tuple[dict[str, Any], Report]]) -> Iterator[Claim]
         min(map(_passes, found)) / own[0]
         for report in chosen if (found := _splittings(report)) and (own := _work(report, "multigrid"))
     ]
-    text = (f"On {_many(len(chosen), 'scene')} whose matrix has no diagonal to spare (no zeroth-order term, δ = 0) "
+    text = (f"On {many(len(chosen), 'scene')} whose matrix has no diagonal to spare (no zeroth-order term, δ = 0) "
             f"multigrid needs the fewest passes on {wins(lambda curve: curve.work)} and the least time on "
             f"{wins(lambda curve: curve.seconds)}.")
     if factors:
-        text += f" The best splitting needs {min(factors):.1f} to {max(factors):.1f} times its passes."
+        spread = " to ".join(dict.fromkeys(f"{factor:.1f}" for factor in (min(factors), max(factors))))
+        text += f" The best splitting needs {spread} times its passes."
     lost = sum(not _splittings(report) for report in chosen)
     if lost:
         text += f" On {lost} of them no splitting arrives within the limit of work."
     yield Claim("Multigrid and δ = 0", text)
 
 
-def _profile(reports: Sequence[Report]) -> Iterator[Claim]:
-    if len(reports) < 2:
-        return
-    work, seconds = performance_profile(reports, "work"), performance_profile(reports, "seconds")
-    if not work.problems:
-        return
-    by_work = max(work.labels, key=work.share)
-    by_time = max(seconds.labels, key=seconds.share)
-    every = [label for label in work.labels if work.share(label, math.inf) == 1.0]
-    yield Claim(
-        "Over all scenes",
-        f"Of {len(work.problems)} scenes {by_work} has the fewest passes on {_percent(work.share(by_work))}, "
-        f"{by_time} the least time on {_percent(seconds.share(by_time))}. "
-        f"Solved every one: {', '.join(every) or 'nobody'}.",
-    )
+# --- What is shown --------------------------------------------------------------------------------------------
 
 
-def _tables(collected: Collected) -> Iterator[Claim]:
-    for content in collected.of("tables"):
-        cells = content["cells"]
-        equal = sum(cell["iterations"] == cell["paper_iterations"] for cell in cells)
-        yield Claim("The paper's tables", f"The iteration counts agree in {equal} of {len(cells)} cells, computed now.")
+def _table(reports: Sequence[Report], families: dict[str, str]) -> dict[str, Any]:
+    heads = [(one.title.partition(":")[0], _setting(one.title), percent(one.active_share)) for one in reports]
+    rows = [
+        {"label": label, "colour": COLOURS[family], "cells": [_cell(one.curve(label), one) for one in reports]}
+        for label, family in families.items()
+    ]
+    return {"heads": heads, "rows": rows}
 
 
-def _checks(collected: Collected) -> Iterator[Claim]:
-    verdicts = Counter(content["verdict"] for content in collected.of("check"))
-    if verdicts:
-        said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
-        yield Claim("Against convex solvers", f"Cross-validation of {_many(verdicts.total(), 'scene')}: {said}.")
+def _setting(title: str) -> str:
+    """Return what tells two settings of one scene apart."""
+    found = re.search(r"delta=([\d.]+)", title)
+    return f"δ = {float(found[1]):g}" if found else ""
 
 
-def _atlas(collected: Collected) -> Iterator[Claim]:
-    atlas = whole_atlas(collected)
-    if atlas is not None and atlas.cells:
-        text = (f"{len(atlas.cells)} runs on stiff, extreme and degenerate problems: {len(atlas.lies)} lies; of the "
-                f"{len(atlas.well_posed)} well-posed ones {_percent(atlas.solved_share)} are SOLVED.")
-        if atlas.misleading:
-            well_posed = sum(cell.is_well_posed for cell in atlas.misleading)
-            text += (f" {len(atlas.misleading)} of the SOLVED ones hide an error of more than a thousandth behind a "
-                     f"small residual, {well_posed} of them well-posed.")
-        yield Claim("Stability", text)
-
-
-def whole_atlas(collected: Collected) -> Any:
-    """Return the atlas of all families, or None."""
-    contents = collected.of("atlas")
-    if not contents:
-        return None
-    from ..stability import Atlas
-
-    atlas = Atlas((), ())
-    for content in contents:
-        atlas = atlas + Atlas.from_content(content)
-    return atlas
+def _cell(curve: Curve | None, report: Report) -> tuple[str, bool]:
+    """Return the passes and whether they are the fewest of all splittings on that scene."""
+    if curve is None:
+        return "·", False
+    if not curve.is_solved:
+        return "✕", False
+    best = min(one.work for one in report.curves if one.family in SPLITTING and one.is_solved)
+    return count(curve.work), curve.work == best

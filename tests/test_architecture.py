@@ -18,7 +18,6 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.conversions.quadratic_program"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.model"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files"),
-    ("lcp_plugin.conversions.quadratic_program", "lcp_plugin.conversions.qp_certificates"),
     ("lcp_plugin.modeling.constraint", "lcp_plugin.modeling.model"),
     ("lcp_plugin.modeling.model", "lcp_plugin.modeling.registration"),
     ("lcp_plugin.distributed.problem", "lcp_plugin.distributed.files"),

@@ -16,8 +16,8 @@ from lcp_plugin.certificates.residuals import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
 from lcp_plugin.exact.rounding import UNIT, gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
-from lcp_plugin.matrix import comparison_certificate
-from lcp_plugin.matrix.factorisation import positive_pivot_factor
+from lcp_plugin.matrix import comparison_certificate, factors
+from lcp_plugin.matrix.factors import positive_factor
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix
 
@@ -69,7 +69,7 @@ def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
 def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
     """‖A − L D Lᵀ‖∞ in rational arithmetic is not above the bound, which is (k + 2) u ‖|L||U|‖∞ and little more."""
     A = chain(40, 2.5) * (100.0 / 3.0)
-    factor = positive_pivot_factor(A.tocsc())
+    factor = positive_factor(A.tocsc()).superlu
     bound = definite_bounds._factor_error(factor)
     order = np.argsort(factor.perm_c)
     L = [[Fraction(float(entry)) for entry in row] for row in factor.L.toarray()]
@@ -106,8 +106,9 @@ def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
 def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
     """LAPACK factorises dense matrices and small ones, SuperLU the others."""
     used = []
-    monkeypatch.setattr(definite_bounds, "_dense_bound", lambda *_: used.append("dense") or 1.0)
-    monkeypatch.setattr(definite_bounds, "_sparse_bound", lambda *_: used.append("sparse") or 1.0)
+    monkeypatch.setattr(
+        definite_bounds, "_proven_bound", lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0
+    )
     for M in (np.eye(300) + 1.0, chain(200), chain(201)):
         smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
     assert used == ["dense", "dense", "sparse"]
@@ -223,7 +224,7 @@ def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
 def test_a_singular_factor_ends_the_steps(monkeypatch) -> None:
     """Where SuperLU finds a zero pivot there is no next point."""
     monkeypatch.setattr(reference_point, "DENSE_UP_TO", 0)
-    monkeypatch.setattr(reference_point, "diagonal_pivot_factor", lambda _: None)
+    monkeypatch.setattr(factors, "diagonal_pivot_factor", lambda _: None)
     problem = LCP(chain(4), -np.ones(4))
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, np.ones(4))

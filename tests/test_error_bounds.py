@@ -306,7 +306,7 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     if by_sparse_factor:
         exponent = np.round(-0.5 * np.log2(problem.diagonal)).astype(int)
         part, blur = definite_bounds._symmetric_part(problem.csr, exponent)
-        value, scale = definite_bounds._sparse_bound(part, blur), np.exp2(exponent)
+        value, scale = definite_bounds._proven_bound(part, blur), np.exp2(exponent)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)

@@ -21,7 +21,7 @@ from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from lcp_plugin.matrix import analyze, comparison_certificate, comparison_solve, h_verdict, p_matrix, prove_m_matrix
 from lcp_plugin.matrix.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
-from lcp_plugin.matrix.factorisation import factor_fits
+from lcp_plugin.matrix.factors import factor_fits
 from lcp_plugin.matrix.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.policy.choice import _seems_monotone

@@ -19,8 +19,7 @@ from lcp_plugin.algorithms.active_sets.damped_newton import fischer_burmeister
 from lcp_plugin.algorithms.active_sets.newton_state import NewtonState
 from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, full_steps
 from lcp_plugin.evidence import gallery
-from lcp_plugin.matrix.factorisation import diagonal_pivot_factor
-from lcp_plugin.matrix.factors import BandedLU, Cholesky, DenseLU, Factor, SparseLU, factorise
+from lcp_plugin.matrix.factors import diagonal_pivot_factor, factorise
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9
@@ -213,21 +212,22 @@ def test_classify_agrees_with_the_solution() -> None:
 
 
 MATRICES = {
-    Cholesky: (lambda: np.array([[4.0, 1.0], [1.0, 3.0]]), True),
-    DenseLU: (lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), False),
-    BandedLU: (lambda: sp.diags_array([np.ones(99), np.full(100, 3.0), -np.ones(99)], offsets=[-1, 0, 1]), False),
-    SparseLU: (lambda: five_point(12), True),
+    "Cholesky": (lambda: np.array([[4.0, 1.0], [1.0, 3.0]]), True),
+    "LU": (lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), False),
+    "banded LU": (lambda: sp.diags_array([np.ones(99), np.full(100, 3.0), -np.ones(99)], offsets=[-1, 0, 1]), False),
+    "sparse LU": (lambda: five_point(12), True),
 }
 
 
-@pytest.mark.parametrize("kind", MATRICES, ids=lambda kind: kind.__name__)
-def test_each_structure_gets_its_factor(kind: type[Factor]) -> None:
+@pytest.mark.parametrize("kind", MATRICES)
+def test_each_structure_gets_its_factor(kind: str) -> None:
     """Dense, banded and sparse matrices get their kind of factor, and each solves its system."""
     build, is_symmetric = MATRICES[kind]
     matrix = build()
     matrix = sp.csr_array(matrix) if sp.issparse(matrix) else matrix
-    factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=(1, 1) if kind is BandedLU else None)
-    assert type(factor) is kind
+    factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=(1, 1) if kind == "banded LU" else None)
+    assert factor is not None
+    assert factor.kind == kind
     x = np.arange(1.0, matrix.shape[0] + 1.0)
     assert np.allclose(factor.solve(matrix @ x), x, rtol=1e-12)
     assert factor.work > 0.0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..certificates.contraction import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414 - offered here
 from ..certificates.convergence import IterationFacts
 from ..checks import FloatVector, is_number, read_only
+from ..crossovers import DIRECT_PASSES, DIRECT_PASSES_DENSE, DIRECT_UP_TO
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..matrix.matrix import Matrix, fact
 from ..problem.lcp import LCP
@@ -92,6 +93,10 @@ class Algorithm(ABC):
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return about how many passes over M an answer takes where npsor needs so many more sweeps; ∞ for no idea."""
+        return math.inf
 
     def facts(self, problem: LCP) -> IterationFacts | None:
         """Return what the convergence theorems ask of the iteration, or None where no theorem here is about it.
@@ -175,6 +180,14 @@ def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
     """Return where the diagonal is positive and not too small to invert, shape (n,)."""
     with np.errstate(over="ignore", divide="ignore"):
         return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
+
+
+def direct_passes(problem: LCP) -> float:
+    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
+    if problem.is_dense:
+        return DIRECT_PASSES_DENSE
+    is_last = problem.n <= DIRECT_UP_TO or not has_positive_diagonal(problem.matrix).all()
+    return DIRECT_PASSES if is_last else math.inf
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:

@@ -6,6 +6,7 @@ finer one (nested iteration), so that the free set is nearly right before the fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -13,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import FloatVector
+from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
 from ..errors import InvalidOption
 from ..problem.lcp import LCP
 from .base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
@@ -85,6 +87,10 @@ class Multigrid(Algorithm):
         is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return about what a run costs, whatever n is."""
+        return MULTIGRID_PASSES if not problem.is_dense and problem.n > DIRECT_UP_TO else math.inf
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""

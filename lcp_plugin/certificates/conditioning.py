@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..matrix.factorisation import factor_fits, sparse_lu
+from ..matrix.factors import factor_fits, sparse_lu
 from ..problem.lcp import LCP
 
 DENSE_UP_TO = 500  # rows: a few milliseconds

@@ -22,9 +22,9 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..exact.rounding import TINY, UNIT, compensated_product, gamma
 from ..exact.upward import product_above, quotient_above, sum_above
-from ..matrix.equilibration import row_numbers
-from ..matrix.factorisation import factor_fits, positive_pivot_factor
+from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.matrix import Matrix, fact
+from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .row_inequality import RowInequality
 
@@ -80,10 +80,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     if not np.isfinite(blur):
         return None
     is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
-    if is_dense:
-        value = _dense_bound(part, blur)
-    else:
-        value = _sparse_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
+    value = _proven_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
     return None if value is None else EigenvalueBound(value, scale, is_rigorous)
 
 
@@ -136,41 +133,32 @@ def _symmetric_part(M: Any, exponent: Any) -> tuple[Any, float]:
     return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
 
 
-def _dense_bound(part: Any, blur: float) -> float | None:
-    from scipy.linalg import lapack
-
-    n = part.shape[0]
-    factor, info = lapack.dpotrf(part, lower=1)
-    if info != 0:
-        return None
-    estimate = _inverse_iteration(lambda rhs: lapack.dpotrs(factor, rhs, lower=1)[0], part)
-    for share in SHARES:
-        shift = share * estimate
-        shifted = part.copy()
-        shifted.flat[:: n + 1] -= shift
-        trace = float(np.sum(np.abs(shifted.diagonal()))) * OUTWARD
-        rounding = 1.01 * gamma(n + 3) * trace + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
-        value = float(shift - rounding - blur - n * n * UNDERFLOW) / OUTWARD
-        if value > 0.0 and lapack.dpotrf(shifted, lower=1)[1] == 0:
-            return value
-    return None
-
-
-def _sparse_bound(part: Any, blur: float) -> float | None:
-    factor = positive_pivot_factor(part)
+def _proven_bound(part: Any, blur: float) -> float | None:
+    """Return a share of the smallest eigenvalue that is proven to be below it, the largest of some, or None."""
+    factor = positive_factor(part)
     if factor is None:
         return None
     estimate = _inverse_iteration(factor.solve, part)
+    identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
     for share in SHARES:
         shift = share * estimate
-        factor = positive_pivot_factor(part - shift * sp.eye_array(*part.shape))
-        if factor is None:
-            continue
-        rounding = _factor_error(factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
-        value = (shift - rounding - blur) / OUTWARD
-        if value > 0.0:
-            return value
+        shifted = part - shift * identity
+        factor = positive_factor(shifted)
+        if factor is not None:
+            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
+            value = (shift - rounding - blur) / OUTWARD
+            if value > 0.0:
+                return float(value)
     return None
+
+
+def _rounding(matrix: Any, factor: PositiveFactor) -> float:
+    """Return how far from a semidefinite matrix one is that was factorised: Cholesky's bound, or what is measured."""
+    if factor.superlu is not None:
+        return _factor_error(factor.superlu)
+    n = matrix.shape[0]
+    trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
+    return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
 
 
 def _factor_error(factor: Any) -> float:

@@ -17,14 +17,14 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..exact.upward import sum_above
 from ..matrix import analyze
-from ..matrix.comparison import hierarchy, krylov, shared_comparison, v_cycle
-from ..matrix.factorisation import diagonal_pivot_factor, factor_fits
+from ..matrix.comparison import LinearSystem, shared_comparison
+from ..matrix.factors import factor_fits, solver_of
 from ..problem.lcp import LCP
 from .row_inequality import BoolVector, RowInequality, distance_above
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
-KRYLOV_STEPS = 60
+KRYLOV_STEPS = 60  # where there is no hierarchy
 ITERATIVE_TOLERANCE = 1e-2
 
 Solver = Callable[[FloatVector], FloatVector]
@@ -81,44 +81,21 @@ class ActiveSetSteps:
 
 def _solver(problem: LCP, free: BoolVector) -> Solver:
     rows = np.flatnonzero(free)
-    if rows.size <= DENSE_UP_TO or (problem.is_dense and rows.size <= SPARSE_FACTOR_UP_TO):
-        return _dense_solver(problem.M, rows)
-    block = problem.csr if rows.size == problem.n else problem.csr[rows][:, rows]
-    if rows.size <= SPARSE_FACTOR_UP_TO and factor_fits(block):
-        return _sparse_solver(block)
+    M = problem.M if rows.size <= SPARSE_FACTOR_UP_TO else problem.csr
+    block = M if rows.size == problem.n else M[rows][:, rows]
+    if rows.size <= SPARSE_FACTOR_UP_TO and (not sp.issparse(block) or factor_fits(block)):
+        return solver_of(block, dense_up_to=DENSE_UP_TO) or (lambda rhs: np.full(rhs.shape, np.nan))
     return _multigrid_solver(problem, block) if analyze(problem).is_z_matrix else _krylov_solver(block)
 
 
 def _multigrid_solver(problem: LCP, block: Any) -> Solver:
     """Return the solver of a large system with a Z-matrix; its hierarchy serves for several right-hand sides."""
-    cycle = v_cycle(hierarchy(block))
-    is_symmetric = shared_comparison(problem.matrix).is_symmetric
+    system = LinearSystem(block, shared_comparison(problem.matrix).is_symmetric)
 
     def solve(rhs: FloatVector) -> FloatVector:
-        solution = krylov(block, rhs, cycle, ITERATIVE_TOLERANCE, is_symmetric, KRYLOV_STEPS)
+        solution = system.iterated(rhs, ITERATIVE_TOLERANCE)
         return np.full(rhs.shape, np.nan) if solution is None else solution
 
-    return solve
-
-
-def _dense_solver(M: Any, rows: Any) -> Solver:
-    from scipy.linalg import lapack
-
-    block = M[rows][:, rows]
-    factor, pivots, _ = lapack.dgetrf(block.toarray() if sp.issparse(block) else block)
-
-    def solve(rhs: FloatVector) -> FloatVector:
-        solution: FloatVector = lapack.dgetrs(factor, pivots, rhs)[0]
-        return solution
-
-    return solve
-
-
-def _sparse_solver(block: Any) -> Solver:
-    factor = diagonal_pivot_factor(block)
-    if factor is None:
-        return lambda rhs: np.full(rhs.shape, np.nan)
-    solve: Solver = factor.solve
     return solve
 
 

@@ -84,7 +84,9 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
-        return cls(problem, real_vector(z, "z", problem.n))
+        if type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+            return cls(problem, real_vector(z, "z", problem.n))
+        return cls(problem, read_only(z.copy()))
 
     @cached_property
     def w(self) -> FloatVector:

@@ -10,9 +10,9 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product, lower_end, upper_end
-from ..matrix.equilibration import row_numbers
-from ..matrix.factorisation import diagonal_pivot_factor, factor_fits
+from ..matrix.factors import diagonal_pivot_factor, factor_fits
 from ..matrix.matrix import Matrix, fact
+from ..matrix.structure import row_numbers
 
 POWER_STEPS = 30
 NODA_STEPS = 40

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..errors import InvalidProblem
+from ..exact.rounding import compensated_product
 from ..matrix.matrix import NEGLIGIBLE_DIAGONAL
 from ..problem.lcp import LCP
 
@@ -128,7 +129,7 @@ class _Fixed:
     values: FloatVector
 
     def put_back(self, z: Any) -> None:
-        z[self.indices] = _like(self.values, z)
+        z[self.indices] = like(self.values, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,30 +146,14 @@ class _Separate:
     upper: FloatVector
 
     def put_back(self, z: Any) -> None:
-        rest = _like(self.offset, z).copy()
-        np.add.at(rest, self.row, _like(self.entry, z) * z[self.column])
-        if z.dtype == object:
-            for k, i in enumerate(self.indices):
-                z[i] = _one_unknown(Fraction(self.diagonal[k]), rest[k], self.lower[k], self.upper[k])
-            return
-        steep = self.diagonal > 0.0
-        inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
-        at_lower = self.diagonal * self.lower + rest >= 0.0
-        flat = np.where(at_lower, self.lower, self.upper)
-        idle = np.clip(0.0, self.lower, self.upper)  # an empty row with q = 0 takes any z
-        is_idle = (self.diagonal == 0.0) & (rest == 0.0)
-        z[self.indices] = np.where(steep, inner, np.where(is_idle, idle, flat))
-
-
-def _one_unknown(diagonal: Fraction, rest: Fraction, lower: float, upper: float) -> Fraction:
-    """Return z between the bounds, complementary to diagonal · z + rest."""
-    candidate = -rest / diagonal if diagonal > 0 else None
-    if diagonal == 0 and rest == 0:
-        candidate = Fraction(0)
-    if candidate is not None:
-        candidate = candidate if lower == -np.inf else max(candidate, Fraction(lower))
-        return candidate if upper == np.inf else min(candidate, Fraction(upper))
-    return Fraction(lower) if diagonal * Fraction(lower) + rest >= 0 else Fraction(upper)
+        rest, diagonal = like(self.offset, z).copy(), like(self.diagonal, z)
+        np.add.at(rest, self.row, like(self.entry, z) * z[self.column])
+        inner = -rest / np.where(diagonal > 0, diagonal, 1)
+        # A row without a positive diagonal entry has two finite bounds, or is empty with q = 0 and takes any z.
+        low = like(np.where(np.isfinite(self.lower), self.lower, 0.0), z)
+        at_bound = np.where(diagonal * low + rest >= 0, self.lower, self.upper)
+        wanted = np.where(diagonal > 0, inner, np.where((diagonal == 0) & (rest == 0), 0, at_bound))
+        z[self.indices] = like(np.minimum(np.maximum(wanted, self.lower), self.upper), z)
 
 
 class _Reduction:
@@ -280,22 +265,17 @@ class _Reduction:
     def _moved_into_q(self, indices: Indices, values: FloatVector) -> NDArray[np.bool_]:
         """Add the columns times the values to q; return which of them could be added without rounding."""
         block = sp.coo_array(self.given.matrix.csc[:, indices])
-        row, which = block.row, block.col
-        with np.errstate(all="ignore"):
-            products = block.data * values[which]
-        acts = self.alive[row] & (products != 0.0) & (row != indices[which])
-        row, which, products = row[acts], which[acts], products[acts]
-        bits = _lowest_bit(block.data[acts]) + _lowest_bit(values[which])
-        lowest = np.where(self.q != 0.0, _lowest_bit(self.q), 2000)
-        np.minimum.at(lowest, row, bits)
-        size = np.abs(self.q) + np.bincount(row, weights=np.abs(products), minlength=self.q.size)
-        with np.errstate(all="ignore"):
-            is_exact = (size < np.ldexp(1.0, np.clip(lowest + 52, -1000, 1000))) & (lowest > -1000)
+        acts = self.alive[block.row] & (block.row != indices[block.col]) & (values[block.col] != 0.0)
+        entries = (block.data * acts, (block.row, block.col))
+        columns = sp.csr_array(entries, shape=block.shape)
         usable = np.ones(indices.size, dtype=bool)
-        usable[which[~is_exact[row]]] = False
-        added = usable[which]
-        self.q = self.q + np.bincount(row[added], weights=products[added], minlength=self.q.size)
-        return usable
+        while True:
+            moved, radius = compensated_product(columns, np.where(usable, values, 0.0), self.q)
+            spoilt = usable & (abs(columns).T @ (radius != 0.0) > 0.0)
+            if not spoilt.any():
+                self.q = moved
+                return usable
+            usable &= ~spoilt
 
     def _peel(self) -> None:
         """Take out rows that nothing else depends on, and again what nothing depends on then."""
@@ -324,10 +304,9 @@ class _Reduction:
     def _entries_of(self, indices: Indices) -> tuple[Indices, Indices, FloatVector]:
         """Return row (counted within `indices`), column and entry of these rows."""
         csr = self.given.csr
-        start, counts = csr.indptr[indices], csr.indptr[indices + 1] - csr.indptr[indices]
-        row = np.repeat(np.arange(indices.size), counts)
-        at = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
-        return row, csr.indices[at].astype(np.int64), csr.data[at]
+        part = csr[indices]
+        row = np.repeat(np.arange(indices.size), np.diff(part.indptr))
+        return row, part.indices.astype(np.int64), part.data
 
     def problem(self) -> LCP:
         """Return the problem of the rows that are left."""
@@ -336,14 +315,6 @@ class _Reduction:
         return LCP(M, self.q[kept], lower=given.lower[kept], upper=given.upper[kept])
 
 
-def _lowest_bit(values: FloatVector) -> Indices:
-    """Return k such that each value is an odd multiple of 2^k; 0 for 0."""
-    mantissa, exponent = np.frexp(values)
-    whole = np.ldexp(mantissa, 53).astype(np.int64)
-    lowest = np.frexp((whole & -whole).astype(np.float64))[1] - 1
-    return np.where(whole == 0, 0, lowest + exponent - 53).astype(np.int64)
-
-
-def _like(values: FloatVector, z: Any) -> Any:
+def like(values: FloatVector, z: Any) -> Any:
     """Return doubles as they are, or as Fractions beside a z of Fractions."""
-    return np.array([Fraction(v) for v in values.tolist()], dtype=object) if z.dtype == object else values
+    return np.array([Fraction(value) for value in values.tolist()], dtype=object) if z.dtype == object else values

@@ -52,6 +52,8 @@ class DistributedLCP:
         self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
         self.nonzeros = int(total(self.comm, float(rows.data.size))[0])
 
+    is_distributed = True
+
     @cached_property
     def local(self) -> LCP:
         """The own rows as a square problem of this rank alone, made when first asked for."""

@@ -20,7 +20,7 @@ from ..certificates.residuals import Certificate, ratio
 from ..checks import FloatVector, finite_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..peers.ranks.collective import largest, require_same, together
-from ..policy.pacing import CheckSchedule, Ending, Progress
+from ..policy.pacing import CheckSchedule, Progress, reason_to_end
 from ..problem.lcp import LCP
 from ..settings import Settings, Status
 from ..solving.error_watch import Bounded
@@ -88,7 +88,7 @@ def solve(
         return run.judged("auto" if is_auto else chosen.name, run.drive(chain, start))
 
 
-class _Run(Ending):
+class _Run:
     """The state of one run: its clock, its best iterate, its record; the same on every rank but for z."""
 
     def __init__(
@@ -157,7 +157,7 @@ class _Run(Ending):
             self._keep_if_better(step.z, residual)
             if self.iteration == 0:
                 self.start_residual = residual
-        reason = self.reason_to_end(step, residual, is_monotone=algorithm.is_monotone)
+        reason = reason_to_end(self, step, residual, is_monotone=algorithm.is_monotone)
         if reason is None and is_interrupted:
             reason = Status.INTERRUPTED
         wants_to_end = self._told(step, residual, algorithm.name, is_last=reason is not None)

@@ -6,29 +6,91 @@ Nothing here is rigorous: what is solved is verified by those who ask (:mod:`.h_
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..errors import InvalidProblem
-from ..locks import Lock
-from .equilibration import Exponents, row_numbers, scaled, scaling_exponents, times_power
-from .factorisation import diagonal_pivot_factor, factor_fits
-from .matrix import Matrix, fact
+from .equilibration import Exponents, scaled, scaling_exponents, times_power
+from .factors import factor_fits, solver_of
+from .matrix import HasFacts, Matrix, fact
+from .structure import row_numbers
 from .symmetry import is_symmetric_entrywise
+
+if TYPE_CHECKING:
+    from .hierarchy.levels import Hierarchy
 
 Solver = Callable[[FloatVector], FloatVector]
 BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 
-DENSE_LIMIT = 300
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
 
 
-class ComparisonMatrix:
-    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it, with cached factors.
+class LinearSystem(HasFacts):
+    """A system that is solved approximately: by Krylov steps on its grids where it is large, else by a factor.
+
+    Parameters
+    ----------
+    matrix : CSR array, shape (n, n)
+        Canonical, with a positive diagonal.
+    is_symmetric : bool
+    """
+
+    def __init__(self, matrix: Any, is_symmetric: bool) -> None:
+        super().__init__()
+        self.matrix, self.is_symmetric = matrix, is_symmetric
+        self._multigrid_failed = False
+
+    @property
+    @fact
+    def hierarchy(self) -> Hierarchy:
+        """The grids of the matrix."""
+        from .hierarchy.levels import build_hierarchy
+
+        return build_hierarchy(self.matrix)
+
+    @property
+    @fact
+    def direct_solver(self) -> Solver | None:
+        """Rhs ↦ matrix⁻¹ rhs by a factor, or None where the matrix is singular or too large for one."""
+        return solver_of(self.matrix) if factor_fits(self.matrix) else None
+
+    def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
+        """Return an approximate solution, shape (n,), or None where no method applies.
+
+        The matrix is then singular, or too large for a factorisation where multigrid fails. `tolerance` bounds
+        ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
+        """
+        if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
+            x = self.iterated(rhs, tolerance)
+            if x is not None:
+                return x
+            self._multigrid_failed = True
+        return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
+
+    @np.errstate(all="ignore")
+    def iterated(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
+        """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
+        from .hierarchy.krylov import KrylovCorrection
+        from .hierarchy.truncation import Truncation
+
+        correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
+        goal = tolerance * np.linalg.norm(correction.residual)
+        for _ in range(KRYLOV_STEPS):
+            if not np.linalg.norm(correction.residual) > goal or not correction.step():
+                break
+        if not np.linalg.norm(correction.residual) <= goal:
+            return None
+        x = np.empty(rhs.size)
+        correction.apply_to(np.zeros(rhs.size), x)
+        return _finite(x)
+
+
+class ComparisonMatrix(LinearSystem):
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it.
 
     Parameters
     ----------
@@ -47,18 +109,13 @@ class ComparisonMatrix:
 
     def __init__(self, M: Any) -> None:
         rows = row_numbers(M)
-        on_diagonal = rows == M.indices
-        self.is_symmetric = is_symmetric_entrywise(M)
-        self.exponents: Exponents | None = scaling_exponents(M, rows, self.is_symmetric)
+        is_symmetric = is_symmetric_entrywise(M)
+        self.exponents: Exponents | None = scaling_exponents(M, rows, is_symmetric)
         magnitudes = np.abs(M.data)
-        signed = np.where(on_diagonal, magnitudes, -magnitudes)
+        signed = np.where(rows == M.indices, magnitudes, -magnitudes)
         comparison = sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
-        self.matrix = scaled(comparison, rows, self.exponents)
+        super().__init__(scaled(comparison, rows, self.exponents), is_symmetric)
         self.diagonal: FloatVector = self.matrix.diagonal()
-        self._lock = Lock()
-        self._whole: Solver | None = None
-        self._hierarchy: Any = None
-        self._multigrid_failed = False
 
     def to_caller(self, x: FloatVector) -> FloatVector:
         """Return the vector in the caller's unit that belongs to x of the scaled matrix, shape (n,)."""
@@ -68,51 +125,20 @@ class ComparisonMatrix:
         """Return the right-hand side of the scaled matrix that belongs to the caller's, shape (n,)."""
         return times_power(rhs, None if self.exponents is None else self.exponents.row)
 
-    def solve(self, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1) -> FloatVector | None:
-        """Return an approximate solution x of matrix x = rhs on the rows given, zero elsewhere, shape (n,).
+    def solve_part(self, rhs: FloatVector, rows: BoolVector, tolerance: float) -> FloatVector | None:
+        """Return an approximate solution of the system of these rows and columns, zero elsewhere, shape (n,), or None.
 
-        None where no method applies: the matrix is singular, or too large for a factorisation where multigrid
-        fails. `tolerance` bounds ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
+        The hierarchy of the whole matrix would need 5 to 50 times the steps that one of the block needs.
         """
-        if rows is None or rows.all():
-            return self._solve_whole(rhs, tolerance)
+        part = np.flatnonzero(rows)
         x = np.zeros(rhs.size)
-        solution = self._solve_part(np.flatnonzero(rows), rhs[rows], tolerance)
-        if solution is None:
-            return None
-        x[rows] = solution
+        if part.size:
+            block = LinearSystem(self.matrix[part][:, part], self.is_symmetric)
+            solution = block.solve(rhs[part], tolerance)
+            if solution is None:
+                return None
+            x[part] = solution
         return x
-
-    def _solve_whole(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
-        if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
-            x = krylov(self.matrix, rhs, self.preconditioner(), tolerance, self.is_symmetric, KRYLOV_STEPS)
-            if x is not None:
-                return x
-            self._multigrid_failed = True
-        with self._lock.held():
-            if self._whole is None:
-                self._whole = direct_solver(self.matrix)
-        return None if self._whole is None else _finite(self._whole(rhs))
-
-    def _solve_part(self, part: Any, rhs: FloatVector, tolerance: float) -> FloatVector | None:
-        if part.size == 0:
-            return rhs
-        block = self.matrix[part][:, part]
-        if part.size > DIRECT_LIMIT:
-            # The hierarchy of the whole matrix needs 5 to 50 times the steps that one of the block needs.
-            cycle = v_cycle(hierarchy(block))
-            x = krylov(block, rhs, cycle, tolerance, self.is_symmetric, KRYLOV_STEPS)
-            if x is not None:
-                return x
-        solver = direct_solver(block)
-        return None if solver is None else _finite(solver(rhs))
-
-    def preconditioner(self) -> Solver:
-        """Return one V-cycle of the cached hierarchy of the whole matrix."""
-        with self._lock.held():
-            if self._hierarchy is None:
-                self._hierarchy = hierarchy(self.matrix)
-        return v_cycle(self._hierarchy)
 
 
 @fact
@@ -158,61 +184,12 @@ def comparison_solve(
         row = int(np.flatnonzero(matrix.diagonal == 0.0)[0])
         raise InvalidProblem(f"M[{row}, {row}] = 0; a system with ⟨M⟩ needs a diagonal without zeros")
     comparison = shared_comparison(matrix)
-    x = comparison.solve(comparison.from_caller(rhs), rows, tolerance)
+    scaled_rhs = comparison.from_caller(rhs)
+    if rows is None or rows.all():
+        x = comparison.solve(scaled_rhs, tolerance)
+    else:
+        x = comparison.solve_part(scaled_rhs, rows, tolerance)
     return None if x is None else comparison.to_caller(x)
-
-
-def direct_solver(matrix: Any) -> Solver | None:
-    """Return rhs ↦ matrix⁻¹ rhs by LAPACK or sparse LU, or None where it is singular or too large for that."""
-    if not factor_fits(matrix):
-        return None
-    if matrix.shape[0] <= DENSE_LIMIT:
-        import scipy.linalg.lapack
-
-        lu, pivots, info = scipy.linalg.lapack.dgetrf(matrix.toarray())
-        if info != 0:
-            return None
-        return lambda rhs: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, rhs)[0])
-    factor = diagonal_pivot_factor(matrix)
-    return None if factor is None else lambda rhs: np.asarray(factor.solve(rhs))
-
-
-def hierarchy(matrix: Any) -> Any:
-    """Return a Ruge–Stüben hierarchy of a CSR array, or None where pyamg cannot take it."""
-    if matrix.indices.dtype != np.int32:
-        return None
-    import pyamg
-
-    copied = sp.csr_matrix((matrix.data, matrix.indices, matrix.indptr), shape=matrix.shape)
-    with np.errstate(all="ignore"):
-        # Direct interpolation halves the set-up and costs no step at loose tolerances.
-        return pyamg.ruge_stuben_solver(copied, interpolation="direct", CF=("RS", {"second_pass": False}))
-
-
-def v_cycle(levels: Any) -> Solver:
-    """Return residual ↦ correction by one V-cycle (the identity where there is no hierarchy)."""
-    if levels is None:
-        return lambda residual: residual
-    operator = levels.aspreconditioner(cycle="V")
-    return lambda residual: np.asarray(operator.matvec(residual))
-
-
-def krylov(
-    matrix: Any, rhs: FloatVector, preconditioner: Solver, tolerance: float, is_symmetric: bool, steps: int
-) -> FloatVector | None:
-    """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by preconditioned CG or GMRES, or None within `steps`."""
-    from scipy.sparse.linalg import LinearOperator, cg, gmres
-
-    n = rhs.size
-    operator = LinearOperator((n, n), matvec=preconditioner, dtype=np.float64)
-    with np.errstate(all="ignore"):
-        if is_symmetric:
-            x, info = cg(matrix, rhs, rtol=tolerance, atol=0.0, maxiter=steps, M=operator)
-        else:
-            x, info = gmres(
-                matrix, rhs, rtol=tolerance, atol=0.0, restart=min(steps, 30), maxiter=max(1, steps // 30), M=operator
-            )
-    return _finite(np.asarray(x)) if info == 0 else None
 
 
 def _finite(x: FloatVector) -> FloatVector | None:

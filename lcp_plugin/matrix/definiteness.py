@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from .factorisation import factor_fits, positive_pivot_factor
+from .factors import PositiveFactor, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
@@ -18,13 +18,6 @@ Solver = Callable[[FloatArray], FloatArray]
 EPSILON = 2.0**-52
 LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
-
-
-class Factor(NamedTuple):
-    """What a factorisation with positive pivots gives."""
-
-    solve: Solver
-    terms: int  # the longest sum of products in the factorisation
 
 
 def positive_definite_solver(P: Any) -> Solver | None:
@@ -225,7 +218,7 @@ def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:
     return scale if rhs.ndim == 1 else scale[:, None]
 
 
-def factorised(unit: Any, shift: float) -> Factor | None:
+def factorised(unit: Any, shift: float) -> PositiveFactor | None:
     """Return a factorisation of unit + shift·I with positive pivots, or None where there is none.
 
     Parameters
@@ -236,13 +229,4 @@ def factorised(unit: Any, shift: float) -> Factor | None:
         In the unit of its entries.
     """
     n = unit.shape[0]
-    if not sp.issparse(unit):
-        import scipy.linalg
-
-        try:
-            factor = scipy.linalg.cho_factor(unit + shift * np.eye(n), lower=True)
-        except np.linalg.LinAlgError:
-            return None
-        return Factor(lambda rhs: scipy.linalg.cho_solve(factor, rhs), n)
-    lu = positive_pivot_factor(unit + shift * sp.eye_array(n))
-    return None if lu is None else Factor(lu.solve, int(np.bincount(lu.L.indices).max()))
+    return positive_factor(unit + shift * (sp.eye_array(n) if sp.issparse(unit) else np.eye(n)))

@@ -25,11 +25,6 @@ class Exponents(NamedTuple):
     column: IntVector
 
 
-def row_numbers(M: Any) -> IntVector:
-    """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
-    return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
-
-
 def scaling_exponents(M: Any, rows: IntVector, is_symmetric: bool) -> Exponents | None:
     """Return powers of two that bring the diagonal near 1 and balance the rest, or None where M needs none.
 

@@ -1,40 +1,68 @@
-"""Factors of square matrices, chosen by structure: Cholesky, LU, banded LU (LAPACK) and sparse LU (SuperLU)."""
+"""The one door to factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
+
+Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
+(:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
+:func:`factor_fits` says beforehand whether a factorisation has its end in sight.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from .factorisation import sparse_lu
+from .structure import row_numbers
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
+DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diagonal
 DENSE_ABOVE_DENSITY = 0.25
 LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
 SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
 
+ALWAYS = 1_000  # rows; up to here any fill is cheap
+LARGEST_OPERATIONS = 4e10  # about ten seconds, a 3-D grid of 37³; a random graph's n³ exceeds it at some thousands
+LARGEST_FILL = 2e8  # entries
 
-class Factor(ABC):
+IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
     """A factorised matrix A.
 
     Attributes
     ----------
+    kind : str
+        "Cholesky", "LU", "banded LU" or "sparse LU".
+    solve : callable
+        right ↦ x with A x = right, shape (n,); not finite where A is singular.
     work : float
         Multiplications that the factorisation took.
     solve_work : float
         Multiplications that one solve takes.
     """
 
+    kind: str
+    solve: Callable[[Any], Any]
     work: float
     solve_work: float
 
-    @abstractmethod
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with A x = right, shape (n,); not finite where A is singular."""
+
+@dataclass(frozen=True, eq=False)
+class PositiveFactor:
+    """A factor with positive pivots: `terms` is the longest sum of products in it.
+
+    `superlu` holds L and U where the matrix is sparse, and is None where it is dense.
+    """
+
+    solve: Callable[[Any], Any]
+    terms: int
+    superlu: Any = None
 
 
 def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None) -> Factor | None:
@@ -57,112 +85,178 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
     if n <= DENSE_UP_TO or is_dense:
         return _dense(matrix.toarray(), is_symmetric)
     if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
-        return _checked(BandedLU, matrix, *bandwidth)
-    return _checked(SparseLU, matrix, is_symmetric)
+        return _banded_lu(matrix, *bandwidth)
+    return _sparse_lu(matrix, is_symmetric)
 
 
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
+    factor = None
     if is_symmetric and matrix.shape[0] and matrix.diagonal().min() > 0.0:
-        factor = _checked(Cholesky, matrix)
-        if factor is not None:
-            return factor
-    return _checked(DenseLU, matrix)
+        factor = cholesky(matrix)
+    return factor or dense_lu(matrix)
 
 
-def _checked(kind: type[Any], *arguments: Any) -> Factor | None:
-    try:
-        factor: Factor = kind(*arguments)
-    except (ArithmeticError, RuntimeError, ValueError):  # what SuperLU and _Singular call a zero pivot
+def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
+    """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
+    from scipy.linalg import lapack
+
+    n = matrix.shape[0]
+    # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
+    factor, info = lapack.dpotrf(matrix.T, lower=1, overwrite_a=overwrite, clean=0)
+    if info != 0:
         return None
-    return factor
+    return Factor("Cholesky", lambda right: lapack.dpotrs(factor, right, lower=1)[0], n**3 / 6.0, float(n * n))
 
 
-class _Singular(ArithmeticError):
-    """A pivot is zero, or not positive where it has to be."""
+def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
+    """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
+
+    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A.
+    """
+    from scipy.linalg import lapack
+
+    n = matrix.shape[0]
+    factor, pivots, info = lapack.dgetrf(matrix if by_columns else matrix.T, overwrite_a=overwrite)
+    if info != 0:
+        return None
+    trans = 0 if by_columns else 1
+    return Factor("LU", lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0], n**3 / 3.0, float(n * n))
 
 
-class Cholesky(Factor):
-    """A = UᵀU of a dense symmetric positive definite matrix; its upper triangle is read."""
+def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
+    from scipy.linalg import lapack
 
-    def __init__(self, matrix: FloatVector) -> None:
-        from scipy.linalg import lapack
-
-        self._lapack = lapack
-        n = matrix.shape[0]
-        # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
-        self._factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0)
-        if info != 0:
-            raise _Singular
-        self.work, self.solve_work = n**3 / 6.0, float(n * n)
-
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with A x = right, shape (n,)."""
-        x: FloatVector = self._lapack.dpotrs(self._factor, right, lower=1)[0]
-        return x
+    n = matrix.shape[0]
+    band = np.zeros((2 * below + above + 1, n), order="F")
+    band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
+    factor, pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
+    if info != 0:
+        return None
+    return Factor(
+        "banded LU", lambda right: lapack.dgbtrs(factor, below, above, right, pivots)[0],
+        float(n * below * (below + above + 1)), float(n * (2 * below + above + 1)),
+    )
 
 
-class DenseLU(Factor):
-    """P A = L U of a dense matrix with partial pivoting."""
-
-    def __init__(self, matrix: FloatVector) -> None:
-        from scipy.linalg import lapack
-
-        self._lapack = lapack
-        n = matrix.shape[0]
-        self._factor, self._pivots, info = lapack.dgetrf(matrix.T)
-        if info != 0:
-            raise _Singular
-        self.work, self.solve_work = n**3 / 3.0, float(n * n)
-
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with A x = right, shape (n,)."""
-        x: FloatVector = self._lapack.dgetrs(self._factor, self._pivots, right, trans=1)[0]
-        return x
+def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
+    if not np.isfinite(matrix.data).all():
+        return None
+    options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if is_symmetric else {"permc_spec": "COLAMD"}
+    try:
+        factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
+    except RuntimeError:
+        return None
+    return Factor("sparse LU", lambda right: factor.solve(right, trans="T"), sparse_work(factor), float(factor.nnz))
 
 
-class BandedLU(Factor):
-    """P A = L U of a sparse matrix with few diagonals, by LAPACK's band routines."""
-
-    def __init__(self, matrix: sp.csr_array, below: int, above: int) -> None:
-        from scipy.linalg import lapack
-
-        self._lapack, self._band = lapack, (below, above)
-        n = matrix.shape[0]
-        rows = np.repeat(np.arange(n), np.diff(matrix.indptr))
-        band = np.zeros((2 * below + above + 1, n), order="F")
-        band[below + above + rows - matrix.indices, matrix.indices] = matrix.data
-        self._factor, self._pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
-        if info != 0:
-            raise _Singular
-        self.work, self.solve_work = float(n * below * (below + above + 1)), float(n * (2 * below + above + 1))
-
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with A x = right, shape (n,)."""
-        x: FloatVector = self._lapack.dgbtrs(self._factor, *self._band, right, self._pivots)[0]
-        return x
+def sparse_work(factor: Any) -> float:
+    """Return the multiplications that a factorisation by SuperLU took."""
+    columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
+    rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
+    return float(columns_of_lower @ rows_of_upper)
 
 
-class SparseLU(Factor):
-    """P A Q = L U of a sparse matrix, by SuperLU."""
+def sparse_lu(matrix: Any, **options: Any) -> Any:
+    """Return SuperLU's factor of a square sparse matrix; the options are those of scipy's `splu`.
 
-    def __init__(self, matrix: sp.csr_array, is_symmetric: bool) -> None:
-        if not np.isfinite(matrix.data).all():
-            raise _Singular
-        # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose.
-        transpose = matrix.T
-        if is_symmetric:
-            self._factor = sparse_lu(
-                transpose, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=SYMMETRIC_PIVOT,
-                options={"SymmetricMode": True},
-            )
-        else:
-            self._factor = sparse_lu(transpose, permc_spec="COLAMD")
-        lower, upper = self._factor.L, self._factor.U
-        columns_of_lower = np.diff(lower.indptr).astype(np.float64)
-        rows_of_upper = np.bincount(upper.indices, minlength=matrix.shape[0])
-        self.work, self.solve_work = float(columns_of_lower @ rows_of_upper), float(self._factor.nnz)
+    Raises
+    ------
+    RuntimeError
+        Where a pivot is exactly zero (SuperLU's own), or no order of the rows avoids one: SuperLU reads and writes
+        outside its arrays there.
 
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with A x = right, shape (n,)."""
-        x: FloatVector = self._factor.solve(right, trans="T")
-        return x
+    Examples
+    --------
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [2.0, 0.0]])).solve(np.array([3.0, 4.0]))
+    array([2., 3.])
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [0.0, 2.0]]))
+    Traceback (most recent call last):
+    RuntimeError: no order of the rows puts a nonzero on each place of the diagonal
+    """
+    from scipy.sparse.linalg import splu
+
+    matrix = sp.csc_array(matrix)
+    if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
+        raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
+    return splu(matrix, **options)
+
+
+def _is_structurally_regular(matrix: Any) -> bool:
+    from scipy.sparse.csgraph import structural_rank
+
+    pattern = sp.csr_array(matrix, copy=True)  # zeros are taken out in place
+    pattern.eliminate_zeros()
+    row_lengths = np.diff(pattern.indptr)
+    return bool(row_lengths.all() and structural_rank(pattern) == row_lengths.size)
+
+
+def diagonal_pivot_factor(matrix: Any) -> Any | None:
+    """Return SuperLU's factor with pivots from the diagonal, in one order for rows and columns, or None if singular.
+
+    That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
+    """
+    try:
+        return sparse_lu(matrix, diag_pivot_thresh=0.0, **IN_ONE_ORDER)
+    except RuntimeError:
+        return None
+
+
+def solver_of(matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL) -> Callable[[Any], Any] | None:
+    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None where it is singular.
+
+    Parameters
+    ----------
+    matrix : ndarray or CSR array, shape (n, n)
+    dense_up_to : int
+        Rows up to which a sparse matrix is factorised as a dense one, with partial pivoting.
+    """
+    if not sp.issparse(matrix) or matrix.shape[0] <= dense_up_to:
+        factor: Any = dense_lu(matrix.toarray() if sp.issparse(matrix) else matrix, by_columns=True)
+    else:
+        factor = diagonal_pivot_factor(matrix)
+    return None if factor is None else factor.solve
+
+
+def positive_factor(matrix: Any) -> PositiveFactor | None:
+    """Return the factor of a symmetric matrix where all pivots are positive and from the diagonal, else None.
+
+    Parameters
+    ----------
+    matrix : ndarray or sparse array, shape (n, n)
+    """
+    if not sp.issparse(matrix):
+        dense = cholesky(matrix)
+        return None if dense is None else PositiveFactor(dense.solve, matrix.shape[0])
+    factor = diagonal_pivot_factor(matrix)
+    if factor is None or not np.array_equal(factor.perm_r, factor.perm_c) or not (factor.U.diagonal() > 0.0).all():
+        return None
+    return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
+
+
+def factor_fits(matrix: Any) -> bool:
+    """Return whether a factorisation of a CSR or CSC array has its end in sight.
+
+    Notes
+    -----
+    The factor in the order of Cuthill and McKee stays within an envelope, whose Σ width and Σ width² count its entries
+    and operations. The order used has less fill on grids, and none has much less on random graphs.
+    """
+    n = matrix.shape[0]
+    if n <= ALWAYS:
+        return True
+    pattern = sp.csr_array((np.ones(matrix.indices.size), matrix.indices, matrix.indptr), shape=matrix.shape)
+    rows = row_numbers(pattern)
+    if _is_affordable(rows, pattern.indices, n):
+        return True
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    position = np.empty(n, dtype=np.int64)
+    position[reverse_cuthill_mckee(pattern, symmetric_mode=False)] = np.arange(n)
+    return _is_affordable(position[rows], position[pattern.indices], n)
+
+
+def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
+    first = np.arange(n)
+    np.minimum.at(first, np.maximum(rows, columns), np.minimum(rows, columns))
+    width = (np.arange(n) - first).astype(np.float64)
+    return bool(width.sum() <= LARGEST_FILL and width @ width <= LARGEST_OPERATIONS)

@@ -39,7 +39,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: HasFacts, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the value, computed where nobody has asked before."""
         key = (self, *args)
         try:
@@ -51,12 +51,20 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
                 value = matrix._facts[key]
         return value
 
-    def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
+    def is_known(self, matrix: HasFacts, *args: Hashable) -> bool:
         """Return whether it was asked for before."""
         return (self, *args) in matrix._facts
 
 
-class Matrix:
+class HasFacts:
+    """What facts are kept with, under a lock of its own."""
+
+    def __init__(self) -> None:
+        self._facts: dict[Hashable, Any] = {}
+        self._lock = Lock()
+
+
+class Matrix(HasFacts):
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
     Parameters
@@ -78,11 +86,7 @@ class Matrix:
     def __init__(self, M: Any) -> None:
         self._csr, self._dense = checked_matrix(M)
         self.n: int = self.array.shape[0]
-        self._begin()
-
-    def _begin(self) -> None:
-        self._facts: dict[Hashable, Any] = {}
-        self._lock = Lock()
+        super().__init__()
 
     @property
     def array(self) -> Any:
@@ -145,7 +149,7 @@ class Matrix:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._begin()
+        super().__init__()
         # Unpickled arrays are writable again.
         if self._dense is not None:
             self._dense.flags.writeable = False

@@ -19,7 +19,8 @@ import numpy as np
 from ..checks import FloatVector
 from ..exact.rounding import TINY, UNIT, lower_end, upper_end
 from ..exact.small_matrices import Rows, eliminated, exact_rows, has_positive_minors
-from .equilibration import row_numbers, scaled, scaling_exponents
+from .equilibration import scaled, scaling_exponents
+from .structure import row_numbers
 
 LARGEST_SIZE = 20
 SCALED_TO_NOTHING = 2.0**-900  # more than what an entry loses that leaves the range when it is scaled

@@ -13,7 +13,7 @@ import numpy as np
 from ..checks import FloatVector, read_only
 from . import verdicts
 from .definiteness import symmetric_part
-from .factorisation import factor_fits
+from .factors import factor_fits
 from .h_matrix import HVerdict, h_verdict
 from .matrix import Matrix, fact
 from .structure import IntVector, components, row_excess_signs, scale_spread, strong_blocks, triangular_form

@@ -9,10 +9,14 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
-from .equilibration import row_numbers
 from .matrix import Matrix, fact
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
+
+
+def row_numbers(M: Any) -> IntVector:
+    """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
+    return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
 
 
 def strong_blocks(M: Any) -> tuple[int, IntVector]:
@@ -90,5 +94,5 @@ def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
     M = matrix.array
     if not sp.issparse(M):
         return None
-    offsets = M.indices.astype(np.int64) - np.repeat(np.arange(matrix.n), np.diff(M.indptr))
+    offsets = M.indices.astype(np.int64) - row_numbers(M)
     return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)

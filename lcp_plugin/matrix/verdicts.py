@@ -10,11 +10,10 @@ import scipy.sparse as sp
 from ..exact.rounding import TINY, UNIT
 from ..exact.small_matrices import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from .definiteness import LARGEST_SUMMAND, is_positive_definite, is_semidefinite_to_rounding, semidefinite_margin
-from .equilibration import row_numbers
 from .h_matrix import prove_m_matrix
 from .matrix import Matrix
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
-from .structure import block_rows
+from .structure import block_rows, row_numbers
 
 if TYPE_CHECKING:
     from .report import MatrixReport

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..conversions.substitution import put_in
 
 Indices = NDArray[np.int64]
 
@@ -99,8 +100,8 @@ def eliminate_definitions(
         rows, columns = _pivots(equations, np.flatnonzero(equations.owner == owner), is_open, variable_of)
         if not rows.size:
             continue
-        substitution, shift = _substitution(equations, rows, columns)
-        changed = [_put_in(part, substitution, shift) for part in (equations, functions)]
+        substitution, shift = put_in(equations.matrix[rows], equations.offset[rows], columns)
+        changed = [_replaced(part, substitution, shift) for part in (equations, functions)]
         if sum(part.matrix.nnz for part in changed) > limit:
             continue
         equations, functions = changed
@@ -140,21 +141,5 @@ def _pivots(
     return rows[place[fits]], part.indices[fits].astype(np.int64)
 
 
-def _substitution(equations: Affine, rows: Indices, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
-    """Return R and r of z ← R z + r, which puts the definitions in for the unknowns in these columns."""
-    n = equations.matrix.shape[1]
-    part = sp.csr_array(equations.matrix[rows])
-    pivots = np.asarray(part[np.arange(rows.size), columns]).ravel()
-    keep = np.ones(n)
-    keep[columns] = 0.0
-    definition = sp.diags_array(-1.0 / pivots) @ part @ sp.diags_array(keep)
-    place = sp.csr_array((np.ones(rows.size), (columns, np.arange(rows.size))), shape=(n, rows.size))
-    shift = np.zeros(n)
-    shift[columns] = -equations.offset[rows] / pivots
-    substitution = sp.csr_array(sp.diags_array(keep) + place @ definition)
-    substitution.eliminate_zeros()
-    return substitution, shift
-
-
-def _put_in(part: Affine, substitution: sp.csr_array, shift: FloatVector) -> Affine:
+def _replaced(part: Affine, substitution: sp.csr_array, shift: FloatVector) -> Affine:
     return Affine(sp.csr_array(part.matrix @ substitution), part.offset + part.matrix @ shift, part.owner)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..checks import FloatVector
-from ..conversions.convexity import refuse_nonconvex
+from ..conversions.program import refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram, optimality_conditions
 from ..conversions.substitution import Substitution, substitute_definitions

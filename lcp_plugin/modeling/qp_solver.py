@@ -15,7 +15,7 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from ..checks import FloatVector
-from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
+from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram
 from ..settings import Status
@@ -140,18 +140,14 @@ class Answer:
         proof, program = self.result.infeasibility, self.solution.program
         zero = np.zeros(program.n)
         if isinstance(proof, QPInfeasibility):
-            y, v, low, high = (
-                np.array([float(entry) for entry in part])
-                for part in (proof.inequality, proof.equality, proof.lower, proof.upper)
-            )
-            largest = max(np.abs(part).max(initial=0.0) for part in (y, v, low, high))
-            limits = (program.h, program.b, -program.lower, program.upper)
-            parts = zip((y, v, low, high), limits, strict=True)
-            value = -sum(float(part[part != 0.0] @ limit[part != 0.0]) for part, limit in parts) / largest
-            multipliers = QPSolution(program, zero, y / largest, v / largest, zero, zero)
+            rows, y = program.constraints, numbers(proof.multipliers)
+            largest = np.abs(y).max(initial=0.0)
+            value = -float(y[y != 0.0] @ rows.limit[y != 0.0]) / largest
+            inequality, equality, _, _ = rows.split(y / largest)
+            multipliers = QPSolution(program, zero, inequality, equality, zero, zero)
             return Claim(unpacked, self.goal, (invert(self._with(multipliers)), value))
         if isinstance(proof, QPUnboundedness):
-            point, direction = (np.array([float(x) for x in part]) for part in (proof.point, proof.direction))
+            point, direction = numbers(proof.point), numbers(proof.direction)
             step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
             ray = [point + k * step * direction for k in range(3)]
             return Claim(unpacked, SAME * self.goal, points=tuple(invert(self._with(self._at(x))) for x in ray))

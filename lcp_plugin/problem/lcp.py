@@ -85,6 +85,11 @@ class LCP:
         return self.matrix.is_dense
 
     @property
+    def is_distributed(self) -> bool:
+        """True where other processes hold some of the rows."""
+        return False
+
+    @property
     def nonzeros(self) -> int:
         """Number of nonzero entries of M."""
         return self.matrix.nonzeros

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..certificates.contraction import unit_triangle_sums
 from ..checks import FloatVector
+from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
 from ..problem.lcp import LCP
 from ..settings import Settings
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next cheap bound
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
-SAMPLED_UP_TO = 100_000  # unknowns with which a sharp bound takes half a second
 OUT_OF_STEP = 2.0
 
 
@@ -43,7 +43,6 @@ class ErrorWatch:
         self.problem, self.settings = problem, settings
         self.next_cheap = self.last_residual = self.last_cheap = self.last_sharp = math.inf
         self.sharp_from = math.inf
-        self.is_wanted = bool(settings.error_bound or settings.is_on_error)
         self.sampled: ErrorBound | None = None  # the last sharp one for a sample
         self.last_sampled, self.sample_from = math.inf, float(SHARP_WORTH)
         self.proof: tuple[FloatVector, ErrorBound] | None = None
@@ -90,13 +89,11 @@ class ErrorWatch:
         return residual <= SHARP_EVERY * self.last_sharp
 
     def along_the_run(self, z: FloatVector, work: float) -> float | None:
-        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it, after so much work.
+        """Return a bound of ‖z − z*‖∞ where M allows it, after so much work.
 
         Where the cheap one is far above the residual, a sharp one is computed as often as the run can afford it. The
         point near z* that it knows bounds the error of the iterates that follow, too.
         """
-        if not self.is_wanted:
-            return None
         try:
             bound = self._bound(z, sharp=False)
         except UnsuitableMatrix:
@@ -108,7 +105,7 @@ class ErrorWatch:
         least = bound.infinity
         if self.sampled is not None:
             least = min(least, float(self.sampled.carried_to(z).max(initial=0.0)))
-        is_affordable = self.problem.n <= SAMPLED_UP_TO or work >= self.sample_from
+        is_affordable = self.problem.n <= SHARP_SAMPLES_UP_TO or work >= self.sample_from
         if least > LOOSE * bound.residual and bound.residual <= SHARP_EVERY * self.last_sampled and is_affordable:
             self.last_sampled, self.sample_from = bound.residual, work + max(SHARP_WORTH, work / 2.0)
             self.sampled = self._bound(z, sharp=True)
@@ -126,9 +123,7 @@ class ErrorWatch:
         return bound.proves(self.settings.tolerance)
 
     def final(self, z: FloatVector) -> Bounded | Callable[[], Bounded]:
-        """Return how the bound of z is computed once somebody looks at it; nothing where none is wanted."""
-        if not self.is_wanted:
-            return Bounded()
+        """Return the bound of z, or how it is computed once somebody looks at it."""
         known = self.proof[1] if self.proof is not None and np.array_equal(self.proof[0], z) else None
         return Bounded(known) if known is not None and not known.is_loose else partial(_sharpest, self.problem, z)
 

@@ -48,7 +48,7 @@ TESTS = {
     f"{CERTIFICATES}/definite_bounds.py": BOUND_TESTS,
     f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
     f"{CERTIFICATES}/reference_point.py": BOUND_TESTS,
-    f"{CERTIFICATES}/upward.py": BOUND_TESTS,
+    "lcp_plugin/exact/upward.py": BOUND_TESTS,
     "lcp_plugin/exact/rounding.py": ("tests/test_rounding.py", "tests/test_error_bounds.py"),
     **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted((ROOT / CLASSES).glob("[a-z]*.py"))},
 }

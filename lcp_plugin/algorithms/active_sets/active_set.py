@@ -222,7 +222,7 @@ class _FreeSystem:
 
     def _apply(self, factor: Factor, right: FloatVector) -> FloatVector:
         self.work += factor.solve_work
-        x = factor.solve(right if self._rows is None else right * self._rows)
+        x: FloatVector = factor.solve(right if self._rows is None else right * self._rows)
         return x if self._columns is None else x * self._columns
 
     def _is_nearly_singular(self, factor: Factor) -> bool:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
-from ...matrix.factorisation import sparse_lu
+from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
@@ -88,30 +88,21 @@ class DenseNewtonMatrix(NewtonMatrix):
     """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
 
     def __init__(self, M: FloatVector, is_symmetric: bool) -> None:
-        from scipy.linalg import lapack
-
         super().__init__(M)
-        self._lapack, self._is_symmetric = lapack, is_symmetric
+        self._factorise = cholesky if is_symmetric else dense_lu
         self._buffer = np.empty_like(M)
+        self._factor: Any = None
 
     def _try(self, diagonal: FloatVector) -> bool:
         np.copyto(self._buffer, self.M)
         self._buffer.flat[:: self.n + 1] += diagonal
-        if self._is_symmetric:
-            self.work += self.n**3 / 6.0
-            self._factor, info = self._lapack.dpotrf(self._buffer.T, lower=1, overwrite_a=1, clean=0)
-        else:
-            self.work += self.n**3 / 3.0
-            self._factor, self._pivots, info = self._lapack.dgetrf(self._buffer.T, overwrite_a=1)
-        return bool(info == 0)
+        self._factor = self._factorise(self._buffer, overwrite=True)
+        self.work += self.n**3 / (6.0 if self._factorise is cholesky else 3.0)
+        return self._factor is not None
 
     def _apply(self, right: FloatVector) -> FloatVector:
-        self.work += float(self.n) ** 2
-        x: FloatVector
-        if self._is_symmetric:
-            x = self._lapack.dpotrs(self._factor, right, lower=1)[0]
-        else:
-            x = self._lapack.dgetrs(self._factor, self._pivots, right, trans=1)[0]
+        self.work += self._factor.solve_work
+        x: FloatVector = self._factor.solve(right)
         return x
 
 
@@ -158,7 +149,7 @@ class SparseNewtonMatrix(NewtonMatrix):
                 continue
             self._factor_order = self._order
             if self._order is None:
-                self._count_work()
+                self._factor_work = sparse_work(self._factor)
                 self._keep_order(np.argsort(self._factor.perm_c))
             self.work += self._factor_work
             if self._is_useful(diagonal):
@@ -178,12 +169,6 @@ class SparseNewtonMatrix(NewtonMatrix):
         self._matrix = sp.csc_array((matrix.data[came_from], moved.indices, moved.indptr), shape=matrix.shape)
         self._diagonal_at, self._own_diagonal = goes_to[self._diagonal_at[order]], self._own_diagonal[order]
         self._order = order
-
-    def _count_work(self) -> None:
-        lower, upper = self._factor.L, self._factor.U
-        columns_of_lower = np.diff(lower.indptr).astype(np.float64)
-        rows_of_upper = np.bincount(upper.indices, minlength=self.n)
-        self._factor_work = float(columns_of_lower @ rows_of_upper)
 
     def _is_useful(self, diagonal: FloatVector) -> bool:
         """Whether a solve leaves a residual that refinement can reduce."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ...checks import FloatVector
+from ...crossovers import DIRECT_PASSES, PSOR_GAIN
 from ...errors import InvalidOption
 from ...problem.lcp import LCP
 from ..base import (
@@ -112,6 +113,10 @@ class PSOR(_InPlace):
             check_positive(self, "relaxation", below=2.0)
         elif self.relaxation != "auto":
             raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of npsor by the gain of relaxation; as many as a direct answer at least."""
+        return max(DIRECT_PASSES, sweeps / PSOR_GAIN)
 
     def fixed_relaxation(self) -> float | None:
         """Return ω, or None for "auto"."""

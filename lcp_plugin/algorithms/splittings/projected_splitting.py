@@ -14,7 +14,7 @@ from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
 from ...certificates.residuals import euclidean_norm, scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...matrix.factorisation import sparse_lu
+from ...matrix.factors import sparse_lu
 from ...matrix.matrix import Matrix, fact
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, check_choice

@@ -15,6 +15,7 @@ from ...matrix import analyze
 from ...problem.lcp import LCP
 from ...solving.driver import solve
 from ..gallery import build
+from .multigrid import require_pyamg
 from .timing import Calls, rounds
 
 TARGET_RATIO = 1.5
@@ -56,9 +57,9 @@ def _laplacian(size: int) -> Iterator[str]:
     near: FloatVector = solve(problem, tolerance=1e-6, max_iterations=200).z
     M, rhs = sp.csr_matrix(problem.csr), -np.ones(problem.n)
 
-    def linear_solve() -> None:
-        import pyamg
+    pyamg = require_pyamg()
 
+    def linear_solve() -> None:
         pyamg.ruge_stuben_solver(M).solve(rhs, tol=1e-8, accel="cg")
 
     def bounded(sharp: bool) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from ...algorithms import REGISTRY
 from ...certificates.residuals import Certificate
 from ...checks import FloatVector
-from ...errors import InvalidProblem
+from ...errors import InvalidProblem, LCPError
 from ...problem.lcp import LCP
 from ...solving.batch import prepare
 from ...solving.driver import solve
@@ -141,10 +141,20 @@ def _line(row: Row, quick: bool) -> str:
     return "   ".join([*parts, f"target {row.target}"])
 
 
+def require_pyamg() -> Any:
+    """Return pyamg, or say how to install it."""
+    try:
+        import pyamg
+    except ImportError as error:
+        raise LCPError("this benchmark needs pyamg; install it with: pip install 'lcp_plugin[bench]'") from error
+    return pyamg
+
+
 def linear_solve(scene: Scene) -> str:
     """Solve M x = −q by pyamg's Ruge–Stüben hierarchy with CG (BiCGStab where M is not symmetric) to 1e-8."""
-    import pyamg
     import scipy.sparse as sp
+
+    pyamg = require_pyamg()
 
     problem = scene.problem
     residuals: list[float] = []

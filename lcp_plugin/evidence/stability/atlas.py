@@ -24,10 +24,9 @@ from ...solving.driver import solve
 from ...solving.result import Result
 from ..contestants import checked_names
 from ..exporting import Exported
-from .case import Case
 from .exact_answers import relative_error
 from .honesty import lie_in
-from .stresses import FAMILIES
+from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
 

@@ -43,10 +43,10 @@ class Point(NamedTuple):
     iteration: int
     work: float
     seconds: float
-    seconds_low: float
-    seconds_high: float
-    error: float
-    residual: float
+    seconds_low: float = math.nan
+    seconds_high: float = math.nan
+    error: float = math.nan
+    residual: float = math.nan
 
 
 @dataclass(frozen=True)

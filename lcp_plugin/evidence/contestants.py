@@ -214,6 +214,11 @@ def tuned(
     return _made(label, name, f"{shown}: the best of {len(settings)} settings tried on this very problem", **chosen)
 
 
+def fresh(problem: LCP) -> LCP:
+    """Return the same problem with nothing computed about it yet; the arrays are shared."""
+    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
+
+
 class WorkLimit:
     """A callback that ends a run after so many passes over M: the same end on every machine."""
 

@@ -19,7 +19,7 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..problem.lcp import LCP
 from ..solving.result import Result, Sample
-from .contestants import Contestant, WorkLimit, checked_names, contestants, measured_run
+from .contestants import Contestant, WorkLimit, checked_names, contestants, fresh, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 from .gallery.scene import Scene
 
@@ -280,11 +280,6 @@ class _Runs:
 
 
 _CLOCKED = "ended by the clock, so that the last point depends on the machine"
-
-
-def fresh(problem: LCP) -> LCP:
-    """Return the same problem with nothing computed about it yet; the arrays are shared."""
-    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
 
 
 def _refusal(scene: Scene, one: Contestant) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 from ..algorithms import REGISTRY, create, from_other_packages
 from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
 from ..errors import LCPError
+from ..evidence.exporting import finite_content
 from ..matrix import analyze
 from ..problem.lcp import LCP
 from ..solving.guarantees import convergence_guarantee
@@ -80,7 +81,7 @@ def content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    told: dict[str, Any] = _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    told: dict[str, Any] = finite_content({"matrix": analyze(problem).to_content(), "convergence": rows})
     return told
 
 
@@ -112,11 +113,3 @@ def _rate(rate: float) -> str:
 
 def _short(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value).lower()
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

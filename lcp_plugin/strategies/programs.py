@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from ..checks import FloatVector
 from ..conversions.quadratic_program import QuadraticProgram
 from .definite import positive_definite_matrices, positive_semidefinite_matrices
+from .dominant import p_matrices
 from .options import SIGNED, Numbers, blocks, drawn_number, entries, sizes, vectors
-from .principal import p_matrices
 from .problems import Answer
 from .rows import RowKinds, checked_kinds, drawn_rows, exact_double, exact_offset, fractions_of
 

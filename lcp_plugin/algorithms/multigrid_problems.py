@@ -1,8 +1,8 @@
-"""What a run of multigrid asks of a problem, and the complementarity problem of one of its grids."""
+"""The complementarity problem of one grid, with its projected sweep."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,29 +13,6 @@ from ..matrix.hierarchy.levels import Grid
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
-
-
-class Stated(Protocol):
-    """What a run asks of a problem: the own rows of an LCP."""
-
-    q: FloatVector
-    lower: FloatVector
-    upper: FloatVector
-
-    @property
-    def diagonal(self) -> FloatVector:
-        """The diagonal of M."""
-
-    @property
-    def residual_scale(self) -> FloatVector:
-        """What a residual is divided by."""
-
-    @property
-    def nearest_to_zero(self) -> FloatVector:
-        """The usual start."""
-
-    def slack(self, z: FloatVector) -> FloatVector:
-        """Return M z + q."""
 
 
 class GridProblem:

@@ -20,7 +20,7 @@ COMPARE = """
 import numpy as np, scipy.sparse as sp
 from mpi4py import MPI
 from lcp_plugin import gallery
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 from lcp_plugin.peers.ranks.failures import ends_together
 
 def compare(name, size, shifted):
@@ -145,10 +145,10 @@ def test_files_of_one_process_are_cut(tmp_path: Path) -> None:
 
 
 def test_a_saved_problem_is_read_in_parts(tmp_path: Path) -> None:
-    """What DistributedLCP.save wrote on three ranks, the command solves on two."""
+    """What LCP.save wrote on three ranks, the command solves on two."""
     code = f"""
 from mpi4py import MPI
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=20)).save({str(tmp_path / "parts")!r})
 """
     end = run_code(3, code)
@@ -178,11 +178,11 @@ def test_out_replaces_an_older_answer_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_front_door_solves_rows_on_ranks() -> None:
-    """lcp_plugin.solve takes a DistributedLCP and gives every rank its own part."""
+    """lcp_plugin.solve takes an LCP with its rows on ranks and gives every rank its own part."""
     code = """
 from mpi4py import MPI
 from lcp_plugin import solve
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 problem = scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=30))
 result = solve(problem, "npgs", tolerance=1e-6).require_solved()
 assert result.z.shape == (problem.last - problem.first,)
@@ -195,7 +195,7 @@ print("solved", flush=True)
 def without(package: str, *words: str) -> subprocess.CompletedProcess[str]:
     """The command in one process that has no such package."""
     code = f"import sys; sys.modules[{package!r}] = None; sys.argv[1:] = {list(words)!r}"
-    return plain("-c", f"{code}\nfrom lcp_plugin import cli\ncli.run()")
+    return plain("-c", f"{code}\nfrom lcp_plugin.commands import cli\ncli.run()")
 
 
 def plain(*words: str) -> subprocess.CompletedProcess[str]:

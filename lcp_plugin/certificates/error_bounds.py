@@ -21,8 +21,8 @@ from ..matrix import HCertificate, comparison_certificate, comparison_solve
 from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
-from .residuals import scaled_residual
 from .row_inequality import BoolVector, RowInequality
+from .row_residuals import scaled_residual
 
 SMALL = 1000  # up to here every stage is cheap
 REFINEMENTS = 5
@@ -176,8 +176,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
-    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone, always rigorous."""
+def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
     return product_above(np.float64(at.inflation(certificate.v, certificate.margin)), certificate.v)
 
 
@@ -207,14 +206,14 @@ def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp
     if not problem.peers.everywhere(bool(np.isfinite(z).all())):
         return _nothing_known(problem, "rigorous", "v-certificate")
     at = RowInequality.at(problem, z)
-    found = _Found(z, at, v_bound(at, certificate), "v-certificate")
+    found = _Found(z, at, _v_bound(at, certificate), "v-certificate")
     if sharp:
         is_small = problem.n <= SMALL
         if is_small:
             found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
 
         def judge(point: RowInequality) -> FloatVector:
-            y = v_bound(point, certificate)
+            y = _v_bound(point, certificate)
             return _two_stage(point, certificate, y) if is_small else y
 
         if not is_small:
@@ -302,7 +301,7 @@ def _sweep_nearer(found: _Found, certificate: HCertificate) -> None:
         kernels.relaxation_sweep(M.indptr, splits, M.indices, M.data, rows, 1.0, False, point)
     if np.isfinite(point).all():
         near = RowInequality.at(problem, point)
-        y = v_bound(near, certificate)
+        y = _v_bound(near, certificate)
         if y.max() < found.near_y.max():
             found.go_to(near, y)
 

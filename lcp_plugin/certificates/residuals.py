@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..exact.rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
+from ..exact.rounding import gamma
 from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
+from .row_residuals import residual_ends_of, scaled_residual, sharp_residual_ends
 
 MACHINE_EPSILON = 2.0**-52
 SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
@@ -28,7 +29,6 @@ MEASURED = (
     "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
     "is_at_rounding_level",
 )
-BLOCK = 2**14  # rows
 _references: WeakKeyDictionary[LCP, Ends] = WeakKeyDictionary()
 LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
@@ -299,74 +299,6 @@ def is_large_product(relative_complementarity: float, relative_residual: float) 
     return relative_complementarity > max(least, factor * relative_residual)
 
 
-def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite."""
-    return _mid_residual(problem, z, w, problem.residual_scale)
-
-
-def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None) -> FloatVector:
-    """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,), for step = w / scale.
-
-    The same number, but a small step is not lost beside a large z. A w that overflowed on the way could have
-    either sign, and says nothing.
-    """
-    residual = np.empty(z.size)
-    for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
-        rows = slice(first, first + BLOCK)
-        step = w[rows] if scale is None else w[rows] / scale[rows]
-        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
-        np.maximum(step, own, out=own)
-        np.minimum(own, z[rows] - problem.lower[rows], out=own)
-    if not np.isfinite(w.sum()):
-        residual[np.isinf(w)] = np.inf
-    return residual
-
-
-def residual_ends_of(
-    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector, *, q: FloatVector | None = None
-) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
-
-    Parameters
-    ----------
-    M : array or CSR array, shape (m, n)
-    x : array, shape (n,)
-        z, and whatever else the rows need.
-    rows : LCP
-        Its q, lower and upper, each of shape (m,).
-    z, scale : arrays, shape (m,)
-    q : array, shape (m,), optional
-        Instead of that of the rows.
-
-    Returns
-    -------
-    smallest, largest : arrays, shape (m,)
-    """
-    from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
-
-    if sp.issparse(M):
-        indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
-    else:
-        m, stride = M.shape
-        indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
-        data = np.ascontiguousarray(M).reshape(-1)
-    smallest, largest = np.empty(z.size), np.empty(z.size)
-    arrays = read_only_views(indptr, indices, data, x, rows.q if q is None else q, z, rows.lower, rows.upper, scale)
-    residual_ends(*arrays[:3], stride, *arrays[3:], smallest, largest)
-    return smallest, largest
-
-
-def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
-    matrix = problem.matrix
-    value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
-    low, high = lower_end(value, radius), upper_end(value, radius)
-    nothing = sp.csr_array((problem.own, problem.own))
-    below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
-    smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
-    return smallest, np.maximum(below[1], above[1])
-
-
 def reference_ends(problem: LCP) -> Ends:
     """Return bounds of ‖r(z°)‖∞, the denominator of the relative residual; computed once a problem."""
     if problem not in _references:
@@ -411,13 +343,6 @@ def ratio(numerator: float, denominator: float) -> float:
     if numerator == 0.0:
         return 0.0
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
-
-
-def measured_residual(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r(z)‖∞ as double precision gives it; on ranks of the own part z, and all of them call."""
-    with np.errstate(all="ignore"):
-        residual = scaled_residual(problem, z, problem.slack(z))
-        return problem.peers.largest(_largest(np.abs(residual, out=residual)))
 
 
 def euclidean_norm(vector: FloatVector, peers: Peers = ALONE) -> float:

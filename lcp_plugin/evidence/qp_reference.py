@@ -26,7 +26,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
+from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
 from ..matrix.definiteness import factorised

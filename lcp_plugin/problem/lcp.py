@@ -154,6 +154,12 @@ class LCP:
     def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
         """Return the vector, of which each rank gives its own part, shape (own,), read-only; NaN is allowed.
 
+        Parameters
+        ----------
+        z : array, shape (own,)
+        name : str
+            What an error calls it.
+
         Raises
         ------
         InvalidProblem
@@ -162,7 +168,12 @@ class LCP:
         return self.peers.together(lambda: real_vector(z, name, self.own))
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:
-        """Return the parts of all ranks one after the other on rank 0, None on the others."""
+        """Return the parts of all ranks one after the other on rank 0, None on the others.
+
+        Parameters
+        ----------
+        z : array, shape (own,)
+        """
         return self.peers.gathered(self.own_part(z, "the vector"))
 
     def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
@@ -226,6 +237,11 @@ class LCP:
     @classmethod
     def from_problem(cls, problem: LCP, comm: Any = None) -> LCP:
         """Return the problem cut into equal parts, one a rank; every rank gives the same whole one.
+
+        Parameters
+        ----------
+        problem : LCP
+        comm : communicator of mpi4py or petsc4py; None for the whole job
 
         Raises
         ------

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.residuals import GAINED, Certificate, measured_residual, ratio, reference_residual
+from ..certificates.residuals import GAINED, Certificate, ratio, reference_residual
+from ..certificates.row_residuals import measured_residual
 from ..checks import FloatVector
 from ..problem.lcp import LCP
 from ..settings import PROVEN, Settings, Status

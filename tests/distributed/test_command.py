@@ -17,21 +17,18 @@ from lcp_plugin import LCP, Certificate, gallery
 PETSC = ("--backend", "petsc")
 
 COMPARE = """
-import numpy as np, scipy.sparse as sp
+import numpy as np
 from mpi4py import MPI
 from lcp_plugin import gallery
 from lcp_plugin.evidence.gallery import on_ranks as scenes
 from lcp_plugin.peers.ranks.failures import ends_together
+from lcp_plugin.peers.ranks.halo import numbered_over_all
 
 def compare(name, size, shifted):
     part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted))
     whole = gallery.build(name, size=size, shifted=shifted).problem
     own = slice(part.first, part.last)
-    numbers = np.concatenate([np.arange(part.first, part.last), part.rows.ghosts])
-    rows = sp.csr_array(
-        (part.rows.data.copy(), numbers[part.rows.indices], part.rows.indptr.copy()), shape=(part.layout.own, part.n)
-    )
-    rows.sort_indices()
+    rows = numbered_over_all(part.matrix.csr_rows, part.peers)
     M = whole.csr[own]
     for one, other in ((rows.indptr, M.indptr), (rows.indices, M.indices), (rows.data, M.data)):
         assert np.array_equal(one, other), (name, size, shifted)

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from ...checks import FloatVector, frozen
 from ...errors import InvalidProblem
-from ..alone import NOBODY, Arrays
+from ..alone import NOBODY, Arrays, Peers
 from .collective import gathered, largest, require_same, together, total
 from .failures import Interruptions
 from .layout import Layout
@@ -23,8 +23,8 @@ from .overlap import foreign_rows, overlapped
 T = TypeVar("T")
 
 
-class Halo:
-    """`Peers` of several processes: foreign values come by a PETSc star forest, decisions by MPI.
+class Halo(Peers):
+    """Several processes: foreign values come by a PETSc star forest, decisions by MPI.
 
     Parameters
     ----------

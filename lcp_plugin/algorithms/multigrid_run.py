@@ -15,7 +15,7 @@ from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
 from ..matrix.hierarchy.levels import Hierarchy, build_hierarchy
 from ..matrix.hierarchy.truncation import Truncation
 from ..matrix.matrix import Matrix, fact
-from ..matrix.symmetry import is_symmetric_entrywise
+from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step
 from .multigrid_problems import GridProblem, Stated
@@ -329,12 +329,6 @@ class MultigridRun:
 def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
     """Return the hierarchy of M."""
     return build_hierarchy(matrix.csr, coarsest, scales_rows=not has_symmetric_entries(matrix))
-
-
-@fact
-def has_symmetric_entries(matrix: Matrix) -> bool:
-    """Return whether M is symmetric up to rounding, entry by entry."""
-    return is_symmetric_entrywise(matrix.csr)
 
 
 def rehearse(algorithm: Multigrid) -> None:

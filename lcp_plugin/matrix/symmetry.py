@@ -19,8 +19,10 @@ ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 
 
-def asymmetry(M: Any) -> float:
-    """Return the largest |m_ij − m_ji|/max(|m_ij|, |m_ji|) of a CSR array: 0 where M is exactly symmetric."""
+@fact
+def asymmetry(matrix: Matrix) -> float:
+    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
+    M = matrix.csr
     transposed = M.T.tocsr()
     if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
         ours, theirs = M.data, transposed.data
@@ -100,6 +102,12 @@ def _is_symmetric_by_tiles(M: FloatVector, root: FloatVector) -> bool:
             if np.any(difference > allowed):
                 return False
     return True
+
+
+@fact
+def has_symmetric_entries(matrix: Matrix) -> bool:
+    """Return whether M is symmetric up to rounding, entry by entry."""
+    return is_symmetric_entrywise(matrix.csr)
 
 
 @fact

@@ -19,7 +19,8 @@ from lcp_plugin.exact.linear_systems import (
     has_positive_minors,
     has_positive_pivots,
 )
-from lcp_plugin.exact.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.kernels.floats import UNIT
 from lcp_plugin.matrix import analyze, h_matrix, h_verdict, p_matrix, verdicts
 from lcp_plugin.matrix.comparison import KRYLOV_STEPS, LinearSystem
 from lcp_plugin.matrix.definiteness import (

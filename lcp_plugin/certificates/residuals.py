@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, read_only, real_vector
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
+from ..kernels.floats import EPSILON, TINY
 from ..problem.lcp import LCP
 
-MACHINE_EPSILON = 2.0**-52
-SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 Ends = tuple[float, float]  # a lower and an upper bound
 MEASURES = ("relative", "euclidean")
 BLOCK = 2**14  # rows
@@ -213,7 +212,7 @@ class Certificate:
         problem = self.problem
         terms = np.diff(problem.csr.indptr) + 2
         with np.errstate(all="ignore"):
-            rounding = MACHINE_EPSILON * _magnitude(problem, self.z) + SMALLEST
+            rounding = EPSILON * _magnitude(problem, self.z) + TINY
             floor: FloatVector = terms * rounding / problem.residual_scale
         return floor
 

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import UnsupportedModel
-from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
+from ..kernels.floats import EPSILON
+from ..matrix.definiteness import is_semidefinite_to_rounding
 
 if TYPE_CHECKING:
     from .quadratic_program import QuadraticProgram

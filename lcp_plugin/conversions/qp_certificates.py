@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..exact.linear_systems import solved_nearby
 from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
-from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, is_feasible, is_recession
+from ..kernels.floats import EPSILON
+from .qp_proofs import QPInfeasibility, QPUnboundedness, is_feasible, is_recession
 from .quadratic_program import QuadraticProgram
 from .simple_rows import OWN, FoldedRows, activity, fold_simple_rows
 

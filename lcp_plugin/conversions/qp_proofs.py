@@ -13,10 +13,9 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
+from ..kernels.floats import EPSILON
 from .qp_units import constraint_tolerance
 from .quadratic_program import QuadraticProgram
-
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)

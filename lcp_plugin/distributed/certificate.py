@@ -11,8 +11,6 @@ import numpy as np
 
 from ..certificates.residuals import (
     GAINED,
-    MACHINE_EPSILON,
-    SMALLEST,
     Certificate,
     Ends,
     euclidean_norm,
@@ -24,6 +22,7 @@ from ..certificates.residuals import (
 from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, did_you_mean
 from ..exact.rounding import gamma
+from ..kernels.floats import EPSILON, TINY
 from ..peers.ranks.collective import gathered, largest
 from ..problem.lcp import LCP
 from ..settings import MEASURES
@@ -165,7 +164,7 @@ class _OwnRows(Certificate):
     @cached_property
     def rounding_floor(self) -> FloatVector:
         terms = np.diff(self._rows.indptr) + 2
-        floor: FloatVector = terms * (MACHINE_EPSILON * self.magnitude + SMALLEST) / self.problem.residual_scale
+        floor: FloatVector = terms * (EPSILON * self.magnitude + TINY) / self.problem.residual_scale
         return floor
 
 

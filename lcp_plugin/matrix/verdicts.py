@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
-from ..exact.rounding import TINY, UNIT
+from ..kernels.floats import TINY, UNIT
 from .definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,

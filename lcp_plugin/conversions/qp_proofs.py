@@ -12,12 +12,11 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
+from ..kernels.floats import EPSILON
 from .constraints import Constraints, constraint_tolerance, dual_unit
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
-
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,10 @@ ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 
 
-def asymmetry(M: Any) -> float:
-    """Return the largest |m_ij − m_ji|/max(|m_ij|, |m_ji|) of a CSR array: 0 where M is exactly symmetric."""
+@fact
+def asymmetry(matrix: Matrix) -> float:
+    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
+    M = matrix.csr
     transposed = M.T.tocsr()
     if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
         ours, theirs = M.data, transposed.data
@@ -101,13 +103,6 @@ def _is_symmetric_by_tiles(M: FloatVector, root: FloatVector) -> bool:
             if np.any(difference > allowed):
                 return False
     return True
-
-
-@fact
-def is_nearly_symmetric(matrix: Matrix) -> bool:
-    """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns."""
-    M = matrix.array
-    return is_symmetric_to_rounding(M, matrix.residual_scale if sp.issparse(M) else None)
 
 
 @fact

@@ -189,7 +189,7 @@ def _triangle(problem: LCP) -> str | None:
         return None
     from ..matrix.structure import triangular_form
 
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(M) or "")
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
 
 
 def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False) -> Policy:

@@ -14,7 +14,7 @@ from ..checks import FloatVector, check_order, checked_bound, checked_vector, re
 from ..errors import InvalidProblem, UnsupportedModel
 from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
 from ..matrix.symmetry import mismatch
-from .constraints import Constraints
+from .constraints import Constraints, dual_unit
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -169,6 +169,11 @@ class QuadraticProgram:
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix, with the units in which they are judged."""
         return Constraints.of(self)
+
+    @cached_property
+    def dual_unit(self) -> FloatVector:
+        """What each component of the dual residual is relative to."""
+        return dual_unit(self)
 
     def with_rows(
         self, G: Any, h: FloatVector, A: Any, b: FloatVector, lower: FloatVector, upper: FloatVector

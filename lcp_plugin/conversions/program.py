@@ -14,7 +14,7 @@ from ..checks import FloatVector, check_order, checked_bound, checked_vector, re
 from ..errors import InvalidProblem, UnsupportedModel
 from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
 from ..matrix.symmetry import mismatch
-from .constraints import Constraints, dual_unit
+from .constraints import Constraints, dual_unit, largest_entries
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -289,7 +289,4 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if M.shape[0] == 0:
-        return 0.0, None
-    largest = abs(M).max(axis=1)
-    return mismatch(M, np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel(), SYMMETRIC_TO)
+    return mismatch(M, largest_entries(M, 1), SYMMETRIC_TO)

@@ -106,6 +106,13 @@ def _is_symmetric_by_tiles(M: FloatVector, root: FloatVector) -> bool:
 
 
 @fact
+def is_nearly_symmetric(matrix: Matrix) -> bool:
+    """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns."""
+    M = matrix.array
+    return is_symmetric_to_rounding(M, matrix.residual_scale if sp.issparse(M) else None)
+
+
+@fact
 def has_symmetric_entries(matrix: Matrix) -> bool:
     """Return whether M is symmetric up to rounding: entry by entry, or on several ranks by two products.
 

@@ -1,7 +1,16 @@
 """Linear complementarity problems: model, solve, certify.
 
 Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below load on first use, so that
-``import lcp_plugin`` costs no more than numpy and scipy.sparse.
+``import lcp_plugin`` costs no more than numpy and scipy.sparse. Each has its help; these are pages on a whole subject:
+
+- ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
+- ``help("lcp_plugin.conversions")``: quadratic and linear programs, games, absolute value equations
+- ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does, and ``policy.direct_methods``: what it ends with
+- ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
+- ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
+- ``help("lcp_plugin.evidence")``: scenes and the report; other packages
+- ``help("lcp_plugin.peers")``: several machines
+- ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
 """
 
 from __future__ import annotations
@@ -13,10 +22,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from .algorithms.search import all_solutions as all_solutions
-    from .certificates.convergence import Guarantee as Guarantee
     from .certificates.error_bounds import ErrorBound as ErrorBound
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
+    from .certificates.theorems import Guarantee as Guarantee
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
@@ -44,7 +53,7 @@ _HOME = {
     "Certificate": "certificates.residuals",
     "ErrorBound": "certificates.error_bounds",
     "error_bound": "certificates.error_bounds",
-    "Guarantee": "certificates.convergence",
+    "Guarantee": "certificates.theorems",
     "convergence_guarantee": "solving.guarantees",
     "MatrixReport": "matrix",
     "analyze": "matrix",

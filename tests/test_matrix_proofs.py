@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP
 from lcp_plugin.errors import InvalidProblem
-from lcp_plugin.exact.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
-from lcp_plugin.exact.small_matrices import (
+from lcp_plugin.exact.linear_systems import (
     exact_rows,
     has_nonnegative_pivots,
     has_positive_minors,
     has_positive_pivots,
 )
+from lcp_plugin.exact.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
 from lcp_plugin.matrix import analyze, h_matrix, h_verdict, p_matrix
 from lcp_plugin.matrix.comparison import KRYLOV_STEPS, LinearSystem
 from lcp_plugin.matrix.definiteness import (

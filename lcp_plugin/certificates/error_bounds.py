@@ -162,31 +162,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def v_bound(problem: LCP, z: FloatVector, certificate: HCertificate) -> FloatVector:
-    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone; one pass over M, always rigorous.
-
-    Parameters
-    ----------
-    problem : LCP
-    z : array, shape (n,)
-        ∞ is returned where it is not finite.
-    certificate : HCertificate
-        Of this M.
-
-    Examples
-    --------
-    >>> from lcp_plugin.matrix import comparison_certificate
-    >>> problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem.matrix)).tolist()
-    [0.0, 0.0]
-    """
-    if not np.isfinite(z).all():
-        return np.full(problem.n, np.inf)
-    with np.errstate(all="ignore"):
-        return _v_bound(RowInequality.at(problem, z), certificate)
-
-
-def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
+def v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
+    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone, always rigorous."""
     return product_above(np.float64(at.inflation(certificate.v, certificate.margin)), certificate.v)
 
 
@@ -216,14 +193,14 @@ def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp
     if not np.isfinite(z).all():
         return _nothing_known(problem, "rigorous", "v-certificate")
     at = RowInequality.at(problem, z)
-    found = _Found(z, at, _v_bound(at, certificate), "v-certificate")
+    found = _Found(z, at, v_bound(at, certificate), "v-certificate")
     if sharp:
         is_small = problem.n <= SMALL
         if is_small:
             found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
 
         def judge(point: RowInequality) -> FloatVector:
-            y = _v_bound(point, certificate)
+            y = v_bound(point, certificate)
             return _two_stage(point, certificate, y) if is_small else y
 
         if not is_small:
@@ -311,7 +288,7 @@ def _sweep_nearer(found: _Found, certificate: HCertificate) -> None:
         kernels.relaxation_sweep(M.indptr, splits, M.indices, M.data, rows, 1.0, False, point)
     if np.isfinite(point).all():
         near = RowInequality.at(problem, point)
-        y = _v_bound(near, certificate)
+        y = v_bound(near, certificate)
         if y.max() < found.near_y.max():
             found.go_to(near, y)
 

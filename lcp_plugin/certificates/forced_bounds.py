@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .refutation import Closing, Refutation
 from .residuals import MACHINE_EPSILON, SMALLEST
@@ -96,7 +97,7 @@ def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
 def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
     csr = problem.csr
-    rows = np.repeat(np.arange(problem.n), np.diff(csr.indptr))
+    rows = row_numbers(csr)
     with np.errstate(all="ignore"):
         bounds = lower[csr.indices], upper[csr.indices]
         ends = [csr.data * bound for bound in bounds]

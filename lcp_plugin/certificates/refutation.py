@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..exact.integers import Rational, common_denominator, power_of_two, rounded_down
+from ..exact.rational import Rational, common_denominator, power_of_two, rounded_down
 from ..problem.exactly import exact_slack, farkas_margin, integer_matrix, slack_bounds
 from ..problem.lcp import LCP
 from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual

@@ -11,8 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from ..algorithms import REGISTRY, create, from_other_packages
-from ..certificates.convergence import Guarantee
-from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
+from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
 from ..errors import LCPError
 from ..evidence.exporting import finite_content
 from ..matrix import analyze

@@ -27,7 +27,9 @@ def _ending(exit_codes: str, *examples: str) -> str:
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
     epilog=_ending(
-        "0 done, 1 ran but not solved (or: answers differ, interrupted), 2 bad input",
+        "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
+        "2 bad input (told on stderr). "
+        "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
         "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
     ),
     pretty_exceptions_enable=False,

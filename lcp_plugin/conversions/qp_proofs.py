@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.integers import rounded_down
-from ..exact.rational import ZERO, Row, Vector, products, rational_rows, transposed_product
+from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
 from .constraints import Constraints, constraint_tolerance, dual_unit
 
 if TYPE_CHECKING:

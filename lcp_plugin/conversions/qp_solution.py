@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .checked import checked_vector
 from .constraints import constraint_tolerance, dual_unit, enclosed_sum
 
 if TYPE_CHECKING:
@@ -139,12 +138,9 @@ class QPSolution:
         InvalidProblem
             Where the program was not made by `from_ranges`.
         """
-        ranges = self.program.ranges
-        if ranges is None:
+        if self.program.ranges is None:
             raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
-        y, m = np.zeros(ranges.count), self.inequality.size
-        y[ranges.equalities] = self.equality
-        np.add.at(y, ranges.inequalities, np.where(np.arange(m) < ranges.upper_count, 1.0, -1.0) * self.inequality)
+        y: FloatVector = self.program.ranges @ np.concatenate([self.inequality, self.equality])
         return y
 
     def is_optimal(self, tolerance: float = 1e-6) -> bool:

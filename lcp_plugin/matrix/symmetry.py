@@ -48,9 +48,9 @@ def is_symmetric_entrywise(M: Any) -> bool:
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-20], [0.0, 2.0]]))
     False
     """
-    from ..kernels import splitting_sweeps as kernels
+    from ..kernels.rows import is_mirrored
 
-    return bool(kernels.is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
+    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from ..exact.rounding import TINY, UNIT
-from ..exact.small_matrices import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from .definiteness import LARGEST_SUMMAND, is_positive_definite, is_semidefinite_to_rounding, semidefinite_margin
 from .h_matrix import prove_m_matrix
 from .matrix import Matrix

@@ -9,13 +9,19 @@ answer is. What shows it are the user's own expressions:
 - "unbounded": the user's objective falls along the proof's direction as the program's does, and his constraints hold.
 
 Each of these is necessary, none sufficient: a few points are no proof, but they cost a few products with the data.
+
+A solver inside cvxpy never sees the user's problem. ``get_problem_data`` and ``unpack_results`` do, in every release;
+all roads to QPSolver lead through them. The first is wrapped, and passes on what is for other solvers; the second is
+replaced in a problem that was compiled for QPSolver, until it is compiled for another solver.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial, wraps
 from typing import Any
 
 import cvxpy as cp
@@ -23,13 +29,18 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
+from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, leaf_value, name_of
+from ._compat import SUM, attribute_bounds, leaf_value, name_of
 from .extract import postorder
 
 Values = dict[int, Any]
+
+METHODS = ("LCP", "lcp")
+#: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
+CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
@@ -88,10 +99,8 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
     limit = claim.tolerance
     if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
-    for constraint in problem.constraints:
-        violation = float(_violation(constraint).max(initial=0.0))
-        if not violation <= limit and not violation <= limit * _size(_expression(constraint)):
-            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
+    if (violated := _violated(problem, limit, limit)) is not None:
+        return violated
     for variable in problem.variables():
         entries = _dense(leaf_value(variable))
         miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
@@ -121,7 +130,7 @@ def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, 
     """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
     if any(constraint.id not in duals.dual_vars for constraint in problem.constraints):
         return None
-    if any(bool((lower > upper).any()) for lower, upper in map(_limits, problem.variables())):
+    if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
         return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
     for values in _trials(problem, zero, before):
@@ -143,10 +152,17 @@ def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
             goal, claimed = _goal(problem), sign * float(point.opt_val)
             if goal > claimed and not goal - claimed <= claim.tolerance * _size(problem.objective.args[0]):
                 return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
-            for constraint in problem.constraints:
-                violation = float(_violation(constraint).max(initial=0.0))
-                if violation > ROUNDING and not violation <= claim.tolerance * _size(_expression(constraint)):
-                    return f"its constraint {name_of(constraint)} is violated by {violation:.3g} on the ray"
+            if (violated := _violated(problem, ROUNDING, claim.tolerance)) is not None:
+                return f"{violated} on the ray"
+    return None
+
+
+def _violated(problem: Any, least: float, tolerance: float) -> str | None:
+    """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
+    for constraint in problem.constraints:
+        violation = float(_violation(constraint).max(initial=0.0))
+        if not violation <= least and not violation <= tolerance * _size(_expression(constraint)):
+            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
 
 
@@ -164,7 +180,8 @@ def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
 
 def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes, (lower, upper) = variable.attributes, _limits(variable)
+    attributes = variable.attributes
+    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in attribute_bounds(variable))
     if attributes["symmetric"]:
         lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
         x = (x + np.swapaxes(x, -2, -1)) / 2
@@ -274,15 +291,63 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
-def _limits(variable: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bounds that the variable's attributes give it."""
-    attributes, shape = variable.attributes, variable.shape
-    lower, upper = np.full(shape, -np.inf), np.full(shape, np.inf)
-    if attributes["bounds"] is not None:
-        ends = (_dense(getattr(bound, "value", bound)) for bound in attributes["bounds"])
-        lower, upper = (np.broadcast_to(end, shape) for end in ends)
-    if attributes["nonneg"] or attributes["pos"]:
-        lower = np.maximum(lower, 0.0)
-    if attributes["nonpos"] or attributes["neg"]:
-        upper = np.minimum(upper, 0.0)
-    return lower, upper
+def accompany(solver_class: type) -> None:
+    """Wrap the first method for the solvers of this class; once, however often this is called."""
+    compiled = cp.Problem.get_problem_data
+    if getattr(compiled, "accompanies_lcp_plugin", False):
+        return
+
+    @wraps(compiled)
+    def get_problem_data(self: Any, solver: Any, *args: Any, **kwargs: Any) -> Any:
+        if isinstance(solver, str) and solver in METHODS:
+            raise SolverError(
+                f"solver={solver!r}: cvxpy looks for names among its own solvers only; write "
+                'solver=lcp_plugin.QPSolver, or method="LCP"'
+            )
+        self.__dict__.pop("unpack_results", None)
+        if not isinstance(solver, solver_class):
+            return compiled(self, solver, *args, **kwargs)
+        try:
+            # Values of an earlier solve would start auxiliary variables that nobody needs, and cvxpy fails at some.
+            with valued(self, {}):
+                data = compiled(self, solver, *args, **kwargs)
+        except SolverError as error:
+            reasons = why_not(self)
+            if not reasons:
+                raise
+            raise SolverError(
+                f"QPSolver takes programs with a convex quadratic objective and linear constraints, and what can be "
+                f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
+                "or cp.HIGHS"
+            ) from error
+        self.unpack_results = partial(_judged, self)
+        return data
+
+    get_problem_data.accompanies_lcp_plugin = True  # type: ignore[attr-defined]
+    cp.Problem.get_problem_data = get_problem_data
+
+
+def _judged(problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
+    """Unpack as cvxpy does; what answers for itself with a claim is held against the problem."""
+    before = values_of(problem)
+    type(problem).unpack_results(problem, solution, chain, inverse_data)
+    if not hasattr(solution, "claim"):  # another solver's, kept from before
+        return
+    claim = solution.claim(problem.solution, lambda answer: chain.invert(answer, inverse_data))
+    try:
+        what = None if claim is None else disagreement(problem, claim, before)
+    except CANNOT_BE_EVALUATED as error:
+        what = None
+        warnings.warn(
+            "QPSolver's answer is that of the program which cvxpy made; it could not be judged on the problem "
+            f"itself, because cvxpy fails to evaluate it: {error}",
+            stacklevel=2,
+        )
+    if what is not None:
+        status = problem.status
+        problem._clear_solution()
+        raise SolverError(
+            f"QPSolver's answer to the program that cvxpy {cp.__version__} made of this problem is {status!r}, but "
+            f"the problem itself contradicts: {what}. The program is not the problem, or too ill-conditioned; "
+            "write the expression in another way, or compare with another solver"
+        )

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from ..algorithms.base import Step
 from ..checks import FloatVector
 from ..settings import Settings, Status
-
-if TYPE_CHECKING:
-    pass
 
 FIRST_CHECK = 10
 CHECK_GROWTH = 1.5

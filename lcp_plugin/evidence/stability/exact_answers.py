@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from ...checks import FloatVector
 from ...errors import UnsuitableProblem
-from ...exact.integers import power_of_two
 from ...exact.linear_systems import solve_exactly
+from ...exact.rational import power_of_two
 from ...problem.exactly import exact_slack, is_exact_solution
 from ...problem.lcp import LCP
 

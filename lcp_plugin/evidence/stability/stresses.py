@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ...checks import FloatVector
 from ...problem.exactly import exact_slack
 from ...problem.lcp import LCP
-from ..gallery.stencil import stencil_matrix
+from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from .exact_answers import Answer, condition_of_answer, exact_answer
 
 LARGEST_INTEGER = 9
@@ -149,20 +149,14 @@ def stiffness(quick: bool) -> Iterator[Case]:
 
 def _island(contrast: float) -> sp.csr_array:
     """Return −∇·(k∇u) with k = contrast on a square in the middle and 1 around it."""
-    size = SIDE
-    cells = np.ones((size + 1, size + 1))
+    cells = np.ones((SIDE + 1, SIDE + 1))
     cells[3:-3, 3:-3] = contrast
-    across, along = (cells[:, :-1] + cells[:, 1:]) / 2.0, (cells[:-1, :] + cells[1:, :]) / 2.0
-    below, above = [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
-    return grid(size, -sum(below) - sum(above), below, above)
+    return balanced_matrix((SIDE, SIDE), stiff_cells(cells))
 
 
 def _windy(peclet: float, angle: float) -> sp.csr_array:
     """Return upwind convection by a unit wind with diffusion 1/peclet a mesh width."""
-    wind = (np.cos(angle), np.sin(angle))
-    below = [-(1.0 / peclet + max(b, 0.0)) for b in wind]
-    above = [-(1.0 / peclet + max(-b, 0.0)) for b in wind]
-    return grid(SIDE, -sum(below) - sum(above), below, above)
+    return balanced_matrix((SIDE, SIDE), upwind(1.0 / peclet, (np.cos(angle), np.sin(angle))))
 
 
 def _time_scales(span: float) -> sp.csr_array:

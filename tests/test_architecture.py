@@ -16,10 +16,8 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "lcp_plugin"
 DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.conversions.quadratic_program"),
-    ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.model"),
+    ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.registration"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files"),
-    ("lcp_plugin.modeling.constraint", "lcp_plugin.modeling.model"),
-    ("lcp_plugin.modeling.model", "lcp_plugin.modeling.registration"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
 }
 FLOORS = 14

@@ -14,8 +14,9 @@ from lcp_plugin.certificates.definite_bounds import EigenvalueBound, smallest_ei
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.certificates.residuals import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
-from lcp_plugin.exact.rounding import UNIT, gamma
+from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.kernels.floats import UNIT
 from lcp_plugin.matrix import comparison_certificate, factors
 from lcp_plugin.matrix.factors import positive_factor
 

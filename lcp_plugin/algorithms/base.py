@@ -9,14 +9,14 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..certificates.contraction import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414 - offered here
 from ..certificates.convergence import IterationFacts
-from ..checks import FloatVector, is_number, read_only
+from ..checks import FloatVector, is_number
 from ..crossovers import DIRECT_PASSES, DIRECT_PASSES_DENSE, DIRECT_UP_TO
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from ..matrix.matrix import Matrix, fact
+from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
+from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
+from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
 from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
@@ -177,13 +177,6 @@ def require_step(name: str, step: Any) -> None:
         raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
 
 
-@fact
-def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (own,)."""
-    with np.errstate(over="ignore", divide="ignore"):
-        return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
-
-
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
     if problem.is_dense:
@@ -206,14 +199,6 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
 
     problem.peers.together(check)
     return diagonal
-
-
-@fact
-def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (own,)."""
-    from ..kernels import splitting_sweeps as kernels
-
-    return kernels.row_splits(matrix.csr_rows, backward=backward)
 
 
 def directions(sweep: str) -> tuple[bool, ...]:

@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import gamma
+from ..kernels.floats import EPSILON, TINY
 from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
 from .row_residuals import residual_ends_of, scaled_residual, sharp_residual_ends
 
-MACHINE_EPSILON = 2.0**-52
-SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 Ends = tuple[float, float]  # a lower and an upper bound
 MEASURES = ("relative", "euclidean")
 MEASURED = (
@@ -254,7 +253,7 @@ class Certificate:
         problem = self.problem
         terms = np.diff(problem.matrix.csr_rows.indptr) + 2
         with np.errstate(all="ignore"):
-            rounding = MACHINE_EPSILON * self._magnitude + SMALLEST
+            rounding = EPSILON * self._magnitude + TINY
             floor: FloatVector = terms * rounding / problem.residual_scale
         return floor
 

@@ -10,38 +10,20 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound
+from ..checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
 from ..errors import InvalidProblem, UnsupportedModel
-from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
-from .checked import checked_matrix, checked_vector, symmetric
-from .constraints import Constraints
+from ..kernels.floats import EPSILON
+from ..matrix.definiteness import is_semidefinite_to_rounding
+from ..matrix.symmetry import mismatch
+from .constraints import Constraints, dual_unit, largest_entries
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
+SYMMETRIC_TO = 1e-12
 INFINITE_LIMIT = 1e20  # the convention of file formats
 LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
-
-
-@dataclass(frozen=True, eq=False)
-class RangeRows:
-    """Which rows l ≤ a x ≤ u became which: G holds the rows with a finite u, then those with a finite l, negated.
-
-    Attributes
-    ----------
-    count : int
-        Number of rows that were given.
-    inequalities, equalities : ndarray of int
-        For each row of G and of A the row it comes from.
-    upper_count : int
-        How many rows of G come from an upper limit.
-    """
-
-    count: int
-    inequalities: Any
-    equalities: Any
-    upper_count: int
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -65,6 +47,8 @@ class QuadraticProgram:
     ----------
     asymmetry : float
         max |p_ij − p_ji| of the P that was given.
+    ranges : CSR array or None
+        Of a program made by `from_ranges`: what the multipliers of G and A are times to be those of the given rows.
 
     Raises
     ------
@@ -89,7 +73,7 @@ class QuadraticProgram:
     lower: FloatVector
     upper: FloatVector
     asymmetry: float = field(default=0.0)
-    ranges: RangeRows | None = field(default=None, repr=False)
+    ranges: Any = field(default=None, repr=False)
 
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
@@ -97,7 +81,7 @@ class QuadraticProgram:
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        P, asymmetry = symmetric(checked_matrix(P, "P", n, n))
+        P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
@@ -131,7 +115,7 @@ class QuadraticProgram:
         QuadraticProgram(n=2, 2 inequalities, 1 equality)
         """
         n = checked_vector(c, "c", None).size
-        rows = sp.csr_array(checked_matrix(A, "A", None, n))
+        rows = sp.csr_array(rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
         low, high = (
             _with_infinities(checked_bound(limit, name, m))
@@ -140,14 +124,13 @@ class QuadraticProgram:
         check_order(low, high)
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
-        equal = np.flatnonzero(is_equality)
+        equal, identity, sides = np.flatnonzero(is_equality), sp.eye_array(m, format="csr"), above.size + below.size
+        picked = sp.vstack([identity[above], -identity[below], identity[equal]], format="csr")
         program = cls(
-            P, c, sp.vstack([rows[above], -rows[below]], format="csr"), np.concatenate([high[above], -low[below]]),
-            rows[equal], low[equal],
+            P, c, picked[:sides] @ rows, np.concatenate([high[above], -low[below]]), picked[sides:] @ rows, low[equal],
             _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
         )
-        ranges = RangeRows(m, np.concatenate([above, below]), equal, above.size)
-        program._keep(ranges=ranges)
+        program._keep(ranges=picked.T)
         return program
 
     @property
@@ -187,6 +170,11 @@ class QuadraticProgram:
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix, with the units in which they are judged."""
         return Constraints.of(self)
+
+    @cached_property
+    def dual_unit(self) -> FloatVector:
+        """What each component of the dual residual is relative to."""
+        return dual_unit(self)
 
     def with_rows(
         self, G: Any, h: FloatVector, A: Any, b: FloatVector, lower: FloatVector, upper: FloatVector
@@ -284,5 +272,22 @@ def _checked_rows(
         raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
     if matrix is None:
         matrix, right = sp.csr_array((0, n)), np.zeros(0)
-    checked = checked_matrix(matrix, name, None, n)
+    checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+
+
+def symmetric(P: Any) -> tuple[Any, float]:
+    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
+    asymmetry, where = asymmetry_of(P)
+    if where is not None:
+        i, j = where
+        raise InvalidProblem(
+            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
+            "(P + P.T) / 2: give that, if it is what you mean"
+        )
+    return (P, 0.0) if asymmetry == 0.0 else (rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
+
+
+def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    return mismatch(M, largest_entries(M, 1), SYMMETRIC_TO)

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
-from ..errors import UnsuitableMatrix
-from ..matrix.definiteness import Solver, is_diagonal, positive_definite_solver
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked_answer
+from ..errors import UnsuitableMatrix, UnsuitableProblem
+from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
 from ..problem.lcp import LCP
-from .checked import checked_answer
 from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-FORMS = ("direct", "dual", "kkt")
+WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
@@ -92,7 +91,12 @@ class DirectForm(QPOrigin):
 
     def problem(self) -> LCP:
         """Return the problem of n rows."""
-        program = self.rows.folded
+        program, left = self.rows.folded, self.rows.left.size
+        if left:
+            raise UnsuitableProblem(
+                f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
+                'nonzero (or contradict one another); use form="dual" or form="kkt"'
+            )
         return LCP(program.P, program.c, lower=program.lower, upper=program.upper)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
@@ -115,13 +119,11 @@ class KKTForm(QPOrigin):
 
     def _matrix(self) -> Any:
         """Return M, an ndarray where it is small and full."""
-        P, n, rows = self.program.P, self.program.n, self.rows.left.size
+        rows = self.rows.left.size
         C = self.rows.folded.constraints.matrix[:rows]
-        nonzeros = (P.nnz if sp.issparse(P) else np.count_nonzero(P)) + 2 * C.nnz
-        if n + rows > DENSE_UP_TO_SIZE or nonzeros <= DENSE_ABOVE_DENSITY * (n + rows) ** 2:
-            return sp.block_array([[sp.csr_array(P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr")
-        dense = C.toarray()
-        return np.block([[P.toarray() if sp.issparse(P) else P, dense.T], [-dense, np.zeros((rows, rows))]])
+        return _kept_as_suits(sp.block_array(
+            [[sp.csr_array(self.program.P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr"
+        ))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         n = self.program.n
@@ -134,17 +136,14 @@ class DualForm(QPOrigin):
 
     form = "dual"
 
-    @classmethod
-    def with_solver(cls, program: QuadraticProgram, rows: FoldedRows, solver: Solver) -> DualForm:
-        """Return the form with the factorisation that proved P positive definite."""
-        made = cls(program, rows)
-        made.__dict__["_solve"] = solver
-        return made
-
-    @staticmethod
-    def size(rows: FoldedRows) -> int:
-        """Return the number of rows of the problem."""
-        return rows.left.size + sum(part.size for part in _bound_rows(rows.folded))
+    def is_worthwhile(self) -> bool:
+        """Whether it is no larger than the KKT form, no large dense matrix, well conditioned, not clearly insoluble."""
+        left = self.rows.left.size
+        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
+        is_small = size <= left + self.program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(self.program.P))
+        if not left or not is_small or self.rows.contradict() or self._solver is None:
+            return False
+        return condition_estimate(self.program.P, self._solver) <= WELL_CONDITIONED
 
     def problem(self) -> LCP:
         """Return the problem with one row a constraint."""
@@ -152,7 +151,8 @@ class DualForm(QPOrigin):
         m, free = self.rows.folded.h.size, self.rows.folded.b.size + _bound_rows(self.rows.folded)[0].size
         lower = np.zeros(d.size)
         lower[m : m + free] = -np.inf
-        return LCP(self._delassus(), d + C @ self._solve(self.program.c), lower=lower)
+        q = d + C @ self._solve(self.program.c)
+        return LCP(self._delassus(), q, lower=lower)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         C, d = self._constraints
@@ -182,15 +182,22 @@ class DualForm(QPOrigin):
         return every.matrix[listed], every.limit[listed]
 
     @cached_property
-    def _solve(self) -> Solver:
-        solver = positive_definite_solver(self.program.P)
-        if solver is None:
-            raise UnsuitableMatrix('form="dual" needs P positive definite; use form="kkt"')
-        return solver
+    def _solver(self) -> Solver | None:
+        return positive_definite_solver(self.program.P)
+
+    def _solve(self, right: Any) -> Any:
+        if self._solver is None:
+            raise UnsuitableMatrix(
+                'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
+            )
+        return self._solver(right)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the factorisation behind, which cannot be pickled and can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_solve"}
+        return {name: value for name, value in self.__dict__.items() if name != "_solver"}
+
+
+FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
 
 
 def _bound_rows(program: QuadraticProgram) -> list[Indices]:

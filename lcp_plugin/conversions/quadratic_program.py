@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import DENSE_UP_TO_SIZE
+from ..checks import checked_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..matrix.definiteness import (
-    Solver,
-    condition_estimate,
-    is_diagonal,
-    is_semidefinite_to_rounding,
-    positive_definite_solver,
-)
+from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..problem.lcp import LCP
-from .checked import asymmetry_of, attach_origin, checked_vector
-from .constraints import FoldedRows, fold_simple_rows
-from .program import QuadraticProgram, refuse_nonconvex
-from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
+from .constraints import fold_simple_rows
+from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
+from .qp_forms import FORMS, DualForm
+from .qp_solution import QPSolution
+from .substitution import Substitution, substitute_definitions
 
-__all__ = ["QuadraticProgram", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 
@@ -144,29 +143,53 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
     rows = fold_simple_rows(program)
-    solver: Solver | None = None
-    if form == "dual" or (form == "auto" and _dual_is_small(program, rows)):
-        solver = positive_definite_solver(program.P)
+    dual = DualForm(program, rows)
     if form == "auto":
-        is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
-        form = "direct" if not rows.left.size else "dual" if is_dual else "kkt"
-    if form == "direct":
-        if rows.left.size:
-            raise UnsuitableProblem(
-                f'form="direct" needs a program with bounds only, but {rows.left.size} rows of G and A have more than '
-                'one nonzero (or contradict one another); use form="dual" or form="kkt"'
-            )
-        direct = DirectForm(program, rows)
-        return attach_origin(direct.problem(), direct)
-    if form == "kkt":
-        kkt = KKTForm(program, rows)
-        return attach_origin(kkt.problem(), kkt)
-    if solver is None:
-        raise UnsuitableMatrix(
-            'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
-        )
-    dual = DualForm.with_solver(program, rows, solver)
-    return attach_origin(dual.problem(), dual)
+        form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
+    origin = dual if form == "dual" else FORMS[form](program, rows)
+    problem = origin.problem()
+    problem.origin = origin
+    return problem
+
+
+class Attempt(NamedTuple):
+    """A complementarity problem that states a program, the way back, and why it is tried."""
+
+    problem: LCP
+    substitution: Substitution | None
+    because: str
+
+    def recover(self, answer: Any) -> QPSolution:
+        """Return the program's solution that an answer of the problem stands for."""
+        solution: QPSolution = self.problem.origin.recover(answer)
+        return solution if self.substitution is None else self.substitution.recover(solution)
+
+
+def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iterator[Attempt]:
+    """Yield the forms in which a convex program is worth solving, the most promising first.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+    needs_diagonal : bool
+        Whether the method cannot run on the zeros of the form "kkt": then the dual form where P allows it.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
+    >>> [attempt.because for attempt in attempts(program)]
+    ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
+    """
+    substitution = substitute_definitions(program)
+    smaller = program if substitution is None else substitution.reduced
+    problem = optimality_conditions(smaller)
+    if problem.origin.form == "kkt" and needs_diagonal:
+        with suppress(UnsuitableMatrix):
+            problem = optimality_conditions(smaller, "dual")
+    form = f"the {problem.origin.form} form"
+    yield Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")
+    if substitution is not None or problem.origin.form == "dual":
+        yield Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -229,12 +252,3 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
         A=M[free], b=-q[free], lower=lower, upper=upper,
     )
-
-
-def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
-    """Whether the dual problem is no larger than the KKT one, no large dense matrix, and not clearly insoluble."""
-    if not rows.left.size:
-        return False
-    size = DualForm.size(rows)
-    is_small = size <= rows.left.size + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
-    return is_small and not rows.contradict()

@@ -20,8 +20,10 @@ ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 
 
-def asymmetry(M: Any) -> float:
-    """Return the largest |m_ij − m_ji|/max(|m_ij|, |m_ji|) of a CSR array: 0 where M is exactly symmetric."""
+@fact
+def asymmetry(matrix: Matrix) -> float:
+    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
+    M = matrix.csr
     transposed = M.T.tocsr()
     if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
         ours, theirs = M.data, transposed.data
@@ -49,9 +51,9 @@ def is_symmetric_entrywise(M: Any) -> bool:
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-20], [0.0, 2.0]]))
     False
     """
-    from ..kernels import splitting_sweeps as kernels
+    from ..kernels.rows import is_mirrored
 
-    return bool(kernels.is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
+    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one

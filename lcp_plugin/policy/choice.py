@@ -33,11 +33,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
-from ..algorithms.base import has_positive_diagonal
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm
+from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
 from .direct_methods import direct_methods
 from .stages import Choice, Stage
@@ -189,7 +189,7 @@ def _triangle(problem: LCP) -> str | None:
         return None
     from ..matrix.structure import triangular_form
 
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(M) or "")
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
 
 
 def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False) -> Policy:

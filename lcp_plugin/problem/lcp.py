@@ -314,7 +314,7 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        from ..modeling.model import build_from
+        from ..modeling.registration import build_from
 
         model = build_from(problem)
         model.problem.origin = model
@@ -322,7 +322,7 @@ class LCP:
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
-        from ..modeling.model import stated_in_cvxpy
+        from ..modeling.registration import stated_in_cvxpy
 
         return stated_in_cvxpy(self)
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
-from ..algorithms.base import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
+from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Status
 from .driver import solve

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..certificates.contraction import unit_triangle_sums
 from ..checks import FloatVector
 from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
+from ..matrix.row_sums import unit_triangle_sums
 from ..problem.lcp import LCP
 from ..settings import Settings
 

@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
 from ...checks import FloatVector
 from ...matrix.matrix import Matrix, fact
+from ...matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_blocks, unit_triangle_sums
 from ...problem.lcp import LCP
-from ..base import has_positive_diagonal
 
 LARGEST = 2.0
 COUPLED = 0.9  # g θ ℓ stays this far below 1

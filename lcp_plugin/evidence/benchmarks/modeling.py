@@ -17,7 +17,7 @@ TARGET_RATIO = 0.6
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield the overhead at n = 10⁴ and 10⁶, the ratio to ``get_problem_data``, and a re-solve at n = 10."""
-    from ...modeling.model import build_from
+    from ...modeling.registration import build_from
 
     for n in (10_000,) if quick else (10_000, 1_000_000):
         scene = build("paper_example_1", n=n)
@@ -48,7 +48,7 @@ def _declared(M: Any, q: Any) -> object:
     import cvxpy as cp
 
     from ...modeling.constraint import complements
-    from ...modeling.model import build as build_model
+    from ...modeling.registration import build as build_model
 
     x = cp.Variable(len(q))
     return build_model([complements(x >= 0, M @ x + q >= 0)])

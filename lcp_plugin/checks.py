@@ -40,7 +40,7 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     if sp.issparse(M):
         check_kind(M.dtype, "M must hold real numbers")
         _check_square(M.shape)
-        return _canonical(M, "M"), None
+        return canonical_csr(M, "M"), None
     dense = real_array(M, "M must hold real numbers")
     _check_square(dense.shape)
     _check_finite(dense, "M")
@@ -76,7 +76,7 @@ def rectangular_matrix(values: Any, name: str, rows: int | None, columns: int | 
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if sp.issparse(matrix):
-        return _canonical(matrix, name)
+        return canonical_csr(matrix, name)
     _check_finite(matrix, name)
     return read_only(matrix)
 
@@ -89,7 +89,7 @@ def _check_finite(dense: NDArray[np.float64], name: str) -> None:
         )
 
 
-def _canonical(M: Any, name: str) -> sp.csr_array:
+def canonical_csr(M: Any, name: str) -> sp.csr_array:
     """Return M as canonical, checked CSR; without a copy where it is that already."""
     try:
         matrix = _repaired(M)

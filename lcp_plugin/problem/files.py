@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -127,7 +127,7 @@ def _refuse_huge_bounds(problem: LCP) -> None:
 
 
 def _load_npz(source: Path) -> LCP:
-    content = _read_npz(source)
+    content = read_npz(source, {*MATRIX_KEYS, *VECTORS, "P_data"})
     if "P_data" in content:
         raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP with the keys data … q")
     missing = [key for key in (*MATRIX_KEYS, "q") if key not in content]
@@ -146,8 +146,8 @@ def _load_npz(source: Path) -> LCP:
     return _problem(str(source), M, content["q"], bounds)
 
 
-def _read_npz(source: Path) -> Mapping[str, Any]:
-    wanted = {*MATRIX_KEYS, *VECTORS, "P_data"}
+def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
+    """Return those of the wanted arrays that are in the file; whatever is wrong with it is an UnreadableFile."""
     try:
         with source.open("rb") as file:
             if file.read(2) != b"PK":

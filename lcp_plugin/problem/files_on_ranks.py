@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -14,10 +14,10 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from ..errors import InvalidOption, UnreadableFile
+from ..errors import UnreadableFile
 from ..peers.ranks.collective import as_mpi, from_first, together
 from ..peers.ranks.halo import Halo, numbered_over_all
-from .files import VECTORS
+from .files import VECTORS, checked_path, read_npz
 from .lcp import LCP
 from .own_rows import equal_share
 from .petsc_binary import load_binary
@@ -50,7 +50,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         On every rank, where one of them cannot write, or the folder holds something else.
     """
     comm = problem.peers.comm
-    target = together(comm, lambda: _checked_path(path))
+    target = together(comm, lambda: checked_path(path))
     name, folder = from_first(comm, lambda: (secrets.token_hex(8), _new_folder(target)))
     try:
         together(comm, lambda: _write_chunk(problem, folder, name))
@@ -69,7 +69,7 @@ def load(path: str | PathLike[str], communicator: Any) -> LCP:
         On every rank, where anything is missing or damaged on one of them.
     """
     comm = as_mpi(communicator)
-    source = together(comm, lambda: _checked_path(path))
+    source = together(comm, lambda: checked_path(path))
     if not from_first(comm, lambda: _is_folder(source)):
         return load_binary(source, comm)
     heads = _heads(source, comm)
@@ -79,12 +79,6 @@ def load(path: str | PathLike[str], communicator: Any) -> LCP:
 
 
 # --- writing --------------------------------------------------------------------------------------------
-
-
-def _checked_path(path: Any) -> Path:
-    if not isinstance(path, str | PathLike) or "\0" in str(path):
-        raise InvalidOption(f"path must be a string or a Path without null characters, got {path!r}")
-    return Path(path)
 
 
 def _new_folder(target: Path) -> Path:
@@ -166,15 +160,11 @@ def _complete(source: Path) -> list[Path]:
     return [source / name for name in names]
 
 
-def _read(path: Path, keys: Sequence[str]) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in keys if key not in archive.files]
-            content = {key: archive[key] for key in keys if key not in missing}
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {path}; all ranks must share the file system") from error
-    except Exception as error:  # a damaged archive raises whatever its decoders raise
-        raise UnreadableFile(f"cannot read {path}: it is damaged or no .npz archive ({error})") from error
+def _read(path: Path, keys: Sequence[str]) -> Mapping[str, Any]:
+    if not path.exists():
+        raise UnreadableFile(f"no such file: {path}; all ranks must share the file system")
+    content = read_npz(path, keys)
+    missing = [key for key in keys if key not in content]
     if missing:
         raise UnreadableFile(f"{path} lacks the keys {missing}; write it with LCP.save")
     return content
@@ -207,7 +197,7 @@ def _parts(heads: Sequence[Head], first: int, last: int) -> Iterator[tuple[Any, 
             yield _matrix(head, content)[own], *(_vector(head, content, name)[own] for name in VECTORS)
 
 
-def _matrix(head: Head, content: dict[str, Any]) -> sp.csr_array:
+def _matrix(head: Head, content: Mapping[str, Any]) -> sp.csr_array:
     if any(content[key].dtype.kind not in "iu" for key in ("indices", "indptr")):
         raise UnreadableFile(f"{head.path}: indices and indptr must hold whole numbers; write it again")
     try:
@@ -218,7 +208,7 @@ def _matrix(head: Head, content: dict[str, Any]) -> sp.csr_array:
     return rows
 
 
-def _vector(head: Head, content: dict[str, Any], name: str) -> Any:
+def _vector(head: Head, content: Mapping[str, Any], name: str) -> Any:
     if content[name].shape != (head.rows,):
         raise UnreadableFile(f"{head.path}: {name} has shape {content[name].shape}, but there are {head.rows} rows")
     return content[name]

@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import check_kind
+from ..checks import canonical_csr, check_kind
 from ..errors import InvalidProblem
 from ..matrix.matrix import Matrix
 from ..peers.alone import Peers
@@ -75,33 +75,10 @@ def _checked_rows(rows: Any) -> sp.csr_array:
     """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
     if not (sp.issparse(rows) and rows.ndim == 2):
         raise InvalidProblem(f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}")
-    check_kind(rows.dtype, "M must hold real numbers")
+    check_kind(rows.dtype, "rows must hold real numbers")
     if rows.shape[1] > WIDEST:
         raise InvalidProblem(f"M has {rows.shape[1]} columns; PETSc with 32-bit indices takes {WIDEST}")
-    try:
-        rows = rows.tocsr()
-        # A fresh array: scipy's flags may be older than the entries.
-        matrix = sp.csr_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
-        matrix.check_format(full_check=True)
-    except (ValueError, IndexError, TypeError) as error:
-        raise InvalidProblem(
-            f"the own rows are a damaged sparse array: {error}; columns count over all ranks, 0 … {rows.shape[1] - 1}"
-        ) from error
-    if matrix.dtype != np.float64:
-        with np.errstate(over="ignore"):
-            matrix = matrix.astype(np.float64)
-    if not matrix.has_canonical_format or not matrix.data.all():
-        matrix = matrix.copy()
-        matrix.sum_duplicates()
-        matrix.eliminate_zeros()
-    wrong = np.flatnonzero(~np.isfinite(matrix.data))
-    if wrong.size:
-        k = int(wrong[0])
-        row = int(np.searchsorted(matrix.indptr, k, side="right")) - 1
-        raise InvalidProblem(
-            f"M must be finite, but row {row} of the own rows has {matrix.data[k]} in column {matrix.indices[k]}"
-        )
-    return matrix
+    return canonical_csr(rows, "rows")
 
 
 def _require_all_rows(layout: Layout, n: int) -> None:

@@ -86,6 +86,16 @@ def equal_shares_and_any_other_shares_hold_the_problem(comm: Any) -> None:
     require_equal(LCP.from_problem(whole, petsc), whole)
 
 
+@check(2, 3)
+def what_is_given_is_only_read(comm: Any) -> None:
+    """The caller's rows, canonical as they are, keep their order and values."""
+    given = part(comm, problem())
+    before = [array.copy() for array in (given["rows"].indptr, given["rows"].indices, given["rows"].data)]
+    require_equal(LCP.from_rows(comm, **given), problem())
+    for array, old in zip((given["rows"].indptr, given["rows"].indices, given["rows"].data), before, strict=True):
+        assert np.array_equal(array, old)
+
+
 @check(1, 2, 3, 4)
 def fewer_rows_than_ranks_and_no_row_at_all_work(comm: Any) -> None:
     """Any number of ranks takes n = 0, 1 and 2."""

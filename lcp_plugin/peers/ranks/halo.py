@@ -177,6 +177,7 @@ def own_rows(layout: Layout, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
         shape=(matrix.shape[0], layout.own + ghosts.size),
     )
     if ghosts.size:
+        rows.data = rows.data.copy()  # the caller's stay in their order
         rows.sort_indices()
     return frozen(rows), Halo(layout, ghosts)
 

@@ -190,20 +190,21 @@ class _Run:
 
     def _observe(self, step: Step) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
-        is_first = self.ledger.enter(step, self.clock.read()) if isinstance(step, Step) else self._refuse(step)
-        self.incumbent.unmeasured = step.z
+        ledger, incumbent = self.ledger, self.incumbent
+        is_first = ledger.enter(step, self.clock.read()) if isinstance(step, Step) else self._refuse(step)
+        incumbent.unmeasured = step.z
         known = residual = self.judge.residual_of(step)
-        if known is None and (is_first or self.checks.is_due(self.ledger.iteration, step.increment)):
+        if known is None and (is_first or self.checks.is_due(ledger.iteration, step.increment)):
             residual = self.judge.measure(step.z)
-            self.ledger.work += 1.0 if self.ledger.iteration > 0 else 0.0  # the start is measured for every problem
+            ledger.work += 1.0 if ledger.iteration > 0 else 0.0  # the start is measured for every problem
         if residual is not None:
             if residual <= self.settings.tolerance:  # measured, not proved
                 residual = self.judge.certified(step.z)
             if known is None and step.increment is not None:
-                self.checks.learn(self.ledger.iteration, step.increment, residual)
-            self.incumbent.offer(step.z, residual)
-            self.ledger.stages[-1].note(residual)
-            if self.ledger.iteration == 0:
+                self.checks.learn(ledger.iteration, step.increment, residual)
+            incumbent.offer(step.z, residual)
+            ledger.stages[-1].note(residual)
+            if ledger.iteration == 0:
                 self.start_residual = residual
         reason = self._reason_to_end(step, residual)
         if reason is None and self.clock.is_interrupted:

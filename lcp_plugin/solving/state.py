@@ -40,9 +40,10 @@ class Clock:
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         wall = time.perf_counter() - self._began
-        read = wall - self._paused, wall - self._compiling, self.hears()
-        seconds, self.elapsed, wishes = self._peers.all_largest(*read)
-        self.is_interrupted = bool(wishes)
+        seconds, self.elapsed = wall - self._paused, wall - self._compiling
+        if not self._peers.is_alone:
+            seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
+            self.is_interrupted = bool(wishes)
         return seconds
 
     @contextmanager
@@ -94,17 +95,18 @@ class Ledger:
     def enter(self, step: Step, seconds: float) -> bool:
         """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
         stage, is_first = self.stages[-1], self._is_first
-        self._is_first = False
         self.seconds = seconds
         self.work += step.work
         stage.work += step.work
         stage.remark = step.remark or stage.remark
         if not is_first:
             stage.iterations += 1
-        if not is_first or len(self.stages) == 1:
             self.iteration += 1
-        if self.iteration == 0:
-            self.setup_seconds = seconds
+        else:
+            self._is_first = False
+            self.iteration = max(self.iteration, 0)
+            if self.iteration == 0:
+                self.setup_seconds = seconds
         return is_first
 
     def name(self, policy: str) -> str:

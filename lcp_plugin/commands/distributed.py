@@ -86,22 +86,17 @@ def solve(
             "--plot is not offered with --backend petsc, as no rank holds the whole z; save with --out FOLDER and plot "
             "np.load('FOLDER/z.npy')"
         )
-    try:
-        from .. import distributed  # noqa: F401 - first: it says what is missing
-        from ..peers.ranks.collective import as_mpi
-        from ..peers.ranks.failures import ends_together
-        from ..policy.choice import policy_for
-    except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library
-        raise InvalidOption(
-            f"--backend petsc needs mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]'"
-        ) from error
+    from ..peers.ranks.collective import as_mpi, from_first
+    from ..peers.ranks.failures import ends_together
+    from ..policy.choice import policy_for
+
     comm = as_mpi(None)
     with ends_together(comm, speaker=SPEAKER):
         Settings(**settings, record=False)  # each rank sees a wrong one for itself, before anything is built
         settings = {**settings, "algorithm": policy_for(algorithm, options, on_ranks=True).chosen}
-        _by_first(comm, lambda: _check_folder(target, out))
+        from_first(comm, lambda: _check_folder(target, out))
         read = _read(comm, target, size)
-        _by_first(comm, lambda: _check_room(read.problem.n, out))
+        from_first(comm, lambda: _check_room(read.problem.n, out))
         with RunLine() as progress:
             callback = progress if comm.rank == 0 else None
             result = solving.solve(read.problem, z0=read.start, callback=callback, **settings)
@@ -119,10 +114,11 @@ def solve(
 def _read(comm: Any, target: str, size: int | None) -> _Read:
     from ..evidence import gallery
     from ..evidence.gallery import on_ranks as scenes
+    from ..peers.ranks.collective import from_first
 
     text = scene_text(target, size)
     if text is None:
-        kind = _by_first(comm, lambda: _kind(target))
+        kind = from_first(comm, lambda: _kind(target))
         if kind == "parts":
             return _Read(LCP.load(target, comm))
         whole = LCP.load(target)
@@ -246,13 +242,15 @@ def _check_room(n: int, out: Path | None) -> None:
 
 def _save(comm: Any, result: Result, content: dict[str, Any], out: Path) -> None:
     """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
-    token, is_new = _by_first(comm, lambda: _make_folder(out))
+    from ..peers.ranks.collective import from_first
+
+    token, is_new = from_first(comm, lambda: _make_folder(out))
     temporary = {name: out / f".{token}-{name}" for name in FILES}
     try:
         for name, own in (("z.npy", result.z), ("w.npy", result.w)):
             _write_array(comm, temporary[name], own, result.certificate.problem)
-        _by_first(comm, lambda: temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8"))
-        _by_first(comm, lambda: [temporary[name].replace(out / name) for name in FILES] and None)
+        from_first(comm, lambda: temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8"))
+        from_first(comm, lambda: [temporary[name].replace(out / name) for name in FILES] and None)
     finally:
         if comm.rank == 0:
             for path in temporary.values():
@@ -302,21 +300,3 @@ def _write_array(comm: Any, path: Path, own: FloatVector, problem: Any) -> None:
         attempt(lambda: write(file))
     finally:
         file.Close()
-
-
-def _by_first(comm: Any, attempt: Callable[[], T]) -> T:
-    """Return what `attempt` gives on rank 0, on every rank; raise its error on every rank."""
-    outcome: Any = None
-    failure: Exception | None = None
-    if comm.rank == 0:
-        try:
-            outcome = attempt()
-        except LCPError as error:
-            failure = error
-        except OSError as error:
-            failure = UnreadableFile(f"cannot write {error.filename}: {error.strerror}; choose another place")
-    outcome, failure = comm.bcast((outcome, failure))
-    if failure is not None:
-        raise failure
-    result: T = outcome
-    return result

@@ -231,4 +231,5 @@ def wrapped(title: str, text: str) -> list[str]:
 @fact
 def _report(matrix: Matrix) -> MatrixReport:
     """Return the one report on the matrix."""
+    matrix.require_all_rows()
     return MatrixReport(matrix)

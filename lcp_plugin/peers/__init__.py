@@ -9,33 +9,34 @@ where each rank of ``membrane.py`` gives the rows it has, counted from 0 over al
 
     import numpy as np, scipy.sparse as sp
     from mpi4py import MPI
-    from lcp_plugin import solve
-    from lcp_plugin.distributed import DistributedLCP
+    from lcp_plugin import LCP, solve
 
     comm, n = MPI.COMM_WORLD, 10_000
     first, last = n * comm.rank // comm.size, n * (comm.rank + 1) // comm.size
     M = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
     rows = M[first:last]                                  # shape (last − first, n); build only these in earnest
-    problem = DistributedLCP.from_rows(comm, rows, np.full(last - first, 1e-8), lower=-0.1)
+    problem = LCP.from_rows(comm, rows, np.full(last - first, 1e-8), lower=-0.1)
     result = solve(problem, error_bound=True)             # z and w are the own parts, all else agrees on every rank
     if comm.rank == 0:
         print(result)
 
-**Which methods:** "auto" (multigrid, then psor), npj npgs npsor npaor, pgs psor. A sweep runs on all ranks at once,
-with what the others had before it. The proof for the projected-type methods covers that; the in-place ones converge on
-H₊-matrices with a relaxation ≤ 1, and on symmetric positive definite ones, where pivots next to other ranks are made
-larger. What "auto" of one process does beyond multigrid and sweeps (newton, lemke, search) is not there.
+**Which methods:** "auto" (multigrid, then psor), npj npgs npsor npaor, pgs psor, with all their options. A sweep runs
+on all ranks at once, with what the others had before it. The proof for the projected-type methods covers that; the
+in-place ones converge on H₊-matrices with a relaxation ≤ 1, and on symmetric positive definite ones, where pivots next
+to other ranks are made larger. Whatever else needs all rows on one machine (newton, lemke, ``analyze``, conversions)
+says so.
 
 **Multigrid** is the one of a single process. Each rank chooses the coarse ones among its own unknowns; interpolation,
 Galerkin products and truncation are exact across ranks. Where the coarse unknowns of neighbouring ranks meet badly, it
 takes 10 to 22 cycles instead of 8. Aggregates as PETSc's GAMG makes them were tried and left: a coarse unknown covers
 many rows, and more is lost near a free boundary.
 
-**Proofs:** ``h_plus_certificate(problem)`` finds v > 0 with ⟨M⟩v > 0 and verifies it on every rank;
-``error_bound=True`` turns it into a rigorous bound.
+**Proofs:** ``h_plus_certificate(problem)`` of ``lcp_plugin.distributed`` finds v > 0 with ⟨M⟩v > 0 and verifies it on
+every rank; ``error_bound=True`` turns it into a rigorous bound. ``Certificate.of`` and ``error_bound`` take such a
+problem as any other.
 
-**Files:** ``problem.save(folder)`` writes a chunk a rank, ``DistributedLCP.load`` reads it on any number of ranks, and
-PETSc's binary files with M, q, lower, upper.
+**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks,
+and PETSc's binary files with M, q, lower, upper. ``LCP.from_problem`` cuts a whole problem into equal parts.
 
 **Failures:** bad input is refused on every rank and told once; a rank that dies or raises ends the job.
 

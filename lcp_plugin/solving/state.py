@@ -43,7 +43,7 @@ class Clock:
         seconds, self.elapsed = wall - self._paused, wall - self._compiling
         if not self._peers.is_alone:
             seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
-            self.is_interrupted = bool(wishes)
+            self.is_interrupted = wishes > 0.0
         return seconds
 
     @contextmanager

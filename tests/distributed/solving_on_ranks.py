@@ -309,7 +309,7 @@ def any_order_and_an_automatic_relaxation_work(comm: Any) -> None:
 @check(1, 2)
 def what_needs_all_rows_says_so(comm: Any) -> None:
     """Analyses and conversions refuse a problem whose rows lie on ranks, in words, instead of judging a part."""
-    problem = LCP.from_problem(mixed(), comm)
+    problem = LCP.from_problem(mixed(12), comm)
     for call in (
         analyze, all_solutions, convergence_guarantee, lambda p: p.to_qp(), lambda p: p.M, lambda p: p.csr,
         lambda p: LCP.from_problem(p, comm),

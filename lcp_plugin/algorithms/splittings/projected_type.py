@@ -114,6 +114,7 @@ class ProjectedType(Algorithm):
         from ...kernels import splitting_sweeps as kernels
 
         M, peers, own = problem.matrix.csr_rows, problem.peers, problem.own
+        asks_peers = not peers.is_empty
         alpha, beta = self.splitting()
         step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
         rows = kernels.packed(
@@ -126,9 +127,9 @@ class ProjectedType(Algorithm):
         new = np.empty_like(z)
 
         def advance(backward: bool) -> tuple[float, float]:
-            peers.fetch(z)
-            if peers.foreign:  # what others hold is as it was
-                new[own:] = z[own:]
+            if asks_peers:
+                peers.fetch(z)
+                new[own:] = z[own:]  # what others hold is as it was
             norms: tuple[float, float] = kernels.splitting_sweep(
                 M.indptr, splits[backward], M.indices, M.data, rows, beta / alpha, True, backward, z, new
             )
@@ -138,7 +139,7 @@ class ProjectedType(Algorithm):
         while True:
             residual, squares = advance(passes[0])
             euclidean = peers.total(squares)**0.5 if self.scaling is None else None
-            yield Step(z[:own], peers.largest(residual), euclidean, None, work)
+            yield Step(z[:own] if asks_peers else z, peers.largest(residual), euclidean, None, work)
             z, new = new, z
             for backward in passes[1:]:
                 advance(backward)

@@ -49,7 +49,7 @@ def total(comm: MPI.Comm, *numbers: float) -> tuple[float, ...]:
         return tuple(gathered(comm, *numbers).sum(axis=0).tolist())
 
 
-def together(comm: MPI.Comm, attempt: Callable[[], T]) -> T:
+def together(comm: MPI.Comm, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
     """Return what `attempt` gives on each rank; where it fails on one, no rank goes on.
 
     Parameters
@@ -57,6 +57,8 @@ def together(comm: MPI.Comm, attempt: Callable[[], T]) -> T:
     comm : mpi4py communicator
     attempt : callable
         Without arguments; must not wait for other ranks.
+    names_rank : bool
+        Whether an error begins with the rank that failed.
 
     Raises
     ------
@@ -78,15 +80,28 @@ def together(comm: MPI.Comm, attempt: Callable[[], T]) -> T:
     if raised is not None and not isinstance(raised, LCPError | OSError):
         raise raised
     rank, (kind, message) = next((rank, one) for rank, one in enumerate(failures) if one is not None)
-    raise kind(f"rank {rank}: {message}" if comm.size > 1 else message) from raised
+    raise kind(f"rank {rank}: {message}" if names_rank and comm.size > 1 else message) from raised
 
 
 def _described(error: Exception) -> tuple[type[LCPError], str]:
     if isinstance(error, LCPError):
         return type(error), str(error)
+    return UnreadableFile if isinstance(error, OSError) else LCPError, message_of(error).removesuffix(": ")
+
+
+def message_of(error: BaseException) -> str:
+    """Return what an exception means, in words for the person at the terminal."""
+    if isinstance(error, LCPError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error}); use more machines, or choose a smaller problem"
     if isinstance(error, OSError):
-        return UnreadableFile, str(error)
-    return LCPError, f"{type(error).__name__}: {error}".removesuffix(": ")
+        return f"cannot read or write {error.filename or 'a file'}: {error.strerror or error}"
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, SystemExit):
+        return f"left alone, by sys.exit({error.code!r})"
+    return f"{type(error).__name__}: {error}"
 
 
 def require_same(
@@ -100,7 +115,7 @@ def require_same(
 
 
 def from_first(comm: MPI.Comm, attempt: Callable[[], T]) -> T:
-    """Return on every rank what `attempt` gives on rank 0; where it fails there, raise as :func:`together` does."""
-    value = together(comm, lambda: attempt() if comm.rank == 0 else None)
+    """Return on every rank what `attempt` gives on rank 0; where it fails there, raise its error on every rank."""
+    value = together(comm, lambda: attempt() if comm.rank == 0 else None, names_rank=False)
     result: T = comm.bcast(value, root=0)
     return result

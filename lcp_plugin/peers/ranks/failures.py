@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ...errors import LCPError
-from .collective import as_mpi
+from .collective import as_mpi, message_of
 
 ABORTED = 1
 PATIENCE = 5.0
@@ -78,21 +78,6 @@ def ends_together(comm: Any = None, *, patience: float = PATIENCE, speaker: str 
         _abort(mpi, speaker, error)
         raise
     ballot.Free()
-
-
-def message_of(error: BaseException) -> str:
-    """Return what an exception means, in words for the person at the terminal."""
-    if isinstance(error, LCPError):
-        return str(error)
-    if isinstance(error, MemoryError):
-        return f"not enough memory ({error}); use more machines, or choose a smaller problem"
-    if isinstance(error, OSError):
-        return f"cannot read or write {error.filename or 'a file'}: {error.strerror or error}"
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    if isinstance(error, SystemExit):
-        return f"left alone, by sys.exit({error.code!r})"
-    return f"{type(error).__name__}: {error}"
 
 
 def _is_bug(error: BaseException) -> bool:

@@ -1,7 +1,16 @@
 """Linear complementarity problems: model, solve, certify.
 
 Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below load on first use, so that
-``import lcp_plugin`` costs no more than numpy and scipy.sparse.
+``import lcp_plugin`` costs no more than numpy and scipy.sparse. Each has its help; these are pages on a whole subject:
+
+- ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
+- ``help("lcp_plugin.conversions")``: quadratic and linear programs, games, absolute value equations
+- ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does, and ``policy.direct_methods``: what it ends with
+- ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
+- ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
+- ``help("lcp_plugin.evidence")``: scenes and the report; other packages
+- ``help("lcp_plugin.peers")``: several machines
+- ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
 """
 
 from __future__ import annotations

@@ -40,25 +40,73 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     if sp.issparse(M):
         check_kind(M.dtype, "M must hold real numbers")
         _check_square(M.shape)
-        try:
-            return _canonical(M), None
-        except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
-            if isinstance(error, InvalidProblem):
-                raise
-            raise InvalidProblem(f"M is a damaged sparse array: {error}; build it again") from error
+        return _canonical(M, "M"), None
     dense = real_array(M, "M must hold real numbers")
     _check_square(dense.shape)
-    if not np.isfinite(dense).all():
-        row, column = np.argwhere(~np.isfinite(dense))[0]
-        raise InvalidProblem(f"M must be finite, but M[{row}, {column}] = {dense[row, column]}; repair that entry")
+    _check_finite(dense, "M")
     n = dense.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
         return None, read_only(np.array(dense, order="C"))  # its own: verdicts and bounds outlive a caller's changes
     return frozen(sp.csr_array(dense)), None
 
 
-def _canonical(M: Any) -> sp.csr_array:
+def rectangular_matrix(values: Any, name: str, rows: int | None, columns: int | None) -> Any:
+    """Return a read-only copy of the values: an ndarray, or canonical CSR where they are sparse.
+
+    Parameters
+    ----------
+    values : array or sparse array, shape (rows, columns)
+        Real, finite.
+    name : str
+        For the messages.
+    rows, columns : int or None
+        The shape that is needed; None where any number will do.
+
+    Raises
+    ------
+    InvalidProblem
+        For another shape, for numbers that are not real or not finite, for damaged sparse arrays.
+    """
+    shape = ", ".join("any" if length is None else str(length) for length in (rows, columns))
+    need = f"{name} must be a real matrix of shape ({shape})"
+    if sp.issparse(values):
+        check_kind(values.dtype, need)
+    matrix = values.copy() if sp.issparse(values) else real_array(values, need).copy()
+    if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
+        hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
+        raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
+    if sp.issparse(matrix):
+        return _canonical(matrix, name)
+    _check_finite(matrix, name)
+    return read_only(matrix)
+
+
+def _check_finite(dense: NDArray[np.float64], name: str) -> None:
+    if not np.isfinite(dense).all():
+        row, column = np.argwhere(~np.isfinite(dense))[0]
+        raise InvalidProblem(
+            f"{name} must be finite, but {name}[{row}, {column}] = {dense[row, column]}; repair that entry"
+        )
+
+
+def _canonical(M: Any, name: str) -> sp.csr_array:
     """Return M as canonical, checked CSR; without a copy where it is that already."""
+    try:
+        matrix = _repaired(M)
+    except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
+        raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
+    if not _all_finite(matrix.data):
+        where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
+        row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
+        raise InvalidProblem(
+            f"{name} must be finite, but {name}[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that "
+            "entry"
+        )
+    return frozen(matrix)
+
+
+def _repaired(M: Any) -> sp.csr_array:
+    """Return M as CSR in doubles, sorted, without duplicates and zeros."""
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
         matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
@@ -75,13 +123,7 @@ def _canonical(M: Any) -> sp.csr_array:
     if np.count_nonzero(matrix.data) != matrix.nnz:
         matrix = matrix.copy()
         matrix.eliminate_zeros()
-    if not _all_finite(matrix.data):
-        where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
-        row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
-        raise InvalidProblem(
-            f"M must be finite, but M[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that entry"
-        )
-    return frozen(matrix)
+    return matrix
 
 
 def in_doubles(M: Any) -> Any:
@@ -99,9 +141,9 @@ def _check_before_conversion(M: Any) -> None:
     elif M.format == "coo":
         if not M.row.size == M.col.size == M.data.size:
             raise ValueError("row, column and data arrays must have the same length")
-        for index in (M.row, M.col):
-            if index.size and not 0 <= index.min() <= index.max() < M.shape[0]:
-                raise ValueError(f"indices must lie in 0 … {M.shape[0] - 1}")
+        for index, count in zip((M.row, M.col), M.shape, strict=True):
+            if index.size and not 0 <= index.min() <= index.max() < count:
+                raise ValueError(f"indices must lie in 0 … {count - 1}")
     elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
         raise ValueError("each row must have as many values as columns")
 
@@ -165,6 +207,39 @@ def finite_vector(values: Any, name: str, n: int) -> FloatVector:
         where = int(np.flatnonzero(~np.isfinite(array))[0])
         raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
     return array
+
+
+def checked_vector(
+    values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False
+) -> FloatVector:
+    """Return a read-only copy of a real, finite vector of that length (any length for None).
+
+    Raises
+    ------
+    InvalidProblem
+        For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
+    """
+    need = f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
+    vector = real_array(values, need)
+    if vector.ndim != 1 or (length is not None and vector.size != length):
+        raise InvalidProblem(f"{need}, got shape {vector.shape}")
+    refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf)) & ~(allow_nan & np.isnan(vector))
+    if refused.any():
+        at = int(np.flatnonzero(refused)[0])
+        finite = "finite or inf" if allow_plus_infinity else "finite"
+        raise InvalidProblem(f"{name} must be {finite}, but {name}[{at}] = {vector[at]}; repair that entry")
+    return read_only(vector.copy())
+
+
+def checked_answer(answer: Any, n: int) -> FloatVector:
+    """Return z, shape (n,), of a result, or of the array that was given in its place.
+
+    Raises
+    ------
+    InvalidProblem
+        Where it is no finite vector of that length.
+    """
+    return checked_vector(getattr(answer, "z", answer), "z", n)
 
 
 def checked_bound(values: Any, name: str, n: int) -> FloatVector:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
@@ -75,26 +75,19 @@ class Settings:
         Where one of them is none of these.
     """
 
-    tolerance: Any
-    tolerance_on: Any
-    measure: Any
-    max_iterations: Any
-    max_seconds: Any
-    record: Any
-    error_bound: Any
+    tolerance: Any = 1e-8
+    tolerance_on: Any = "residual"
+    measure: Any = "relative"
+    max_iterations: Any = None
+    max_seconds: Any = None
+    record: Any = False
+    error_bound: Any = False
 
     def __post_init__(self) -> None:
-        checked = {
-            "tolerance": _number(self.tolerance, "tolerance"),
-            "tolerance_on": _choice(self.tolerance_on, "tolerance_on", TARGETS),
-            "measure": _choice(self.measure, "measure", MEASURES),
-            "max_iterations": _count(self.max_iterations),
-            "max_seconds": math.inf if self.max_seconds is None else _number(self.max_seconds, "max_seconds"),
-            "record": _flag(self.record, "record"),
-            "error_bound": _flag(self.error_bound, "error_bound"),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not field.default or value is None:
+                object.__setattr__(self, field.name, CHECKS[field.name](value, field.name))
 
     @property
     def is_on_error(self) -> bool:
@@ -110,11 +103,15 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
-def _count(value: Any) -> int:
+def _seconds(value: Any, name: str) -> float:
+    return math.inf if value is None else _number(value, name)
+
+
+def _count(value: Any, name: str) -> int:
     if value is None:
         return DEFAULT_MAX_ITERATIONS
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise InvalidOption(f"max_iterations must be a whole number ≥ 0, got {value!r}")
+        raise InvalidOption(f"{name} must be a whole number ≥ 0, got {value!r}")
     return int(value)
 
 
@@ -124,10 +121,31 @@ def _choice(value: Any, name: str, choices: tuple[str, ...]) -> str:
     return value
 
 
+def _target(value: Any, name: str) -> str:
+    return _choice(value, name, TARGETS)
+
+
+def _measure(value: Any, name: str) -> str:
+    return _choice(value, name, MEASURES)
+
+
 def _flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
     return bool(value)
+
+
+CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    "tolerance": _number, "tolerance_on": _target, "measure": _measure, "max_iterations": _count,
+    "max_seconds": _seconds, "record": _flag, "error_bound": _flag,
+}
+
+
+def checked_callback(callback: Any) -> CallersOwn | None:
+    """Return the caller's function as one that remembers what it raised, or None where there is none."""
+    if callback is not None and not callable(callback):
+        raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
+    return None if callback is None else CallersOwn(callback)
 
 
 class CallersOwn:

@@ -9,7 +9,9 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.evidence import gallery
-from lcp_plugin.policy.choice import Auto, Choice, Stage, direct_methods
+from lcp_plugin.policy.choice import Auto
+from lcp_plugin.policy.direct_methods import direct_methods
+from lcp_plugin.policy.stages import Choice, Stage
 
 TARGET = 1e-8
 

@@ -14,9 +14,8 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
 from lcp_plugin.conversions.absolute_value import lcp_from_absolute_value
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.conversions.linear_program import lcp_from_lp
 from lcp_plugin.conversions.qp_solution import QPSolution
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp, qp_from_lcp
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp, qp_from_lcp
 from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.matrix.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 

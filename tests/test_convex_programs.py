@@ -15,20 +15,13 @@ from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
-from lcp_plugin.conversions.convexity import is_shown_convex
-from lcp_plugin.conversions.linear_program import lcp_from_lp
-from lcp_plugin.conversions.qp_certificates import (
-    QPInfeasibility,
-    QPUnboundedness,
-    proof_of_no_minimum,
-    prove_infeasible,
-    prove_unbounded,
-)
+from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
+from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.qp_solution import QPSolution
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.exact.linear_systems import solved_nearby
-from lcp_plugin.modeling.model import build
-from lcp_plugin.modeling.qp_attempts import solve_quadratic_program
+from lcp_plugin.modeling.qp_solver import solve_quadratic_program
+from lcp_plugin.modeling.registration import build
 
 INF = np.inf
 INTERIOR = InteriorPoint()
@@ -187,8 +180,9 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     assert proof.verify()
     assert highs_verdict(case) == kind
     if isinstance(proof, QPInfeasibility):
-        flipped = tuple(-y for y in proof.inequality)
-        broken: Any = QPInfeasibility(case, flipped, proof.equality, proof.lower, proof.upper)
+        m = case.h.size
+        flipped = (*(-y for y in proof.multipliers[:m]), *proof.multipliers[m:])
+        broken: Any = QPInfeasibility(case, flipped)
     else:
         broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction), True)
     assert not broken.verify()
@@ -238,9 +232,9 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     assert isinstance(proof, QPInfeasibility)
     assert proof.program is program
     assert proof.verify()
-    assert not any((*proof.lower, *proof.upper))
-    used = sum(map(bool, (*proof.inequality, *proof.equality)))
-    assert used == n + 1
+    of_rows, of_bounds = np.split(np.array(proof.multipliers, dtype=bool), [program.constraints.rows])
+    assert not of_bounds.any()
+    assert of_rows.sum() == n + 1
 
 
 def test_a_rounded_bound_proves_nothing() -> None:
@@ -275,7 +269,7 @@ def test_a_full_program_gives_a_full_matrix() -> None:
     for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
         C = np.triu(G, few)
         problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
-        rows = problem.origin.rows.inequalities
+        rows = problem.origin.rows.left
         expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
         assert isinstance(problem.M, kind)
         assert np.array_equal(problem.csr.toarray(), expected)
@@ -314,7 +308,7 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
         P = scale * (B.T @ B)
         P = np.maximum(P, P.T)
         problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
-        assert is_shown_convex(problem.origin.program)
+        assert problem.origin.program.is_shown_convex
         solution = problem.origin.recover(solve(problem, tolerance=1e-12))
         assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
         assert solution.is_stationary(1e-6) or scale > 1.0
@@ -462,6 +456,17 @@ def test_rounding_does_not_make_a_program_nonconvex() -> None:
     np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
     with pytest.raises(UnsupportedModel, match="not convex"):
         solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+
+
+def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
+    monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
+    program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
+    result, _ = solve_quadratic_program(program)
+    reasons = [stage.because.partition(";")[0] for stage in result.stages]
+    assert reasons.count("a smaller tolerance") == 2
+    assert "the KKT form of the program as it stands" in reasons
+    assert "the KKT form of the program as it stands" in result.explain()
 
 
 # --- Optimality conditions written by hand ----------------------------------------------------------------------

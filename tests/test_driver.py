@@ -37,6 +37,7 @@ from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.deadline import time_limit
 from lcp_plugin.evidence import gallery
 from lcp_plugin.exact.linear_systems import solve_exactly
+from lcp_plugin.solving import guarantees
 from lcp_plugin.solving.error_watch import ErrorWatch
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
@@ -184,12 +185,15 @@ def test_nothing_given_is_modified(name: str) -> None:
         np.testing.assert_array_equal(old, new)
 
 
+TRAP = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
+
+
 class FakeClock:
     """A clock that moves only when told to."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("lcp_plugin.solving.driver.time.perf_counter", lambda: self.now)
+        monkeypatch.setattr("lcp_plugin.solving.state.time.perf_counter", lambda: self.now)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +218,24 @@ def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.Monkey
     result = solve(TWO, Ticking(clock=clock), max_seconds=7.5)
     assert (result.status, result.iterations) == (Status.MAX_SECONDS, 5)
     assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    "place", ["driver.policy_for", "driver.checked_start", "driver.Judge.final", "driver.Judge.verdict"]
+)
+def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
+    clock = FakeClock(monkeypatch)
+    path, _, name = f"lcp_plugin.solving.{place}".rpartition(".")
+    owner = pkgutil.resolve_name(path)
+    original = getattr(owner, name)
+
+    def slow(*arguments: Any, **named: Any) -> Any:
+        clock.now += 7.0
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, slow)
+    assert solve(TWO, "npsor").seconds == 7.0
 
 
 def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,8 +358,8 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     [
         ("solving.driver.rehearse", {}),
         ("solving.driver._Run.__init__", {}),
-        ("solving.driver.reference_residual", {}),
-        ("solving.driver.warn_where_uncovered", {}),
+        ("solving.judge.reference_residual", {}),
+        ("solving.driver.warn_where_known_to_be_uncovered", {}),
         ("solving.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("policy.choice.Auto.first", {}),
         ("policy.choice.Single.first", {}),
@@ -360,7 +382,7 @@ def test_ctrl_c_during_the_set_up_returns_the_projected_start(
     monkeypatch.setattr(owner, name, interrupted)
     result = solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
     if not hits:  # not every set-up passes everywhere
-        assert place.rpartition(".")[2] in ("warn_where_uncovered", "first")
+        assert place.rpartition(".")[2] in ("warn_where_known_to_be_uncovered", "first")
         return
     assert result.status is Status.INTERRUPTED
     assert result.z.tolist() == [0.0, 7.0]
@@ -368,16 +390,6 @@ def test_ctrl_c_during_the_set_up_returns_the_projected_start(
     assert algorithm in result.algorithm
     assert "INTERRUPTED" in result.explain()
     assert solve(TWO, algorithm, **options).is_solved
-
-
-def test_ctrl_c_during_the_analysis_after_a_failure_keeps_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """SIGINT while the reason of a failure is looked for gives the result that there is."""
-    monkeypatch.setattr("lcp_plugin.solving.guarantees._of_one", lambda *_: signal.raise_signal(signal.SIGINT))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # that before the run
-        result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), "psor", max_iterations=30, z0=[1.0, 1.0])
-    assert result.status is Status.INTERRUPTED
-    assert result.iterations > 0
 
 
 def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
@@ -534,7 +546,7 @@ def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: py
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
     assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
-    monkeypatch.setattr("lcp_plugin.solving.error_watch.SAMPLED_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.solving.error_watch.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
     assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound
@@ -676,16 +688,20 @@ def test_texts_speak_of_what_was_asked() -> None:
     assert "residual is above" not in result.explain()
 
 
-def test_a_time_limit_is_not_followed_by_an_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After MAX_ITERATIONS an uncovered choice is warned of, but not once the time limit is used up."""
-    monkeypatch.setattr("lcp_plugin.solving.guarantees.LARGEST_QUICK", 0)
-    trap = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
-    with pytest.warns(ConvergenceWarning, match="npsor"):
-        result = solve(LCP(trap, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
+def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No theorem is looked for before or after a run, whatever its end; ``guarantee`` looks when it is looked at."""
+    asked: list[str] = []
+    original = guarantees._full
+    monkeypatch.setattr(guarantees, "_full", lambda *arguments: asked.append("full") or original(*arguments))
+    result = solve(LCP(TRAP, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
     assert result.status is Status.MAX_ITERATIONS
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        solve(LCP(trap, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5, max_seconds=0.0)
+    assert result.advice
+    assert not asked
+    assert result.guarantee.verdict == "not covered"
+    assert 'what to do: scaling="auto"' in result.explain()
+    assert asked == ["full"]
+    assert solve(EXAMPLE.problem, "npsor").guarantee is convergence_guarantee(EXAMPLE.problem, "npsor")
+    assert solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
 
 
 def test_bounds_are_recorded_along_the_run() -> None:
@@ -696,17 +712,20 @@ def test_bounds_are_recorded_along_the_run() -> None:
     assert all(sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history)
 
 
-def test_an_uncovered_choice_is_warned_of_once() -> None:
-    """Where no theorem covers the choice, solve warns once with the remedy; a covered choice is silent."""
-    trap = LCP([[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]], [-210.0, -110, 150])
-    with pytest.warns(ConvergenceWarning, match=r'npsor on this matrix: not covered.*scaling="auto"') as caught:
-        [solve(trap, "npsor", scaling=None, max_iterations=5) for _ in range(2)]
-    assert len(caught) == 1
-    assert caught[0].filename == __file__
+def test_a_choice_known_to_be_uncovered_is_warned_of_once() -> None:
+    """Where it is known that no theorem covers the choice, solve warns once, with the remedy; else it is silent."""
+    trap = LCP(TRAP, [-210.0, -110, 150])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        convergence_guarantee(trap, "npgs", scaling=None)
+        result = solve(trap, "npsor", scaling=None, max_iterations=5)
         solve(trap, "npsor")
         solve(EXAMPLE.problem, "psor")
+    assert not result.guarantee.is_guaranteed
+    with pytest.warns(ConvergenceWarning, match=r'npsor on this matrix: not covered.*scaling="auto"') as caught:
+        [solve(trap.with_q(trap.q), "npsor", scaling=None, max_iterations=5) for _ in range(2)]
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
 
 
 def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,7 @@ CHECKS = [
     ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
+NUMBERS = {12: "Twelve", 13: "Thirteen", 14: "Fourteen"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,8 +67,14 @@ def test_example_keeps_its_promise(
 
 
 def test_every_example_is_tested_and_in_the_readme() -> None:
-    """The folder, the table above and the README's table name the same examples, the last two in the same order."""
-    readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
-    section = readme.split("## Examples")[1].split("\n## ")[0]
+    """The folder, the table above and that of its README name the same examples, the last two in the same order."""
+    readme = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
     assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted(NAMES)
-    assert re.findall(r"^\| `(\w+)\.py`", section, re.M) == NAMES
+    assert re.findall(r"^\| `(\w+)\.py`", readme, re.M) == NAMES
+
+
+def test_the_number_of_examples_in_the_readme_is_right() -> None:
+    """The README counts the examples, and the script that it names is one."""
+    readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
+    assert f"{NUMBERS[len(NAMES)]} scripts in `examples/`" in readme
+    assert {*re.findall(r"examples/(\w+)\.py", readme)} <= {*NAMES}

@@ -28,12 +28,12 @@ from lcp_plugin.certificates.convergence import PROJECTED_RELAXATION, IterationF
 from lcp_plugin.certificates.divergence import radius_above_one
 from lcp_plugin.certificates.theorems import theorem_4_1
 from lcp_plugin.commands.cli import app
-from lcp_plugin.errors import ConvergenceWarning, InvalidOption, UnknownAlgorithm
+from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.matrix import analyze
 from lcp_plugin.matrix.row_sums import triangle_sums
 from lcp_plugin.matrix.spectral_radius import nonnegative_radius
-from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
+from lcp_plugin.solving.guarantees import convergence_guarantee
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
@@ -185,7 +185,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.policy.choice.LARGEST_PIVOTED", 1)
+    monkeypatch.setattr("lcp_plugin.policy.direct_methods.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 
@@ -206,10 +206,7 @@ def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
         guarantee = convergence_guarantee(trap.problem, name, **UNSCALED)
         assert not guarantee.is_guaranteed
         assert 'scaling="auto"' in guarantee.remedy
-        quick = quick_guarantee(trap.problem, create(name, UNSCALED))
-        assert quick is None or not quick.is_guaranteed
     assert not solve(trap.problem, "npsor", z0=trap.start, **UNSCALED).is_solved
-    assert quick_guarantee(trap.problem, create("npsor", UNSCALED)).verdict == "not covered"
 
 
 @pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
@@ -337,7 +334,6 @@ def test_an_algorithm_of_the_user_is_not_covered() -> None:
                 yield Step(z0)
 
     assert convergence_guarantee(with_matrix(np.eye(2)), Still()).verdict == "not covered"
-    assert quick_guarantee(with_matrix(np.eye(2)), Still()) is None
 
 
 def test_arguments_are_checked() -> None:
@@ -359,9 +355,6 @@ def test_a_guarantee_is_kept_with_the_matrix() -> None:
     found = convergence_guarantee(problem, "npsor")
     assert convergence_guarantee(problem.with_q([1.0, 2.0]), "npsor") is found
     assert convergence_guarantee(problem, "npsor", relaxation=1.1) is not found
-    algorithm = create("npsor", {})
-    assert quick_guarantee(problem, algorithm) is quick_guarantee(problem, algorithm)
-    assert quick_guarantee(problem, algorithm).rate == found.rate
 
 
 def test_a_class_of_the_same_name_has_a_guarantee_of_its_own() -> None:
@@ -369,9 +362,8 @@ def test_a_class_of_the_same_name_has_a_guarantee_of_its_own() -> None:
     problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     first, second = named_like_another(0.5), named_like_another(3.0)
     assert type(first).__qualname__ == type(second).__qualname__
-    for ask in (quick_guarantee, convergence_guarantee):
-        assert ask(problem, first).is_guaranteed
-        assert not getattr(ask(problem, second), "is_guaranteed", False)
+    assert convergence_guarantee(problem, first).is_guaranteed
+    assert not convergence_guarantee(problem, second).is_guaranteed
     third = type(first)()
     object.__setattr__(third, "step", 3.0)  # held, though no field
     assert not convergence_guarantee(problem, third).is_guaranteed
@@ -394,10 +386,9 @@ def named_like_another(omega: float) -> Algorithm:
     return Richardson()
 
 
-def test_the_full_answer_proves_what_the_quick_one_does() -> None:
-    """Weights of 460 decades are no use to a row bound; those of the quick answer then serve the full one."""
+def test_weights_that_are_no_use_are_not_the_last() -> None:
+    """Weights of 460 decades are no use to a row bound; where others serve, the answer is theirs."""
     problem, algorithm = with_matrix([[1.0, 1e300], [1e-310, 1.7e308]]), create("npsor", {"sweep": "symmetric"})
-    assert quick_guarantee(problem, algorithm).is_guaranteed
     assert convergence_guarantee(problem, algorithm).is_guaranteed
 
 
@@ -405,9 +396,9 @@ def test_bounds_are_asked_before_what_is_kept() -> None:
     """A modulus method guaranteed with M says nothing of a problem with upper bounds, where it cannot run."""
     problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     boxed, algorithm = problem.with_q(problem.q, upper=1.0), create("mgs", {})
-    assert quick_guarantee(problem, algorithm).is_guaranteed
-    assert quick_guarantee(boxed, algorithm) is None
-    assert quick_guarantee(boxed.with_q(problem.q, upper=np.inf), algorithm).is_guaranteed
+    assert convergence_guarantee(problem, algorithm).is_guaranteed
+    assert not convergence_guarantee(boxed, algorithm).is_guaranteed
+    assert convergence_guarantee(boxed.with_q(problem.q, upper=np.inf), algorithm).is_guaranteed
 
 
 # --- At the limit of a theorem -------------------------------------------------------------------------------
@@ -427,15 +418,14 @@ def test_what_rounding_may_undo_is_not_guaranteed(M: Any, name: str, options: di
     problem = with_matrix(M)
     guarantee = convergence_guarantee(problem, name, **options)
     assert guarantee.verdict == "not covered"
-    assert not getattr(quick_guarantee(problem, create(name, options)), "is_guaranteed", False)
 
 
 def test_the_example_at_the_limit_does_not_converge() -> None:
     """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not arrive."""
     problem = LCP([[1.0]], [-1.0])
-    with pytest.warns(ConvergenceWarning):
-        result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
+    result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
     assert not result.is_solved
+    assert result.guarantee.verdict == "not covered"
 
 
 def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:

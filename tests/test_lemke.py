@@ -329,7 +329,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connected part that is too large for a dense inverse is refused by its size."""
-    monkeypatch.setattr("lcp_plugin.algorithms.pivots.lemke.LARGEST", 3)
+    monkeypatch.setattr("lcp_plugin.algorithms.pivots.lemke.PIVOTED_UP_TO", 3)
     with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
         steps(LCP(np.ones((4, 4)), -np.ones(4)))
 

@@ -33,7 +33,7 @@ from lcp_plugin.matrix.factors import factor_fits
 from lcp_plugin.matrix.h_matrix import decide
 from lcp_plugin.matrix.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.matrix.symmetry import is_nearly_symmetric
-from lcp_plugin.policy.choice import _seems_monotone
+from lcp_plugin.policy.direct_methods import _seems_monotone
 from lcp_plugin.solving.guarantees import convergence_guarantee
 
 CAMPAIGN = Path(__file__).parent / "campaigns" / "matrix_verdicts.py"

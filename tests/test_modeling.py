@@ -23,7 +23,7 @@ from lcp_plugin import (
     is_complementarity_problem,
     solve,
 )
-from lcp_plugin.modeling.model import build
+from lcp_plugin.modeling.registration import build
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
 Q = np.array([-3.0, 5.0, -4.0])
@@ -577,7 +577,7 @@ def test_a_bound_is_a_number_or_a_parameter() -> None:
 
 def test_solving_again_and_again_keeps_no_more() -> None:
     """The memo of a problem does not grow from solve to solve."""
-    from lcp_plugin.modeling import model as module
+    from lcp_plugin.modeling import registration as module
 
     x, y = cp.Variable(3, nonneg=True), cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(x, M @ x + Q), cp.sum(x) + 4 * y == 2])

@@ -11,8 +11,8 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import ComplementarityProblem, box, complements
-from lcp_plugin.modeling.implied_bounds import KnownRanges
-from lcp_plugin.modeling.model import build
+from lcp_plugin.modeling.equations import KnownRanges
+from lcp_plugin.modeling.registration import build
 
 N = 6
 

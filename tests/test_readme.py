@@ -1,7 +1,9 @@
-"""Every code block of the README runs."""
+"""Every code block of the README runs, and what it names is there."""
 
 from __future__ import annotations
 
+import ast
+import importlib
 import re
 import shlex
 import tomllib
@@ -13,7 +15,9 @@ from typer.testing import CliRunner
 from lcp_plugin.algorithms import ENTRY_POINT_GROUP
 from lcp_plugin.commands.cli import app
 
-README = Path(__file__).parent.parent.joinpath("README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parent.parent
+README = ROOT.joinpath("README.md").read_text(encoding="utf-8")
+LONGEST = 300
 
 
 def blocks(language: str) -> list[str]:
@@ -54,13 +58,46 @@ def test_first_two_shell_blocks_install_and_test() -> None:
     assert "pytest" in second
 
 
-@pytest.mark.parametrize("block", blocks("toml"))
-def test_toml_blocks_can_be_read(block: str) -> None:
-    """A TOML block is what the text around it says: the entry point of an algorithm."""
-    groups = tomllib.loads(block)["project"]["entry-points"]
+def pages(text: str) -> list[str]:
+    """The modules whose help a text names, as in help("lcp_plugin.modeling")."""
+    return re.findall(r'help\("(lcp_plugin[\w.]*)"\)', text)
+
+
+def page(module: str) -> str:
+    """What help() shows first of a module; "" where there is none."""
+    path = ROOT.joinpath(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+
+
+@pytest.mark.parametrize("module", pages(README))
+def test_pages_are_there(module: str) -> None:
+    """A page that the README names is one, and help(lcp_plugin) lists it."""
+    assert len(page(module).splitlines()) > 10
+    assert module in pages(page("lcp_plugin"))
+
+
+@pytest.mark.parametrize("module", pages(page("lcp_plugin")))
+def test_pages_open_without_extras(module: str) -> None:
+    """Each page that help(lcp_plugin) lists opens, and is one."""
+    assert len((importlib.import_module(module).__doc__ or "").splitlines()) > 10
+
+
+def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
+    """The TOML in the docstring that "Add an algorithm" leads to is the entry point that this package reads."""
+    assert "examples/add_an_algorithm.py" in README
+    told = ast.get_docstring(ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")))
+    block = re.search(r"^ +(\[project.*?)\n\n", told or "", re.S | re.M)
+    assert block is not None
+    groups = tomllib.loads(block[1])["project"]["entry-points"]
     assert list(groups) == [ENTRY_POINT_GROUP]
+
+
+def test_it_stays_short() -> None:
+    """What is looked up stands where it is looked up: the README has at most 300 lines."""
+    assert len(README.splitlines()) <= LONGEST
 
 
 def test_every_kind_of_block_is_known() -> None:
     """No block has a language that none of these tests runs."""
-    assert set(re.findall(r"^```(\w+)$", README, re.M)) <= {"bash", "sh", "python", "text", "toml"}
+    assert set(re.findall(r"^```(\w+)$", README, re.M)) <= {"bash", "sh", "python", "text"}

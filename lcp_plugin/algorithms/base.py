@@ -12,6 +12,7 @@ import numpy as np
 
 from ..certificates.convergence import IterationFacts
 from ..checks import FloatVector, is_number
+from ..crossovers import DIRECT_PASSES, DIRECT_PASSES_DENSE, DIRECT_UP_TO
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
 from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
@@ -61,8 +62,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `is_compiled` asks the driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual
-    are legal, and that the iterator ends by itself where nothing more can be done.
+    `is_compiled` asks the driver for a rehearsal off the clock; `runs_on_ranks` says that it takes rows that are spread
+    over the ranks of an MPI job, asking `problem.peers` for what other ranks know; `is_monotone` False says that rises
+    of the residual are legal, and that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -71,6 +73,7 @@ class Algorithm(ABC):
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     is_compiled: ClassVar[bool] = False
+    runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 
     @abstractmethod
@@ -92,6 +95,10 @@ class Algorithm(ABC):
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return about how many passes over M an answer takes where npsor needs so many more sweeps; ∞ for no idea."""
+        return math.inf
 
     def facts(self, problem: LCP) -> IterationFacts | None:
         """Return what the convergence theorems ask of the iteration, or None where no theorem here is about it.
@@ -170,14 +177,27 @@ def require_step(name: str, step: Any) -> None:
         raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
 
 
+def direct_passes(problem: LCP) -> float:
+    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
+    if problem.is_dense:
+        return DIRECT_PASSES_DENSE
+    is_last = problem.n <= DIRECT_UP_TO or not has_positive_diagonal(problem.matrix).all()
+    return DIRECT_PASSES if is_last else math.inf
+
+
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
-    if not usable.all():
-        i = int(np.flatnonzero(~usable)[0])
-        raise UnsuitableMatrix(
-            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
-        )
+
+    def check() -> None:
+        if not usable.all():
+            i = int(np.flatnonzero(~usable)[0])
+            row = problem.first + i
+            raise UnsuitableMatrix(
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
+            )
+
+    problem.peers.together(check)
     return diagonal
 
 

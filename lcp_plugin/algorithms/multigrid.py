@@ -6,6 +6,7 @@ finer one (nested iteration), so that the free set is nearly right before the fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -13,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import FloatVector
+from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
 from ..errors import InvalidOption
 from ..problem.lcp import LCP
 from .base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
@@ -70,6 +72,7 @@ class Multigrid(Algorithm):
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
     )
     is_compiled: ClassVar[bool] = True
+    runs_on_ranks: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     smoother: str = "pgs"
@@ -86,12 +89,16 @@ class Multigrid(Algorithm):
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
 
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return about what a run costs, whatever n is."""
+        return MULTIGRID_PASSES if not problem.is_dense and problem.n > DIRECT_UP_TO else math.inf
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""
         require_positive_diagonal(problem, self.name)
         from .multigrid_run import MultigridRun
 
-        yield from MultigridRun.of(self, problem).iterates(z0)
+        yield from MultigridRun(self, problem).iterates(z0)
 
     def rehearsal(self) -> Multigrid:
         """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""

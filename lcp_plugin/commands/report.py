@@ -28,7 +28,7 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
     from ..evidence.drawing import require_matplotlib
     from ..evidence.report.collect import collect
     from ..evidence.report.page import require_jinja, write_report
-    from ..evidence.report.plan import plan
+    from ..evidence.report.section import plan
 
     require_matplotlib()
     require_jinja()

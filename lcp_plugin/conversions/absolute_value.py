@@ -11,10 +11,9 @@ import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_answer, checked_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..problem.lcp import LCP
-from .checked import attach_origin, checked_answer, checked_matrix, checked_vector
 
 FORMS = ("plain", "mixed")
 SINGULAR_BELOW = 1e-14  # reciprocal condition number
@@ -131,17 +130,18 @@ def lcp_from_absolute_value(A: Any, b: ArrayLike, B: Any = None, form: str = "pl
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
     right = checked_vector(b, "b", None)
     n = right.size
-    first = checked_matrix(A, "A", n, n)
+    first = rectangular_matrix(A, "A", n, n)
     identity = sp.eye_array(n, format="csr") if sp.issparse(first) else np.eye(n)
-    second = checked_matrix(-identity if B is None else B, "B", n, n)
-    origin = AbsoluteValueOrigin(first, second, right, form)
+    second = rectangular_matrix(-identity if B is None else B, "B", n, n)
     if form == "mixed":
         both, unit = sp.csr_array(first + second), sp.eye_array(n, format="csr")
         M = sp.block_array([[both, sp.csr_array(2.0 * second)], [unit, unit]], format="csr")
-        lower = np.repeat([-np.inf, 0.0], n)
-        return attach_origin(LCP(M, np.concatenate([-right, np.zeros(n)]), lower=lower), origin)
-    columns = _solved(_dense(first + second), np.column_stack([_dense(first - second), right]))
-    return attach_origin(LCP(columns[:, :n], columns[:, n]), origin)
+        problem = LCP(M, np.concatenate([-right, np.zeros(n)]), lower=np.repeat([-np.inf, 0.0], n))
+    else:
+        columns = _solved(_dense(first + second), np.column_stack([_dense(first - second), right]))
+        problem = LCP(columns[:, :n], columns[:, n])
+    problem.origin = AbsoluteValueOrigin(first, second, right, form)
+    return problem
 
 
 def _solved(matrix: Any, right: Any) -> Any:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_answer, rectangular_matrix
 from ..errors import InvalidProblem, NotConverged
 from ..problem.lcp import LCP
-from .checked import attach_origin, checked_answer, checked_matrix
 
 FloatMatrix = NDArray[np.float64]
 
@@ -116,15 +115,17 @@ def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
     >>> equilibrium.row_strategy, equilibrium.payoffs, equilibrium.regret
     (array([0.5, 0.5]), (0.0, 0.0), 0.0)
     """
-    row_payoffs = _dense(checked_matrix(A, "A", None, None))
+    row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
         raise InvalidProblem(f"A must have at least one row and one column, got shape {row_payoffs.shape}")
-    column_payoffs = _dense(checked_matrix(B, "B", m, k))
+    column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs)
     M[m:, :m] = _costs(column_payoffs).T
-    return attach_origin(LCP(M, np.full(m + k, -1.0)), GameOrigin(row_payoffs, column_payoffs))
+    problem = LCP(M, np.full(m + k, -1.0))
+    problem.origin = GameOrigin(row_payoffs, column_payoffs)
+    return problem
 
 
 def _costs(payoffs: FloatMatrix) -> FloatMatrix:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..errors import InvalidProblem
+from ..exact.rounding import compensated_product
 from ..kernels.floats import EPSILON
 from ..matrix.matrix import NEGLIGIBLE_DIAGONAL
 from ..problem.lcp import LCP
@@ -44,7 +45,7 @@ class Presolved:
     fixed: int = 0
     decided: int = 0
     separate: int = 0
-    steps: tuple[_Fixed | _Separate, ...] = field(default=(), repr=False)
+    steps: tuple[_Removed, ...] = field(default=(), repr=False)
 
     def restore(self, z: Any) -> Any:
         """Return the z of the original that belongs to a z of the smaller problem.
@@ -123,16 +124,7 @@ def presolve(problem: LCP) -> Presolved:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fixed:
-    indices: Indices
-    values: FloatVector
-
-    def put_back(self, z: Any) -> None:
-        z[self.indices] = _like(self.values, z)
-
-
-@dataclass(frozen=True, eq=False)
-class _Separate:
+class _Removed:
     """Rows whose z nothing else depends on: each a problem in one unknown once the others are known."""
 
     indices: Indices
@@ -145,30 +137,14 @@ class _Separate:
     upper: FloatVector
 
     def put_back(self, z: Any) -> None:
-        rest = _like(self.offset, z).copy()
-        np.add.at(rest, self.row, _like(self.entry, z) * z[self.column])
-        if z.dtype == object:
-            for k, i in enumerate(self.indices):
-                z[i] = _one_unknown(Fraction(self.diagonal[k]), rest[k], self.lower[k], self.upper[k])
-            return
-        steep = self.diagonal > 0.0
-        inner = np.clip(-rest / np.where(steep, self.diagonal, 1.0), self.lower, self.upper)
-        at_lower = self.diagonal * self.lower + rest >= 0.0
-        flat = np.where(at_lower, self.lower, self.upper)
-        idle = np.clip(0.0, self.lower, self.upper)  # an empty row with q = 0 takes any z
-        is_idle = (self.diagonal == 0.0) & (rest == 0.0)
-        z[self.indices] = np.where(steep, inner, np.where(is_idle, idle, flat))
-
-
-def _one_unknown(diagonal: Fraction, rest: Fraction, lower: float, upper: float) -> Fraction:
-    """Return z between the bounds, complementary to diagonal · z + rest."""
-    candidate = -rest / diagonal if diagonal > 0 else None
-    if diagonal == 0 and rest == 0:
-        candidate = Fraction(0)
-    if candidate is not None:
-        candidate = candidate if lower == -np.inf else max(candidate, Fraction(lower))
-        return candidate if upper == np.inf else min(candidate, Fraction(upper))
-    return Fraction(lower) if diagonal * Fraction(lower) + rest >= 0 else Fraction(upper)
+        rest, diagonal = like(self.offset, z).copy(), like(self.diagonal, z)
+        np.add.at(rest, self.row, like(self.entry, z) * z[self.column])
+        inner = -rest / np.where(diagonal > 0, diagonal, 1)
+        # A row without a positive diagonal entry has two finite bounds, or is empty with q = 0 and takes any z.
+        low = like(np.where(np.isfinite(self.lower), self.lower, 0.0), z)
+        at_bound = np.where(diagonal * low + rest >= 0, self.lower, self.upper)
+        wanted = np.where(diagonal > 0, inner, np.where((diagonal == 0) & (rest == 0), 0, at_bound))
+        z[self.indices] = like(np.minimum(np.maximum(wanted, self.lower), self.upper), z)
 
 
 class _Reduction:
@@ -177,7 +153,7 @@ class _Reduction:
     def __init__(self, problem: LCP) -> None:
         self.given = problem
         self.q, self.alive = problem.q, np.ones(problem.n, dtype=bool)
-        self.steps: list[_Fixed | _Separate] = []
+        self.steps: list[_Removed] = []
         self.counts = {"fixed": 0, "decided": 0, "separate": 0}
         self.stays = np.zeros(problem.n, dtype=bool)  # known, but not exact to take out
         self.meets = np.zeros(0, dtype=np.int64)  # other rows that have each z in them
@@ -265,7 +241,9 @@ class _Reduction:
             exact = self._moved_into_q(indices, values)
             self.stays[indices[~exact]] = True
             indices, values = indices[exact], values[exact]
-        self.steps.append(_Fixed(indices, values))
+        nothing = np.zeros(0, dtype=np.int64)  # w = 1 between two equal bounds
+        zero, one = np.zeros(indices.size), np.ones(indices.size)
+        self.steps.append(_Removed(indices, nothing, nothing, zero[:0], one, zero, values, values))
         self._remove(indices, self._entries_of(indices)[1], reason)
 
     def _remove(self, indices: Indices, columns: Indices, reason: str) -> Indices:
@@ -280,22 +258,17 @@ class _Reduction:
     def _moved_into_q(self, indices: Indices, values: FloatVector) -> NDArray[np.bool_]:
         """Add the columns times the values to q; return which of them could be added without rounding."""
         block = sp.coo_array(self.given.matrix.csc[:, indices])
-        row, which = block.row, block.col
-        with np.errstate(all="ignore"):
-            products = block.data * values[which]
-        acts = self.alive[row] & (products != 0.0) & (row != indices[which])
-        row, which, products = row[acts], which[acts], products[acts]
-        bits = _lowest_bit(block.data[acts]) + _lowest_bit(values[which])
-        lowest = np.where(self.q != 0.0, _lowest_bit(self.q), 2000)
-        np.minimum.at(lowest, row, bits)
-        size = np.abs(self.q) + np.bincount(row, weights=np.abs(products), minlength=self.q.size)
-        with np.errstate(all="ignore"):
-            is_exact = (size < np.ldexp(1.0, np.clip(lowest + 52, -1000, 1000))) & (lowest > -1000)
+        acts = self.alive[block.row] & (block.row != indices[block.col]) & (values[block.col] != 0.0)
+        entries = (block.data * acts, (block.row, block.col))
+        columns = sp.csr_array(entries, shape=block.shape)
         usable = np.ones(indices.size, dtype=bool)
-        usable[which[~is_exact[row]]] = False
-        added = usable[which]
-        self.q = self.q + np.bincount(row[added], weights=products[added], minlength=self.q.size)
-        return usable
+        while True:
+            moved, radius = compensated_product(columns, np.where(usable, values, 0.0), self.q)
+            spoilt = usable & (abs(columns).T @ (radius != 0.0) > 0.0)
+            if not spoilt.any():
+                self.q = moved
+                return usable
+            usable &= ~spoilt
 
     def _peel(self) -> None:
         """Take out rows that nothing else depends on, and again what nothing depends on then."""
@@ -308,7 +281,7 @@ class _Reduction:
             beside = self.alive[column] & (column != empty[row])
             row, column, entry = row[beside], column[beside], entry[beside]
             given = (self.q, self.given.diagonal, self.given.lower, self.given.upper)
-            self.steps.append(_Separate(empty, row, column, entry, *(values[empty] for values in given)))
+            self.steps.append(_Removed(empty, row, column, entry, *(values[empty] for values in given)))
             empty = self._remove(empty, column, "separate")
 
     def _is_solvable_alone(self, indices: Indices) -> NDArray[np.bool_]:
@@ -324,10 +297,9 @@ class _Reduction:
     def _entries_of(self, indices: Indices) -> tuple[Indices, Indices, FloatVector]:
         """Return row (counted within `indices`), column and entry of these rows."""
         csr = self.given.csr
-        start, counts = csr.indptr[indices], csr.indptr[indices + 1] - csr.indptr[indices]
-        row = np.repeat(np.arange(indices.size), counts)
-        at = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
-        return row, csr.indices[at].astype(np.int64), csr.data[at]
+        part = csr[indices]
+        row = np.repeat(np.arange(indices.size), np.diff(part.indptr))
+        return row, part.indices.astype(np.int64), part.data
 
     def problem(self) -> LCP:
         """Return the problem of the rows that are left."""
@@ -336,14 +308,6 @@ class _Reduction:
         return LCP(M, self.q[kept], lower=given.lower[kept], upper=given.upper[kept])
 
 
-def _lowest_bit(values: FloatVector) -> Indices:
-    """Return k such that each value is an odd multiple of 2^k; 0 for 0."""
-    mantissa, exponent = np.frexp(values)
-    whole = np.ldexp(mantissa, 53).astype(np.int64)
-    lowest = np.frexp((whole & -whole).astype(np.float64))[1] - 1
-    return np.where(whole == 0, 0, lowest + exponent - 53).astype(np.int64)
-
-
-def _like(values: FloatVector, z: Any) -> Any:
+def like(values: FloatVector, z: Any) -> Any:
     """Return doubles as they are, or as Fractions beside a z of Fractions."""
-    return np.array([Fraction(v) for v in values.tolist()], dtype=object) if z.dtype == object else values
+    return np.array([Fraction(value) for value in values.tolist()], dtype=object) if z.dtype == object else values

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
-from ..errors import UnsuitableMatrix
-from ..matrix.definiteness import Solver, is_diagonal, positive_definite_solver
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked_answer
+from ..errors import UnsuitableMatrix, UnsuitableProblem
+from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
 from ..problem.lcp import LCP
-from .checked import checked_answer
+from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
-from .simple_rows import FoldedRows
 
 if TYPE_CHECKING:
-    from .quadratic_program import QuadraticProgram
+    from .program import QuadraticProgram
 
-FORMS = ("direct", "dual", "kkt")
+WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
@@ -33,7 +32,7 @@ class QPOrigin:
     ----------
     program : QuadraticProgram
     rows : FoldedRows
-        What is left of its rows, and its bounds with the others folded in.
+        The program with its simple rows folded into bounds, ``rows.folded``, whose conditions the problem states.
     form : str
         "direct", "dual" or "kkt".
     """
@@ -61,16 +60,16 @@ class QPOrigin:
         InvalidProblem
             Where it is no finite vector of that length.
         """
-        x, inequality, equality = self._split(answer)
+        x, y = self._split(answer)
+        rows, folded = self.program.constraints, self.rows.folded
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
-            program = self.program
-            sizes = program.h.size, program.b.size, program.n, program.n
-            return QPSolution(program, x, *(np.full(size, np.nan) for size in sizes))
-        reduced_cost = self.program.P @ x + self.program.c
-        reduced_cost = reduced_cost + self._G.T @ inequality + self._A.T @ equality
-        return QPSolution(
-            self.program, x, *self.rows.spread(self.program, inequality, equality, reduced_cost)
-        )
+            return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
+        y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
+        # What the bounds have to balance, μ_lower − μ_upper.
+        reduced_cost = folded.P @ x + folded.c + folded.constraints.matrix[: y.size].T @ y
+        at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
+        at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
+        return QPSolution(self.program, x, *rows.split(self.rows.unfold(np.concatenate([y, at_lower, at_upper]))))
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.
@@ -80,27 +79,9 @@ class QPOrigin:
         """
         return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
 
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
-        """Return x and the multipliers of the rows that are left of G and of A."""
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of the rows of G and A that are left."""
         raise NotImplementedError
-
-    @cached_property
-    def _G(self) -> sp.csr_array:
-        return sp.csr_array(self.program.G)[self.rows.inequalities]
-
-    @cached_property
-    def _A(self) -> sp.csr_array:
-        return sp.csr_array(self.program.A)[self.rows.equalities]
-
-    @property
-    def _h(self) -> FloatVector:
-        right: FloatVector = self.program.h[self.rows.inequalities]
-        return right
-
-    @property
-    def _b(self) -> FloatVector:
-        right: FloatVector = self.program.b[self.rows.equalities]
-        return right
 
 
 class DirectForm(QPOrigin):
@@ -110,10 +91,16 @@ class DirectForm(QPOrigin):
 
     def problem(self) -> LCP:
         """Return the problem of n rows."""
-        return LCP(self.program.P, self.program.c, lower=self.rows.lower, upper=self.rows.upper)
+        program, left = self.rows.folded, self.rows.left.size
+        if left:
+            raise UnsuitableProblem(
+                f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
+                'nonzero (or contradict one another); use form="dual" or form="kkt"'
+            )
+        return LCP(program.P, program.c, lower=program.lower, upper=program.upper)
 
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
-        return checked_answer(answer, self.program.n), np.zeros(0), np.zeros(0)
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        return checked_answer(answer, self.program.n), np.zeros(0)
 
 
 class KKTForm(QPOrigin):
@@ -123,31 +110,25 @@ class KKTForm(QPOrigin):
 
     def problem(self) -> LCP:
         """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
-        m, p = self._h.size, self._b.size
+        program, rows = self.rows.folded, self.rows.left.size
+        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
-            self._matrix(),
-            np.concatenate([self.program.c, self._h, self._b]),
-            lower=np.concatenate([self.rows.lower, np.zeros(m), np.full(p, -np.inf)]),
-            upper=np.concatenate([self.rows.upper, np.full(m + p, np.inf)]),
+            self._matrix(), np.concatenate([program.c, program.constraints.limit[:rows]]),
+            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
         )
 
     def _matrix(self) -> Any:
         """Return M, an ndarray where it is small and full."""
-        P, C = self.program.P, sp.vstack([self._G, self._A], format="csr")
-        n, rows = self.program.n, C.shape[0]
-        nonzeros = (P.nnz if sp.issparse(P) else np.count_nonzero(P)) + 2 * C.nnz
-        if n + rows > DENSE_UP_TO_SIZE or nonzeros <= DENSE_ABOVE_DENSITY * (n + rows) ** 2:
-            return sp.block_array([[sp.csr_array(P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr")
-        M = np.zeros((n + rows, n + rows))
-        M[:n, :n] = P.toarray() if sp.issparse(P) else P
-        M[n:, :n] = -C.toarray()
-        M[:n, n:] = C.toarray().T
-        return M
+        rows = self.rows.left.size
+        C = self.rows.folded.constraints.matrix[:rows]
+        return _kept_as_suits(sp.block_array(
+            [[sp.csr_array(self.program.P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr"
+        ))
 
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
-        n, m, p = self.program.n, self._h.size, self._b.size
-        x, inequality, equality = np.split(checked_answer(answer, n + m + p), [n, n + m])
-        return x, np.maximum(inequality, 0.0), equality
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        n = self.program.n
+        z = checked_answer(answer, n + self.rows.left.size)
+        return z[:n], z[n:].copy()
 
 
 class DualForm(QPOrigin):
@@ -155,33 +136,28 @@ class DualForm(QPOrigin):
 
     form = "dual"
 
-    @classmethod
-    def with_solver(cls, program: QuadraticProgram, rows: FoldedRows, solver: Solver) -> DualForm:
-        """Return the form with the factorisation that proved P positive definite."""
-        made = cls(program, rows)
-        made.__dict__["_solve"] = solver
-        return made
-
-    @staticmethod
-    def size(rows: FoldedRows) -> int:
-        """Return the number of rows of the problem."""
-        fixed, below, above = _bound_rows(rows)
-        return rows.count + int(fixed.size + below.size + above.size)
+    def is_worthwhile(self) -> bool:
+        """Whether it is no larger than the KKT form, no large dense matrix, well conditioned, not clearly insoluble."""
+        left = self.rows.left.size
+        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
+        is_small = size <= left + self.program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(self.program.P))
+        if not left or not is_small or self.rows.contradict() or self._solver is None:
+            return False
+        return condition_estimate(self.program.P, self._solver) <= WELL_CONDITIONED
 
     def problem(self) -> LCP:
         """Return the problem with one row a constraint."""
         C, d = self._constraints
-        m, free = self._h.size, self._b.size + _bound_rows(self.rows)[0].size
+        m, free = self.rows.folded.h.size, self.rows.folded.b.size + _bound_rows(self.rows.folded)[0].size
         lower = np.zeros(d.size)
         lower[m : m + free] = -np.inf
-        return LCP(self._delassus(), d + C @ self._solve(self.program.c), lower=lower)
+        q = d + C @ self._solve(self.program.c)
+        return LCP(self._delassus(), q, lower=lower)
 
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector, FloatVector]:
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         C, d = self._constraints
         z = checked_answer(answer, d.size)
-        x = -self._solve(self.program.c + C.T @ z)
-        m, p = self._h.size, self._b.size
-        return x, np.maximum(z[:m], 0.0), z[m : m + p]
+        return -self._solve(self.program.c + C.T @ z), z[: self.rows.left.size].copy()
 
     def _delassus(self) -> Any:
         """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse."""
@@ -201,29 +177,34 @@ class DualForm(QPOrigin):
 
     @cached_property
     def _constraints(self) -> tuple[sp.csr_array, FloatVector]:
-        fixed, below, above = _bound_rows(self.rows)
-        identity = sp.eye_array(self.program.n, format="csr")
-        C = sp.vstack([self._G, self._A, identity[fixed], -identity[below], identity[above]], format="csr")
-        lower, upper = self.rows.lower, self.rows.upper
-        return C, np.concatenate([self._h, self._b, upper[fixed], -lower[below], upper[above]])
+        every = self.rows.folded.constraints
+        listed = np.concatenate([np.arange(self.rows.left.size), *_bound_rows(self.rows.folded)])
+        return every.matrix[listed], every.limit[listed]
 
     @cached_property
-    def _solve(self) -> Solver:
-        solver = positive_definite_solver(self.program.P)
-        if solver is None:
-            raise UnsuitableMatrix('form="dual" needs P positive definite; use form="kkt"')
-        return solver
+    def _solver(self) -> Solver | None:
+        return positive_definite_solver(self.program.P)
+
+    def _solve(self, right: Any) -> Any:
+        if self._solver is None:
+            raise UnsuitableMatrix(
+                'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
+            )
+        return self._solver(right)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the factorisation behind, which cannot be pickled and can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_solve"}
+        return {name: value for name, value in self.__dict__.items() if name != "_solver"}
 
 
-def _bound_rows(rows: FoldedRows) -> tuple[Any, Any, Any]:
-    """Return the variables that are fixed, those bounded below, and those bounded above."""
-    fixed = rows.lower == rows.upper
-    below, above = np.isfinite(rows.lower) & ~fixed, np.isfinite(rows.upper) & ~fixed
-    return np.flatnonzero(fixed), np.flatnonzero(below), np.flatnonzero(above)
+FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
+
+
+def _bound_rows(program: QuadraticProgram) -> list[Indices]:
+    """Return the rows of all constraints that fix a variable, bound one below, and above."""
+    is_fixed, rows, n = program.lower == program.upper, program.constraints.rows, program.n
+    below, above = (np.isfinite(bound) & ~is_fixed for bound in (program.lower, program.upper))
+    return [first + np.flatnonzero(kind) for first, kind in ((rows + n, is_fixed), (rows, below), (rows + n, above))]
 
 
 def _kept_as_suits(M: sp.csr_array) -> Any:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .checked import checked_vector
-from .convexity import is_shown_convex
-from .qp_units import constraint_tolerance, enclosed_sum
+from .constraints import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
+    from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
-    from .quadratic_program import QuadraticProgram
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +41,10 @@ class QPSolution:
 
     Notes
     -----
-    The primal and the dual residual are in units of the data (:class:`~lcp_plugin.conversions.qp_units.Units`), never
-    relative to x: what is optimal in them cannot be refuted. Complementarity is relative to 1 + its largest term.
-    ``row_residual`` compares each row with its own terms only, so that a coefficient of 1e7 in one row, or a limit of
-    1e9 that nobody reaches, excuses nothing in another.
+    The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
+    :mod:`lcp_plugin.conversions.constraints`), never relative to x: what is optimal in them cannot be refuted.
+    Complementarity is relative to 1 + its largest term. ``row_residual`` compares each row with its own terms only, so
+    that a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in another.
 
     Raises
     ------
@@ -77,16 +75,8 @@ class QPSolution:
     @cached_property
     def primal_residual(self) -> float:
         """By how much x violates G x ≤ h, A x = b and its bounds, rounding included; each row in units of the data."""
-        program, units = self.program, self.program.units
-        finite = np.flatnonzero(np.isfinite(program.h))
-        unit = units.inequality[finite]
-        over = enclosed_sum(sp.csr_array(program.G)[finite], self.x, -program.h[finite])
-        misses = enclosed_sum(program.A, self.x, -program.b)
-        return _largest([
-            np.maximum(over, 0.0) / unit, np.abs(misses) / units.equality,
-            np.maximum(program.lower - self.x, 0.0) / units.lower,
-            np.maximum(self.x - program.upper, 0.0) / units.upper,
-        ])
+        rows = self.program.constraints
+        return _largest(rows.excess(self.x) / rows.unit)
 
     @cached_property
     def dual_residual(self) -> float:
@@ -94,30 +84,26 @@ class QPSolution:
 
         Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
         """
-        program, units = self.program, self.program.units
-        signs, _ = self._sides
-        inequality, lower, upper = (np.maximum(multiplier, 0.0) for multiplier in signs)
-        stacked = sp.hstack(
-            [sp.csr_array(program.P), sp.csr_array(program.G).T, sp.csr_array(program.A).T,
-             -sp.eye_array(program.n), sp.eye_array(program.n)], format="csr",
-        )
-        terms = np.concatenate([self.x, inequality, self.equality, lower, upper])
-        left = enclosed_sum(stacked, terms, program.c)
-        wrong = _largest([np.maximum(-multiplier, 0.0) for multiplier in signs])
-        return _largest([np.abs(left) / units.dual]) + wrong / (1.0 + float(np.abs(program.c).max(initial=0.0)))
+        program, rows, y = self.program, self.program.constraints, self.multipliers
+        stacked = sp.hstack([sp.csr_array(program.P), rows.transposed], format="csr")
+        right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
+        left = enclosed_sum(stacked, np.concatenate([self.x, right]), program.c)
+        return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
 
     @cached_property
     def complementarity(self) -> float:
         """The largest product of a multiplier and the distance from its limit."""
-        _, gaps = self._sides
-        products, terms = [], []
-        for multiplier, gap, value, limit in gaps:
-            acts = (multiplier != 0.0) & np.isfinite(limit)
-            products.append(np.abs(np.where(acts, multiplier * np.where(acts, gap, 0.0), 0.0)))
-            # A multiplier of an infinite limit can never be right.
-            products.append(np.where(np.isinf(limit), np.abs(multiplier), 0.0))
-            terms += [multiplier * value, np.where(acts, multiplier * np.where(acts, limit, 0.0), 0.0)]
-        return _relative(products, terms)
+        rows, y = self.program.constraints, np.where(self.program.constraints.is_equality, 0.0, self.multipliers)
+        value = rows.matrix @ self.x
+        limit = np.where((y != 0.0) & np.isfinite(rows.limit), rows.limit, value)
+        # A multiplier of an infinite limit can never be right.
+        products = np.abs(np.where(np.isinf(rows.limit), y, y * (limit - value)))
+        return _largest(products) / (1.0 + _largest(np.abs(np.concatenate([y * value, y * limit]))))
+
+    @cached_property
+    def multipliers(self) -> FloatVector:
+        """All multipliers, one a row of ``program.constraints``."""
+        return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
 
     @property
     def residual(self) -> float:
@@ -127,29 +113,19 @@ class QPSolution:
     @cached_property
     def row_residual(self) -> float:
         """The largest error of any condition, each relative to 1 + the largest term of its own row."""
-        program, x = self.program, self.x
-        rows, equations = _largest_terms(program.G, x), _largest_terms(program.A, x)
-        errors = [np.abs(program.A @ x - program.b) / (1.0 + np.maximum(equations, np.abs(program.b)))]
-        sizes = [rows, np.abs(x), np.abs(x)]
-        for (multiplier, gap, _, limit), value in zip(self._sides[1], sizes, strict=True):
-            is_finite = np.isfinite(limit)
-            room, size = np.where(is_finite, gap, 0.0), np.maximum(value, np.where(is_finite, np.abs(limit), 0.0))
-            violated = np.maximum(-room, 0.0)
-            # A limit that holds is no term of a violation, as above.
-            errors.append(violated / (1.0 + np.where(violated > 0.0, size, 0.0)))
-            errors.append(np.abs(multiplier * room) / (1.0 + np.abs(multiplier) * size))
-            errors.append(np.where(is_finite, np.maximum(-multiplier, 0.0), np.abs(multiplier)))
-        return _largest([*errors, self._stationarity_by_row()])
-
-    def _stationarity_by_row(self) -> FloatVector:
-        program = self.program
-        sums = [program.P @ self.x, program.c, program.G.T @ self.inequality, program.A.T @ self.equality]
-        terms = [
-            _largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(program.G.T, self.inequality),
-            _largest_terms(program.A.T, self.equality), np.abs(self.lower), np.abs(self.upper),
-        ]
-        misses: FloatVector = np.abs(np.sum([*sums, -self.lower, self.upper], axis=0)) / (1.0 + np.max(terms, axis=0))
-        return misses
+        program, rows, y = self.program, self.program.constraints, self.multipliers
+        is_finite = np.isfinite(rows.limit)
+        gap = np.where(is_finite, rows.limit - rows.matrix @ self.x, 0.0)
+        size = np.maximum(_largest_terms(rows.matrix, self.x), np.where(is_finite, np.abs(rows.limit), 0.0))
+        violated = np.where(rows.is_equality, np.abs(gap), np.maximum(-gap, 0.0))
+        wrong = np.where(is_finite, np.maximum(-y, 0.0), np.abs(y))
+        y_size = np.abs(y) * size
+        # A limit that holds is no term of a violation, as above.
+        errors = [violated / (1.0 + np.where(violated > 0.0, size, 0.0))]
+        errors += [error[~rows.is_equality] for error in (np.abs(y * gap) / (1.0 + y_size), wrong)]
+        left = np.abs(program.P @ self.x + program.c + rows.transposed @ y)
+        terms = [_largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(rows.transposed, y)]
+        return _largest(np.concatenate([*errors, left / (1.0 + np.max(terms, axis=0))]))
 
     @property
     def row_multipliers(self) -> FloatVector:
@@ -162,12 +138,9 @@ class QPSolution:
         InvalidProblem
             Where the program was not made by `from_ranges`.
         """
-        ranges = self.program.ranges
-        if ranges is None:
+        if self.program.ranges is None:
             raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
-        y, m = np.zeros(ranges.count), self.inequality.size
-        y[ranges.equalities] = self.equality
-        np.add.at(y, ranges.inequalities, np.where(np.arange(m) < ranges.upper_count, 1.0, -1.0) * self.inequality)
+        y: FloatVector = self.program.ranges @ np.concatenate([self.inequality, self.equality])
         return y
 
     def is_optimal(self, tolerance: float = 1e-6) -> bool:
@@ -182,11 +155,7 @@ class QPSolution:
         InvalidOption
             Where the tolerance is no number ≥ 0.
         """
-        return self.is_stationary(tolerance) and self._is_shown_convex
-
-    @cached_property
-    def _is_shown_convex(self) -> bool:
-        return is_shown_convex(self.program)
+        return self.is_stationary(tolerance) and self.program.is_shown_convex
 
     def is_stationary(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance.
@@ -220,21 +189,6 @@ class QPSolution:
             return "optimal" if self.is_optimal() else "stationary"
         return "unknown" if self.proof is None else self.proof.verdict
 
-    @cached_property
-    def _sides(
-        self,
-    ) -> tuple[list[FloatVector], list[tuple[FloatVector, FloatVector, FloatVector, FloatVector]]]:
-        """The signed multipliers; and (multiplier, gap, value, limit) of each kind of inequality."""
-        program, x = self.program, self.x
-        value = program.G @ x
-        multipliers = [self.inequality, self.lower, self.upper]
-        gaps = [
-            (self.inequality, program.h - value, value, program.h),
-            (self.lower, x - program.lower, x, program.lower),
-            (self.upper, program.upper - x, x, program.upper),
-        ]
-        return multipliers, gaps
-
     def __str__(self) -> str:
         lines = [
             ("objective", f"{self.objective:.9g}"),
@@ -246,19 +200,15 @@ class QPSolution:
         return "\n".join(f"{name:<16} {value}" for name, value in lines)
 
 
-def _relative(errors: list[FloatVector], terms: list[FloatVector]) -> float:
-    """Return the largest error over 1 + the largest term; NaN where anything is NaN."""
-    return _largest(errors) / (1.0 + _largest([np.abs(term) for term in terms]))
-
-
-def _largest(vectors: list[FloatVector]) -> float:
-    return float(np.max([vector.max(initial=0.0) for vector in vectors], initial=0.0))
+def _largest(values: FloatVector) -> float:
+    return float(values.max(initial=0.0))
 
 
 def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
     """Return max_j |a_ij v_j| of each row."""
-    if not sp.issparse(matrix):
-        dense: FloatVector = (np.abs(matrix) * np.abs(vector)).max(axis=1, initial=0.0)
-        return dense
-    products = abs(sp.csr_array(matrix)) @ sp.diags_array(np.abs(vector))
-    return np.asarray(products.max(axis=1).toarray()).ravel() if products.shape[1] else np.zeros(matrix.shape[0])
+    rows = sp.csr_array(matrix)
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    largest = np.zeros(rows.shape[0])
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(np.abs(rows.data * vector[rows.indices]), rows.indptr[filled])
+    return largest

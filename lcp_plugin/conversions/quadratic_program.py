@@ -1,209 +1,30 @@
-"""Quadratic programs as linear complementarity problems, and back."""
+"""Quadratic and linear programs as linear complementarity problems, and back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import DENSE_UP_TO_SIZE, FloatVector, check_order, checked_bound
+from ..checks import checked_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..matrix.definiteness import (
-    Solver,
-    condition_estimate,
-    is_diagonal,
-    is_semidefinite_to_rounding,
-    positive_definite_solver,
-)
+from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..problem.lcp import LCP
-from .checked import asymmetry_of, attach_origin, checked_matrix, checked_vector, symmetric
-from .convexity import refuse_nonconvex
-from .qp_forms import FORMS, DirectForm, DualForm, KKTForm
-from .qp_units import Units
-from .simple_rows import FoldedRows, fold_simple_rows
+from .constraints import fold_simple_rows
+from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
+from .qp_forms import FORMS, DualForm
+from .qp_solution import QPSolution
+from .substitution import Substitution, substitute_definitions
 
-if TYPE_CHECKING:
-    from .qp_proofs import QPInfeasibility, QPUnboundedness
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+
+__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
-INFINITE_LIMIT = 1e20  # the convention of file formats
-
-
-@dataclass(frozen=True, eq=False)
-class RangeRows:
-    """Which rows l ≤ a x ≤ u became which: G holds the rows with a finite u, then those with a finite l, negated.
-
-    Attributes
-    ----------
-    count : int
-        Number of rows that were given.
-    inequalities, equalities : ndarray of int
-        For each row of G and of A the row it comes from.
-    upper_count : int
-        How many rows of G come from an upper limit.
-    """
-
-    count: int
-    inequalities: Any
-    equalities: Any
-    upper_count: int
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class QuadraticProgram:
-    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
-
-    Parameters
-    ----------
-    P : array or sparse array, shape (n, n)
-        Real, finite, symmetric. Rounding errors in the symmetry are averaged away, and ``asymmetry`` says how
-        large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked here: see `is_convex`.
-    c : array, shape (n,)
-        Real, finite.
-    G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
-        An h of ∞ says nothing about its row.
-    A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
-    lower, upper : scalar or array, shape (n,)
-        In the unit of x; none by default.
-
-    Attributes
-    ----------
-    asymmetry : float
-        max |p_ij − p_ji| of the P that was given.
-
-    Raises
-    ------
-    InvalidProblem
-        Where the data do not state such a program.
-
-    Examples
-    --------
-    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
-    >>> program
-    QuadraticProgram(n=2, 1 inequality, 0 equalities)
-    >>> program.objective([0.5, 1.5])
-    -4.5
-    """
-
-    P: Any
-    c: FloatVector
-    G: Any
-    h: FloatVector
-    A: Any
-    b: FloatVector
-    lower: FloatVector
-    upper: FloatVector
-    asymmetry: float = field(default=0.0)
-    ranges: RangeRows | None = field(default=None, repr=False)
-
-    def __init__(
-        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
-        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
-    ) -> None:
-        vector = checked_vector(c, "c", None)
-        n = vector.size
-        P, asymmetry = symmetric(checked_matrix(P, "P", n, n))
-        rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
-        equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
-        below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
-        check_order(below, above)
-        data = {
-            "P": P, "c": vector, "G": rows, "h": limits, "A": equations, "b": right,
-            "lower": below, "upper": above, "asymmetry": asymmetry, "ranges": None,
-        }
-        for name, value in data.items():
-            object.__setattr__(self, name, value)
-
-    @classmethod
-    def from_ranges(
-        cls, P: Any, c: ArrayLike, A: Any, lower_rows: ArrayLike, upper_rows: ArrayLike,
-        lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
-    ) -> QuadraticProgram:
-        """Return the program min ½ xᵀP x + cᵀx over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
-
-        Parameters
-        ----------
-        P, c, lower, upper
-            As in the class.
-        A : array or sparse array, shape (m, n)
-        lower_rows, upper_rows : scalar or array, shape (m,)
-            Limits of the rows: an equation where they are equal. 1e20 and beyond means none, for the bounds too.
-
-        Raises
-        ------
-        InvalidProblem
-            As the class, and where a lower limit is above its upper one.
-
-        Examples
-        --------
-        >>> program = QuadraticProgram.from_ranges(np.eye(2), [0, 0], [[1, 1], [1, -1]], [2, -1], [2, 1])
-        >>> program
-        QuadraticProgram(n=2, 2 inequalities, 1 equality)
-        """
-        n = checked_vector(c, "c", None).size
-        rows = sp.csr_array(checked_matrix(A, "A", None, n))
-        m = rows.shape[0]
-        low, high = (
-            _with_infinities(checked_bound(limit, name, m))
-            for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
-        )
-        check_order(low, high)
-        is_equality = low == high
-        above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
-        equal = np.flatnonzero(is_equality)
-        program = cls(
-            P, c, sp.vstack([rows[above], -rows[below]], format="csr"), np.concatenate([high[above], -low[below]]),
-            rows[equal], low[equal],
-            _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
-        )
-        ranges = RangeRows(m, np.concatenate([above, below]), equal, above.size)
-        object.__setattr__(program, "ranges", ranges)
-        return program
-
-    @property
-    def n(self) -> int:
-        """Number of variables."""
-        return int(self.c.size)
-
-    @property
-    def is_convex(self) -> bool | None:
-        """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
-        return is_semidefinite_to_rounding(self.P)
-
-    @cached_property
-    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
-
-        It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
-        """
-        from .qp_certificates import proof_of_no_minimum
-
-        return proof_of_no_minimum(self)
-
-    def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none."""
-        proof = self.proof_of_no_minimum
-        return proof if proof is not None and proof.excludes(tolerance) else None
-
-    @cached_property
-    def units(self) -> Units:
-        """The sizes of the data in which residuals are judged."""
-        return Units.of(self)
-
-    def objective(self, x: ArrayLike) -> float:
-        """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
-        point = checked_vector(x, "x", self.n)
-        return float(0.5 * (point @ (self.P @ point)) + self.c @ point)
-
-    def __repr__(self) -> str:
-        m, p = self.h.size, self.b.size
-        averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
-        rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"
-        return f"QuadraticProgram(n={self.n}, {rows}{averaged})"
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
@@ -273,34 +94,102 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     return optimality_conditions(program, form)
 
 
+def lcp_from_lp(
+    c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None, b: ArrayLike | None = None,
+    lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+) -> LCP:
+    """Return the optimality conditions of min cᵀx, G x ≤ h, A x = b, lower ≤ x ≤ upper as a complementarity problem.
+
+    Parameters
+    ----------
+    c : array, shape (n,)
+        Real, finite.
+    G, h, A, b, lower, upper
+        As in :class:`~lcp_plugin.conversions.quadratic_program.QuadraticProgram`.
+
+    Returns
+    -------
+    LCP
+        The program of the form "kkt" with P = 0 (form "direct", M = 0, where all constraints are bounds): monotone
+        with M = −Mᵀ, and a diagonal of zeros, on which relaxation methods cannot run. ``origin.recover(result)``
+        gives a :class:`~lcp_plugin.conversions.qp_solution.QPSolution`.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the data do not state such a program.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.2.
+
+    Examples
+    --------
+    max x₁ + 2 x₂ subject to x₁ + x₂ ≤ 3, 0 ≤ x ≤ 2:
+
+    >>> problem = lcp_from_lp([-1, -2], G=[[1, 1]], h=[3], lower=0, upper=2)
+    >>> solution = problem.origin.recover([1.0, 2.0, 1.0])
+    >>> solution.objective, solution.inequality, solution.upper
+    (-5.0, array([1.]), array([0., 1.]))
+    >>> solution.is_optimal(tolerance=0.0)
+    True
+    """
+    n = checked_vector(c, "c", None).size
+    return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
+
+
 def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     """Return what `lcp_from_qp` does, of a program known to be convex."""
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
     rows = fold_simple_rows(program)
-    solver: Solver | None = None
-    if form == "dual" or (form == "auto" and _dual_is_small(program, rows)):
-        solver = positive_definite_solver(program.P)
+    dual = DualForm(program, rows)
     if form == "auto":
-        is_dual = solver is not None and condition_estimate(program.P, solver) <= WELL_CONDITIONED
-        form = "direct" if not rows.count else "dual" if is_dual else "kkt"
-    if form == "direct":
-        if rows.count:
-            raise UnsuitableProblem(
-                f'form="direct" needs a program with bounds only, but {rows.count} rows of G and A have more than one '
-                'nonzero (or contradict one another); use form="dual" or form="kkt"'
-            )
-        direct = DirectForm(program, rows)
-        return attach_origin(direct.problem(), direct)
-    if form == "kkt":
-        kkt = KKTForm(program, rows)
-        return attach_origin(kkt.problem(), kkt)
-    if solver is None:
-        raise UnsuitableMatrix(
-            'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
-        )
-    dual = DualForm.with_solver(program, rows, solver)
-    return attach_origin(dual.problem(), dual)
+        form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
+    origin = dual if form == "dual" else FORMS[form](program, rows)
+    problem = origin.problem()
+    problem.origin = origin
+    return problem
+
+
+class Attempt(NamedTuple):
+    """A complementarity problem that states a program, the way back, and why it is tried."""
+
+    problem: LCP
+    substitution: Substitution | None
+    because: str
+
+    def recover(self, answer: Any) -> QPSolution:
+        """Return the program's solution that an answer of the problem stands for."""
+        solution: QPSolution = self.problem.origin.recover(answer)
+        return solution if self.substitution is None else self.substitution.recover(solution)
+
+
+def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iterator[Attempt]:
+    """Yield the forms in which a convex program is worth solving, the most promising first.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+    needs_diagonal : bool
+        Whether the method cannot run on the zeros of the form "kkt": then the dual form where P allows it.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
+    >>> [attempt.because for attempt in attempts(program)]
+    ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
+    """
+    substitution = substitute_definitions(program)
+    smaller = program if substitution is None else substitution.reduced
+    problem = optimality_conditions(smaller)
+    if problem.origin.form == "kkt" and needs_diagonal:
+        with suppress(UnsuitableMatrix):
+            problem = optimality_conditions(smaller, "dual")
+    form = f"the {problem.origin.form} form"
+    yield Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")
+    if substitution is not None or problem.origin.form == "dual":
+        yield Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -363,30 +252,3 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
         A=M[free], b=-q[free], lower=lower, upper=upper,
     )
-
-
-def _with_infinities(limit: FloatVector) -> FloatVector:
-    """Return the limit with ±1e20 and beyond read as ±∞."""
-    return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
-
-
-def _dual_is_small(program: QuadraticProgram, rows: FoldedRows) -> bool:
-    """Whether the dual problem is no larger than the KKT one, no large dense matrix, and not clearly insoluble."""
-    if not rows.count:
-        return False
-    size = DualForm.size(rows)
-    is_small = size <= rows.count + program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(program.P))
-    return is_small and not rows.contradict(program)
-
-
-def _checked_rows(
-    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, *, allow_plus_infinity: bool
-) -> tuple[Any, FloatVector]:
-    """Return the checked matrix and right-hand side; none of either is no rows."""
-    if (matrix is None) != (right is None):
-        given, missing = (name, right_name) if right is None else (right_name, name)
-        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
-    if matrix is None:
-        matrix, right = sp.csr_array((0, n)), np.zeros(0)
-    checked = checked_matrix(matrix, name, None, n)
-    return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)

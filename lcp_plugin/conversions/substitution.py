@@ -10,8 +10,31 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from .program import QuadraticProgram
 from .qp_solution import QPSolution
-from .quadratic_program import QuadraticProgram
+
+Indices = NDArray[np.int64]
+
+
+def put_in(matrix: Any, offset: FloatVector, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
+    """Return R and r of z ← R z + r, which puts in what matrix · z + offset = 0 says of the unknowns in the columns.
+
+    Parameters
+    ----------
+    matrix : CSR array, shape (k, n)
+        Row i defines the unknown ``columns[i]``, and none of the others.
+    offset : ndarray, shape (k,)
+    columns : ndarray of int, shape (k,)
+    """
+    k, n = matrix.shape
+    pivots = np.asarray(matrix[np.arange(k), columns]).ravel()
+    keep, shift = np.ones(n), np.zeros(n)
+    keep[columns], shift[columns] = 0.0, -offset / pivots
+    definition = sp.diags_array(-1.0 / pivots) @ matrix @ sp.diags_array(keep)
+    place = sp.csr_array((np.ones(k), (columns, np.arange(k))), shape=(n, k))
+    substitution = sp.csr_array(sp.diags_array(keep) + place @ definition)
+    substitution.eliminate_zeros()
+    return substitution, shift
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,29 +48,28 @@ class Substitution:
     ----------
     program, reduced : QuadraticProgram
         Before and after.
+    rows, defined : ndarray of int
+        Rows of A, and the variable that each defines.
+    expansion, offset : E and f.
     """
 
     program: QuadraticProgram
     reduced: QuadraticProgram
-    defined: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    kept_rows: NDArray[np.int64]
-    kept: NDArray[np.int64]
+    rows: Indices
+    defined: Indices
     expansion: Any
     offset: FloatVector
 
     def recover(self, solution: QPSolution) -> QPSolution:
         """Return the solution of the program from that of the smaller one, all multipliers included."""
-        x = self.expansion @ solution.x + self.offset
-        equality = np.zeros(self.program.b.size)
-        equality[self.kept_rows] = solution.equality
+        program, x = self.program, self.expansion @ solution.x + self.offset
+        kept_rows, kept = _others(program.b.size, self.rows), _others(program.n, self.defined)
+        equality, lower, upper = np.zeros(program.b.size), np.zeros(program.n), np.zeros(program.n)
+        equality[kept_rows], lower[kept], upper[kept] = solution.equality, solution.lower, solution.upper
         # Each defined column meets its own equation only, whose multiplier is what stationarity leaves to it.
-        gradient = (self.program.P @ x + self.program.c)[self.defined]
-        pivots = np.asarray(sp.csr_array(self.program.A)[self.rows, self.defined]).ravel()
-        equality[self.rows] = -gradient / pivots
-        lower, upper = np.zeros(x.size), np.zeros(x.size)
-        lower[self.kept], upper[self.kept] = solution.lower, solution.upper
-        return QPSolution(self.program, x, solution.inequality, equality, lower, upper)
+        gradient = (program.P @ x + program.c)[self.defined]
+        equality[self.rows] = -gradient / np.asarray(sp.csr_array(program.A)[self.rows, self.defined]).ravel()
+        return QPSolution(program, x, solution.inequality, equality, lower, upper)
 
 
 def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
@@ -65,10 +87,9 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     if not rows.size:
         return None
     A = sp.csr_array(program.A)
-    kept = np.setdiff1d(np.arange(program.n), defined)
-    kept_rows = np.setdiff1d(np.arange(program.b.size), rows)
-    pivots = np.asarray(A[rows, defined]).ravel()
-    expansion, offset = _expansion(A, program.b, rows, defined, kept, pivots)
+    kept, kept_rows = _others(program.n, defined), _others(program.b.size, rows)
+    whole, offset = put_in(A[rows], -program.b[rows], defined)
+    expansion = whole[:, kept]
     gradient = program.P @ offset + program.c
     # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
     curvature = sp.csr_array(expansion.T @ (program.P @ expansion))
@@ -78,10 +99,10 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
         A=sp.csr_array(A[kept_rows] @ expansion), b=program.b[kept_rows] - A[kept_rows] @ offset,
         lower=program.lower[kept], upper=program.upper[kept],
     )
-    return Substitution(program, reduced, defined, rows, kept_rows, kept, expansion, offset)
+    return Substitution(program, reduced, rows, defined, expansion, offset)
 
 
-def _definitions(program: QuadraticProgram) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _definitions(program: QuadraticProgram) -> tuple[Indices, Indices]:
     """Return rows of A and the column that each defines, one column a row."""
     A, G = sp.csc_array(program.A), sp.csc_array(program.G)
     is_free = (program.lower == -np.inf) & (program.upper == np.inf)
@@ -96,15 +117,6 @@ def _definitions(program: QuadraticProgram) -> tuple[NDArray[np.int64], NDArray[
     return first[is_quadratic].astype(np.int64), columns[is_quadratic].astype(np.int64)
 
 
-def _expansion(
-    A: Any, b: FloatVector, rows: NDArray[np.int64], defined: NDArray[np.int64], kept: NDArray[np.int64],
-    pivots: FloatVector,
-) -> tuple[Any, FloatVector]:
-    """Return E and f of x = E y + f, y the kept variables."""
-    n = A.shape[1]
-    definition = sp.diags_array(-1.0 / pivots) @ A[rows][:, kept]
-    place = sp.csr_array((np.ones(defined.size), (defined, np.arange(defined.size))), shape=(n, defined.size))
-    same = sp.csr_array((np.ones(kept.size), (kept, np.arange(kept.size))), shape=(n, kept.size))
-    offset = np.zeros(n)
-    offset[defined] = b[rows] / pivots
-    return sp.csr_array(same + place @ definition), offset
+def _others(count: int, indices: Indices) -> Indices:
+    """Return the numbers below `count` that are not among the indices."""
+    return np.delete(np.arange(count), indices)

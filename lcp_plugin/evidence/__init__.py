@@ -1,1 +1,24 @@
-"""Evidence: named scenes, pictures, tables and benchmarks. Heavy; nothing below looks at it."""
+"""Evidence: named scenes, pictures, tables and benchmarks. Heavy; nothing below looks at it.
+
+``lcp-plugin report`` writes one page, ``index.html``, which needs no other file and no network, and the same figures as
+CSV and JSON. Scenes and your own files stand in it side by side. Without either it is the whole evidence: the paper's
+methods at its settings, tuned, and at ours, beside their relatives; the performance profile, the stability atlas, the
+paper's tables and the cross-validation. In Python: `error_against_time`, `stability_atlas`, `cross_validate`, and
+`gallery` for the scenes.
+
+Other packages. No package is best at everything. As far as we know, none of these bounds the error of an answer.
+
+- PATH (in GAMS, AMPL, JuMP) is better at nonlinear complementarity and has decades of hard models behind it. This one
+  adds open source without a licence key, grids with a million unknowns, proofs of infeasibility.
+- Siconos is better at friction and dynamics of many bodies. This one adds one `solve` for dense and sparse LCPs,
+  modelling in cvxpy.
+- PETSc SNESVI is better at nonlinear problems. Here are no residual functions and no geometry to write: M and q are
+  enough, on one machine or, through PETSc, on several.
+- QuantEcon's ``lcp_lemke`` and lemkelcp have few dependencies. This one adds sparse matrices and every method but
+  Lemke's.
+- Pyomo, JuMP and GAMSPy are better at nonlinear and mixed-integer models and know many solvers. This one adds the
+  solver itself, and cvxpy's language.
+- PIQP, OSQP, Clarabel and HiGHS (through cvxpy or not) are better at general constraints and cones, PIQP on small
+  rank-deficient contact problems. This one adds nonsymmetric M as it is, without a reformulation, and speed on large
+  dense and sparse problems (``lcp-plugin bench rivals`` measures nine cases).
+"""

@@ -1,16 +1,18 @@
-"""What a race between algorithms leaves behind: curves of error, work and time, as CSV, JSON and pictures."""
+"""What a race between algorithms leaves behind: curves of error, work and time, and how often each is the best."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-from ..problem.files import checked_path, write_whole
+import numpy as np
+
+from ..errors import InvalidOption
+from ..problem.files import checked_path
+from .drawing import Line, draw_errors, draw_shares, save
+from .exporting import AnyPath, Exported, finite_content, number
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -18,10 +20,7 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-COLUMNS = (
-    "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
-    "error_kind", "error", "residual",
-)
+AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
 
 
 class Point(NamedTuple):
@@ -44,10 +43,10 @@ class Point(NamedTuple):
     iteration: int
     work: float
     seconds: float
-    seconds_low: float
-    seconds_high: float
-    error: float
-    residual: float
+    seconds_low: float = math.nan
+    seconds_high: float = math.nan
+    error: float = math.nan
+    residual: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -97,6 +96,13 @@ class Curve:
         """Iterations until the answer."""
         return self.points[-1].iteration
 
+    def line(self, against: str) -> Line:
+        """Return what a figure shows of it: errors against seconds with their spread, or against passes."""
+        _, work, seconds, low, high, error, _ = map(np.array, zip(*self.points, strict=True))
+        if against == "work":
+            return Line(self.label, self.family, np.maximum(work, 1.0), error, self.is_solved)
+        return Line(self.label, self.family, seconds, error, self.is_solved, (low, high))
+
 
 @dataclass(frozen=True)
 class ReferencePoint:
@@ -110,7 +116,7 @@ class ReferencePoint:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Exported):
     """Error against time and work of several algorithms on one problem.
 
     Attributes
@@ -133,6 +139,11 @@ class Report:
         What this problem does not need or cannot have.
     """
 
+    columns: ClassVar = (
+        "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
+        "error_kind", "error", "residual",
+    )
+
     title: str
     description: str
     n: int
@@ -151,7 +162,7 @@ class Report:
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
-        curves = [_curve_content(curve) for curve in self.curves]
+        curves = [asdict(curve) | {"points": [list(point) for point in curve.points]} for curve in self.curves]
         content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
         return content
 
@@ -168,20 +179,6 @@ class Report:
         given["left_out"] = tuple((what, reason) for what, reason in given["left_out"])
         return cls(**given)
 
-    def to_json(self, path: str | PathLike[str] | None = None) -> str:
-        """Return everything as JSON text, and write it to `path` where one is given."""
-        text = json.dumps(self.to_content(), indent=1, ensure_ascii=False)
-        if path is not None:
-            write_text(path, text)
-        return text
-
-    def to_csv(self, path: str | PathLike[str] | None = None) -> str:
-        """Return one line a point as CSV text, and write it to `path` where one is given."""
-        text = csv_text(COLUMNS, self.rows())
-        if path is not None:
-            write_text(path, text)
-        return text
-
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row a point, in the columns of the CSV; a reference has neither iteration nor work."""
         rows: list[tuple[Any, ...]] = [
@@ -195,7 +192,7 @@ class Report:
                          reference.error, reference.residual))
         return rows
 
-    def plot(self, path: str | PathLike[str] | None = None, *, against: str = "seconds") -> Any:
+    def plot(self, path: AnyPath | None = None, *, against: str = "seconds") -> Any:
         """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
 
         Parameters
@@ -206,12 +203,18 @@ class Report:
 
         Raises
         ------
+        InvalidOption
+            Where `against` is something else.
         LCPError
             Where matplotlib is not installed.
         """
-        from .drawing import draw_curves, save
-
-        figure = draw_curves(self, against)
+        if not isinstance(against, str) or against not in AXES:
+            raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
+        timed = against == "seconds"
+        marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
+        level = self.tolerance if self.error_kind == RESIDUAL else None
+        lines = [curve.line(against) for curve in self.curves]
+        figure = draw_errors(lines, marks, (AXES[against], AXIS_LABELS[self.error_kind]), level)
         if path is not None:
             save(figure, checked_path(path))
         return figure
@@ -228,40 +231,113 @@ class Report:
         return "\n".join([*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)])
 
 
-def _curve_content(curve: Curve) -> dict[str, Any]:
-    return asdict(curve) | {"points": [list(point) for point in curve.points]}
-
-
 def _curve(content: Mapping[str, Any]) -> Curve:
     points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
     return Curve(content["label"], content["family"], content["status"], points, content["note"])
 
 
-def finite_content(value: Any) -> Any:
-    """Return the value with every number that JSON does not know replaced by None, tuples as lists."""
-    if isinstance(value, Mapping):
-        return {key: finite_content(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_content(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+LEAST = {"work": 1.0, "seconds": 1e-9}
+"""Less is not told apart: a run whose start is the answer counts one pass."""
 
 
-def number(value: float | None) -> float:
-    """Return the value, NaN for None."""
-    return math.nan if value is None else float(value)
+@dataclass(frozen=True)
+class Profile(Exported):
+    """Cost of every algorithm on every problem, divided by the least on that problem.
+
+    Attributes
+    ----------
+    by : {"work", "seconds"}
+        Passes over M, or median seconds, until the tolerance was reached.
+    labels, families : tuple of str
+        The algorithms.
+    problems : tuple of str
+        Those that at least one algorithm solved.
+    ratios : tuple of tuples
+        One row an algorithm, one entry a problem, ≥ 1; ∞ where it was not solved.
+    """
+
+    columns: ClassVar = ("algorithm", "family", "scene", "by", "ratio")
+
+    by: str
+    labels: tuple[str, ...]
+    families: tuple[str, ...]
+    problems: tuple[str, ...]
+    ratios: tuple[tuple[float, ...], ...]
+
+    def share(self, label: str, within: float = 1.0) -> float:
+        """Return the share of the problems that the algorithm solves within that multiple of the best."""
+        if label not in self.labels:
+            raise InvalidOption(f"no algorithm {label!r} in this profile; it has {', '.join(self.labels)}")
+        row = self.ratios[self.labels.index(label)]
+        return sum(ratio <= within and ratio < math.inf for ratio in row) / len(row) if row else math.nan
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row an algorithm and problem, in the columns of the CSV."""
+        return [
+            (label, family, problem, self.by, ratio)
+            for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
+            for problem, ratio in zip(self.problems, row, strict=True)
+        ]
+
+    def plot(self, path: AnyPath | None = None) -> Any:
+        """Return a matplotlib figure, and save it where `path` is given."""
+        lines = [
+            Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
+            for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
+            for finite in [sorted(ratio for ratio in row if math.isfinite(ratio))]
+        ]
+        unit = {"work": "passes over M", "seconds": "seconds"}[self.by]
+        figure = draw_shares(lines, (f"{unit}, as a multiple of the best", "share of the problems solved"))
+        if path is not None:
+            save(figure, checked_path(path))
+        return figure
 
 
-def csv_text(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
-    """Return a table as CSV text; floats keep all their digits."""
-    import io
+def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
+    """Return the performance profile; an algorithm that was left out of a problem counts as not solving it.
 
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return buffer.getvalue()
+    Parameters
+    ----------
+    reports : sequence of Report
+        One a problem, at least one.
+    by : {"work", "seconds"}
+        "work" gives the same profile on every machine.
+
+    Raises
+    ------
+    InvalidOption
+        Where `by` is something else, or there is no report.
+
+    References
+    ----------
+    Dolan, Moré, *Benchmarking optimization software with performance profiles*, Math. Program. 91, 2002,
+    doi:10.1007/s101070100263.
+
+    Examples
+    --------
+    >>> from lcp_plugin.evidence import gallery
+    >>> from lcp_plugin.evidence.error_against_time import error_against_time
+    >>> report = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
+    >>> performance_profile([report]).share("pgs")
+    1.0
+    """
+    if by not in LEAST:
+        raise InvalidOption(f"by must be 'work' or 'seconds', got {by!r}")
+    if isinstance(reports, Report):
+        raise InvalidOption("a performance profile needs a list of reports, got one Report; write [report]")
+    if not reports:
+        raise InvalidOption("a performance profile needs at least one report, got none")
+    families = {curve.label: curve.family for report in reports for curve in report.curves}
+    solved = [report for report in reports if any(curve.is_solved for curve in report.curves)]
+    best = [min(_cost(curve, by) for curve in report.curves) for report in solved]
+    ratios = tuple(
+        tuple(_cost(report.curve(label), by) / least for report, least in zip(solved, best, strict=True))
+        for label in families
+    )
+    return Profile(by, tuple(families), tuple(families.values()), tuple(report.title for report in solved), ratios)
 
 
-def write_text(path: str | PathLike[str], text: str) -> None:
-    """Write the whole file or nothing."""
-    write_whole({checked_path(path): lambda file: file.write(text.encode("utf-8"))})
+def _cost(curve: Curve | None, by: str) -> float:
+    if curve is None or not curve.is_solved:
+        return math.inf
+    return max(float(getattr(curve, by)), LEAST[by])

@@ -5,19 +5,18 @@ Colours are those of Okabe and Ito. matplotlib loads when the first figure is as
 
 from __future__ import annotations
 
+import html
+import io
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption, LCPError
 from ..problem.files import write_whole
-from .curves import AXIS_LABELS, Curve, Report
-
-if TYPE_CHECKING:
-    from .performance_profile import Profile
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {
@@ -40,6 +39,7 @@ STYLE: Any = {
     "grid.color": "#e9e9e9", "grid.linewidth": 0.7, "axes.axisbelow": True, "svg.fonttype": "path",
     "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
 }
+HEIGHTS = "cividis"
 SIZE = (4.7, 4.1)
 LABEL_SIZE = 8.0
 STRIP = 0.36
@@ -54,8 +54,6 @@ LABEL_WIDTH = 0.047
 DEEPEST_BELOW_TOLERANCE = 1e-3
 DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
 """First digits of the ticks, the first set that gives two of them."""
-
-AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
 
 
 def require_matplotlib() -> Any:
@@ -81,18 +79,47 @@ def save(figure: Any, path: Path) -> None:
         write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})
 
 
-def styled() -> Any:
-    """Return the context in which figures get this module's style."""
+def styled(more: Mapping[str, Any] | None = None) -> Any:
+    """Return the context in which figures get this module's style, and more where it is given."""
     require_matplotlib()
     from matplotlib import rc_context
 
-    return rc_context(STYLE)
+    return rc_context(STYLE | dict(more or {}))
 
 
 def new_figure(size: tuple[float, float] = SIZE) -> tuple[Any, Any]:
     """Return (figure, axes), to be called within `styled`."""
     figure = require_matplotlib()(figsize=size, layout="constrained")
     return figure, figure.subplots()
+
+
+def heights_as_colours(heights: Any) -> Any:
+    """Return a colour for each height, from the lowest to the highest."""
+    require_matplotlib()
+    from matplotlib import colormaps
+
+    return colormaps[HEIGHTS]((heights - heights.min()) / (float(np.ptp(heights)) or 1.0))
+
+
+def svg(figure: Any, name: str, description: str) -> str:
+    """Return a figure as SVG to stand inside a page: every id with the name before it, so that none meets another's."""
+    buffer = io.StringIO()
+    with styled({"svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg"):]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'href="#', f'href="#{name}-', text)
+    text = re.sub(r"url\(#", f"url(#{name}-", text)
+    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
+    text = re.sub(r' d="[^"]*"', lambda path: _rounded(path[0]), text)
+    return text.replace("<svg", f'<svg role="img" aria-label="{html.escape(description)}"', 1)
+
+
+def _rounded(path: str) -> str:
+    """Return a path with its coordinates to a hundredth of a point, on one line."""
+    return re.sub(r"\s*\n", "", re.sub(r"(\.\d\d)\d+", r"\1", path))
 
 
 def styles(families: Sequence[str]) -> list[dict[str, Any]]:
@@ -108,50 +135,66 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 # --- Error against time ---------------------------------------------------------------------------------------
 
 
-def draw_curves(report: Report, against: str = "seconds") -> Any:
-    """Return the figure of a report: log–log, each name below the point where its curve ends."""
-    if not isinstance(against, str) or against not in AXES:
-        raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
+class Line(NamedTuple):
+    """One line of a figure: its name, the family that colours it, whether it arrives, and how far x spreads."""
+
+    label: str
+    family: str
+    x: Any
+    y: Any
+    arrives: bool
+    band: tuple[Any, Any] | None = None
+
+
+Name = tuple[float, float, str, str, str]  # x, y, label, colour, marker
+
+
+def draw_errors(
+    lines: Sequence[Line], marks: Sequence[tuple[str, float, float]], labels: tuple[str, str], level: float | None
+) -> Any:
+    """Return a log–log figure of falling errors, each name below the point where its line ends.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+    marks : sequence of (name, x, y)
+        Single points.
+    labels : pair of str
+        Of the axes.
+    level : float or None
+        A height to be marked.
+    """
     with styled():
         figure, axes = new_figure()
-        axes.set(xscale="log", yscale="log", xlabel=AXES[against], ylabel=AXIS_LABELS[report.error_kind])
-        lines = styles([curve.family for curve in report.curves])
-        lowest, highest = _range(report)
-        axes.set_ylim(lowest, highest)
+        axes.set(xscale="log", yscale="log", xlabel=labels[0], ylabel=labels[1])
+        lowest, highest = _range(lines)
         strip = _below(lowest, highest)
-        names = []
-        for curve, line in zip(report.curves, lines, strict=True):
-            x, y = _draw_curve(axes, curve, line, against, (lowest, highest))
-            label, marker = (curve.label, "o") if curve.is_solved else (f"{curve.label} ✕", "x")
-            names.append((x, y, label, line["color"], marker))
-        if against == "seconds":
-            names += [
-                (one.seconds, max(one.error, lowest), one.label, COLOURS["reference"], "D")
-                for one in report.references
-            ]
-        _fit_width(axes, report, against)
+        looks = styles([line.family for line in lines])
+        names = [_draw(axes, line, look, (lowest, highest)) for line, look in zip(lines, looks, strict=True)]
+        names += [(x, max(y, lowest), label, COLOURS["reference"], "D") for label, x, y in marks]
+        every = [x for line in lines for x in _positive(line.x)] + [x for _, x, _ in marks]
+        if every:
+            axes.set_xlim(min(every) / 1.3, max(every) * 1.5)
         axes.set_ylim(strip, highest)
         axes.axhspan(strip, lowest, color="#f8f8f8", zorder=0)
         axes.set_yticks([tick for tick in axes.get_yticks() if lowest <= tick <= highest])
         _tick_width(axes)
         _name_ends(axes, names, lowest, lowest * (strip / lowest) ** BEND)
-        if report.error_kind == "residual":
-            axes.axhline(report.tolerance, color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
+        if level is not None:
+            axes.axhline(level, color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
     return figure
 
 
-def _range(report: Report) -> tuple[float, float]:
-    """Return the errors that are shown: from the least of an answer to ten times the largest start."""
-    ends = [curve.points[-1].error for curve in report.curves if curve.is_solved]
-    every = [point.error for curve in report.curves for point in curve.points]
-    positive = [value for value in every if 0.0 < value < math.inf]
+def _range(lines: Sequence[Line]) -> tuple[float, float]:
+    """Return the errors that are shown: from the least of an answer to three times the largest start."""
+    positive = [value for line in lines for value in line.y if 0.0 < value < math.inf]
     if not positive:
         return 1e-16, 1.0
-    starts = [curve.points[0].error for curve in report.curves if 0.0 < curve.points[0].error < math.inf]
-    highest = 3.0 * max(starts or positive)
-    least = min((value for value in ends if value > 0.0), default=min(positive))
-    floor = float(np.median([value for value in ends if value > 0.0] or [least])) * DEEPEST_BELOW_TOLERANCE
-    return max(least, floor) / 2.0, highest
+    ends = [line.y[-1] for line in lines if line.arrives and line.y[-1] > 0.0]
+    starts = [line.y[0] for line in lines if 0.0 < line.y[0] < math.inf]
+    least = min(ends, default=min(positive))
+    floor = float(np.median(ends or [least])) * DEEPEST_BELOW_TOLERANCE
+    return max(least, floor) / 2.0, 3.0 * max(starts or positive)
 
 
 def _below(lowest: float, highest: float) -> float:
@@ -160,32 +203,21 @@ def _below(lowest: float, highest: float) -> float:
     return lowest / float(10.0 ** (decades * STRIP / (1.0 - STRIP)))
 
 
-def _abscissa(curve: Curve, against: str) -> Any:
-    values = [point.seconds if against == "seconds" else max(point.work, 1.0) for point in curve.points]
-    return np.maximum(values, 1e-9)
+def _positive(x: Any) -> Any:
+    return np.maximum(x, 1e-9)
 
 
-def _draw_curve(
-    axes: Any, curve: Curve, line: dict[str, Any], against: str, shown: tuple[float, float]
-) -> tuple[float, float]:
-    """Draw one curve with its spread; return its end."""
-    x = _abscissa(curve, against)
-    y = np.clip(np.nan_to_num([point.error for point in curve.points], nan=shown[1], posinf=shown[1]), *shown)
-    width = 2.0 if curve.family in ("auto", "multigrid") else 1.4
-    axes.plot(x, y, linewidth=width, solid_capstyle="round", zorder=3, **line)
-    axes.plot(x[:1], y[:1], "|", color=line["color"], markersize=6, zorder=4)
-    if against == "seconds":
-        low, high = ([getattr(point, name) for point in curve.points] for name in ("seconds_low", "seconds_high"))
-        axes.fill_betweenx(y, np.maximum(low, 1e-9), high, color=line["color"], alpha=0.10, linewidth=0, zorder=2)
-    return float(x[-1]), float(y[-1])
-
-
-def _fit_width(axes: Any, report: Report, against: str) -> None:
-    x = [value for curve in report.curves for value in _abscissa(curve, against)]
-    if against == "seconds":
-        x += [reference.seconds for reference in report.references]
-    if x:
-        axes.set_xlim(min(x) / 1.3, max(x) * 1.5)
+def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float]) -> Name:
+    """Draw one line with its spread; return where its name belongs."""
+    x, y = _positive(line.x), np.clip(np.nan_to_num(line.y, nan=shown[1], posinf=shown[1]), *shown)
+    width = 2.0 if line.family in ("auto", "multigrid") else 1.4
+    axes.plot(x, y, linewidth=width, solid_capstyle="round", zorder=3, **look)
+    axes.plot(x[:1], y[:1], "|", color=look["color"], markersize=6, zorder=4)
+    if line.band is not None:
+        low, high = line.band
+        axes.fill_betweenx(y, _positive(low), high, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
+    label, marker = (line.label, "o") if line.arrives else (f"{line.label} ✕", "x")
+    return float(x[-1]), float(y[-1]), label, look["color"], marker
 
 
 def _tick_width(axes: Any) -> None:
@@ -201,10 +233,10 @@ def _tick_width(axes: Any) -> None:
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
 
 
-def _name_ends(axes: Any, names: list[tuple[float, float, str, str, str]], edge: float, bend: float) -> None:
+def _name_ends(axes: Any, names: list[Name], edge: float, bend: float) -> None:
     """Write each name beyond the edge of the curves, side by side in the order in which they end.
 
-    `names` holds (x, y, label, colour, marker); a line leads from (x, y) to the edge and bends to the name.
+    A line leads from (x, y) to the edge and bends to the name.
     """
     low, high = np.log10(axes.get_xlim())
     is_below = bend < edge
@@ -247,23 +279,17 @@ def spread(places: Sequence[float], gap: float, low: float = 0.015, high: float 
 # --- Performance profile --------------------------------------------------------------------------------------
 
 
-def draw_profile(profile: Profile) -> Any:
-    """Return the figure of a performance profile: share of problems solved within a multiple of the best."""
+def draw_shares(lines: Sequence[Line], labels: tuple[str, str]) -> Any:
+    """Return the figure of shares y that are reached at x ≥ 1, each a step, x on a logarithmic axis."""
     with styled():
         figure, axes = new_figure()
-        unit = "passes over M" if profile.by == "work" else "seconds"
-        axes.set(xscale="log", xlabel=f"{unit}, as a multiple of the best", ylabel="share of the problems solved")
-        finite = [r for row in profile.ratios for r in row if math.isfinite(r)]
-        end = max([*finite, 2.0]) * 1.6
-        axes.set(xlim=(0.9, end), ylim=(-0.02, 1.0 / (1.0 - STRIP)))
+        end = max([x for line in lines for x in line.x] + [2.0]) * 1.6
+        axes.set(xscale="log", xlabel=labels[0], ylabel=labels[1], xlim=(0.9, end), ylim=(-0.02, 1.0 / (1.0 - STRIP)))
         names = []
-        for k, line in enumerate(styles(profile.families)):
-            ratios = sorted(r for r in profile.ratios[k] if math.isfinite(r))
-            heights = np.arange(1, len(ratios) + 1) / max(len(profile.problems), 1)
-            x, y = [1.0, *ratios, end], [0.0, *heights, heights[-1] if ratios else 0.0]
-            axes.step(x, y, where="post", linewidth=1.5, **line)
-            is_complete = len(ratios) == len(profile.problems)
-            names.append((x[-2], float(y[-1]), profile.labels[k], line["color"], "o" if is_complete else "x"))
+        for line, look in zip(lines, styles([line.family for line in lines]), strict=True):
+            x, y = [1.0, *line.x, end], [0.0, *line.y, line.y[-1] if line.y else 0.0]
+            axes.step(x, y, where="post", linewidth=1.5, **look)
+            names.append((x[-2], float(y[-1]), line.label, look["color"], "o" if line.arrives else "x"))
         axes.axhspan(1.02, 2.0, color="#f8f8f8", zorder=0)
         axes.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0], ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])
         _tick_width(axes)

@@ -1,4 +1,4 @@
-"""One picture of an answer: what the scene is about, with its free boundary, and how the residual fell."""
+"""Pictures of an answer: what the scene is about, with its free boundary, large or as a sketch for the report."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from ..certificates.residuals import Certificate
 from ..solving.result import Result
-from .drawing import check_format, require_matplotlib, save, styled
+from .drawing import HEIGHTS, check_format, heights_as_colours, new_figure, require_matplotlib, save, styled
 from .gallery.scene import Scene
 
-FINEST_SURFACE = 70
+FINEST_SURFACE, FINEST_SKETCH = 70, 110  # nodes along an axis
+LONGEST_SKETCH = 600
+SKETCH_SIZE = (3.6, 3.2)
+FEW = 60  # values, which are drawn larger
+ARRAYS = {"z", "x", "y", "lower", "upper"}
 ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
@@ -38,9 +43,11 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
         figure = require_matplotlib()(figsize=(4.9 * panels, 4.7), layout="constrained")
         if is_field:
             surface = figure.add_subplot(1, 3, 1, projection="3d")
-            _draw_field(figure, surface, figure.add_subplot(1, 3, 2), result, scene)
+            field = _field(scene, result.certificate)
+            _draw_map(figure, figure.add_subplot(1, 3, 2), field)
+            _draw_surface(surface, field)
         else:
-            _draw_line(figure.add_subplot(1, panels, 1), result, scene)
+            _draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate, result.z.size))
             if has_edge:
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
         _draw_residuals(figure.add_subplot(1, panels, panels), result)
@@ -50,78 +57,104 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
         save(figure, path)
 
 
-def _active(result: Result) -> Any:
+def _active(answer: Certificate) -> Any:
     """Return which components rest on a bound."""
-    problem = result.certificate.problem
-    return (result.z <= problem.lower) | (result.z >= problem.upper)
+    return (answer.z <= answer.problem.lower) | (answer.z >= answer.problem.upper)
 
 
-def _draw_field(figure: Any, surface: Any, axes: Any, result: Result, scene: Any) -> None:
-    field, active = scene.picture(result.z), scene.picture(_active(result))
-    labels = scene.axis_labels
-    coordinates = scene.coordinates or tuple(np.arange(size, dtype=float) for size in field.shape)
-    while field.ndim > 2:  # the middle slice of what cannot be drawn whole
-        field, active = field[field.shape[0] // 2], active[active.shape[0] // 2]
-        labels, coordinates = labels[1:], coordinates[1:]
-    rows, columns = coordinates
-    image = axes.pcolormesh(columns, rows, field, shading="nearest", cmap="cividis", rasterized=True)
-    figure.colorbar(image, ax=axes, shrink=0.8, label=scene.unknown).outline.set_visible(False)
-    if active.any() and not active.all() and min(field.shape) > 1:
-        for shade, width in (("#ffffff", 2.8), (ACTIVE, 1.5)):
-            axes.contour(columns, rows, active, levels=[0.5], colors=shade, linewidths=width)
-        axes.set_title(f"inside the line: {scene.active_means}", color=ACTIVE, fontsize=9)
+# --- Fields ---------------------------------------------------------------------------------------------------
+
+
+def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
+    """Return z over the grid as a map shows it: values, contact set, coordinates and names."""
+    z, active = scene.picture(answer.z), scene.picture(_active(answer))
+    labels, axes = scene.axis_labels, scene.coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
+    while z.ndim > 2:  # the middle slice of what cannot be drawn whole
+        z, active, labels, axes = z[z.shape[0] // 2], active[active.shape[0] // 2], labels[1:], axes[1:]
+    names = {"unknown": scene.unknown, "active_means": scene.active_means}
+    return names | {"z": z, "active": active, "x": axes[1], "y": axes[0], "x_label": labels[1], "y_label": labels[0]}
+
+
+def _coarse(field: dict[str, Any], finest: int) -> dict[str, Any]:
+    """Return the field with at most so many nodes along an axis."""
+    rows, columns = (slice(None, None, max(1, -(-size // finest))) for size in field["z"].shape)
+    kept = {name: field[name][rows, columns] for name in ("z", "active")}
+    return field | kept | {"x": field["x"][columns], "y": field["y"][rows]}
+
+
+def _draw_map(figure: Any, axes: Any, field: dict[str, Any]) -> None:
+    """Draw the field from above, its contact set dotted."""
+    x, y, z, active = (field[name] for name in ("x", "y", "z", "active"))
+    image = axes.pcolormesh(x, y, z, shading="nearest", cmap=HEIGHTS, rasterized=True)
+    figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]).outline.set_visible(False)
+    if 0.0 < active.mean() < 1.0 and min(z.shape) > 1:
+        axes.contourf(x, y, active, levels=[0.5, 1.5], colors="none", hatches=["....."])
+        for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
+            axes.contour(x, y, active, levels=[0.5], colors=shade, linewidths=width)
+        axes.set_title(f"dotted: {field['active_means']}", color=ACTIVE, fontsize=8.5)
     axes.grid(False)
-    axes.set(xlabel=labels[1], ylabel=labels[0], aspect="equal" if _is_square(rows, columns) else "auto")
-    _draw_surface(surface, field, active, rows, columns)
-    surface.set(xlabel=labels[1], ylabel=labels[0])  # the height is named beside the colours
+    is_square = 0.5 * np.ptp(x) <= np.ptp(y) <= 2.0 * np.ptp(x)
+    axes.set(xlabel=field["x_label"], ylabel=field["y_label"], aspect="equal" if is_square else "auto")
 
 
-def _draw_surface(surface: Any, field: Any, active: Any, rows: Any, columns: Any) -> None:
+def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
     """Draw z as a surface, its contact set in the colour of the free boundary."""
-    from matplotlib import colormaps
-
-    if min(field.shape) < 2:
+    surface.set(xlabel=whole["x_label"], ylabel=whole["y_label"])  # the height is named beside the colours
+    if min(whole["z"].shape) < 2:
         surface.set_axis_off()
         return
-    steps = tuple(slice(None, None, max(1, -(-size // FINEST_SURFACE))) for size in field.shape)
-    field, active, rows, columns = field[steps], active[steps], rows[steps[0]], columns[steps[1]]
-    height = float(np.ptp(field)) or 1.0
-    colours = colormaps["cividis"]((field - field.min()) / height)
-    colours[active.astype(bool)] = (0.835, 0.369, 0.0, 1.0)
-    x, y = np.meshgrid(columns, rows)
-    surface.plot_surface(x, y, field, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False)
+    field = _coarse(whole, FINEST_SURFACE)
+    z = field["z"]
+    colours = heights_as_colours(z)
+    colours[field["active"].astype(bool)] = (0.835, 0.369, 0.0, 1.0)
+    x, y = np.meshgrid(field["x"], field["y"])
+    surface.plot_surface(x, y, z, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False)
     surface.view_init(elev=36, azim=-60)
 
 
-def _is_square(rows: Any, columns: Any) -> bool:
-    height, width = float(np.ptp(rows)), float(np.ptp(columns))
-    return bool(0.5 * width <= height <= 2.0 * width)
+# --- Lines ----------------------------------------------------------------------------------------------------
 
 
-def _draw_line(axes: Any, result: Result, scene: Scene | None) -> None:
-    problem = result.certificate.problem
-    has_axis = scene is not None and scene.coordinates is not None
-    x = scene.coordinates[0] if scene is not None and scene.coordinates is not None else np.arange(result.z.size)
-    style = {"linewidth": 1.6} if result.z.size > 60 or has_axis else {"marker": "o", "linewidth": 0.8}
-    for bound, name in ((problem.lower, "lower"), (problem.upper, "upper")):
-        if np.isfinite(bound).all() and bound.size:
-            axes.plot(x, bound, color="0.6", linewidth=1, linestyle="--", label=f"{name} bound")
-    name = scene.unknown if scene is not None else "z"
-    axes.plot(x, result.z, color=FREE, label=name, **style)
-    touching = _active(result)
-    if touching.any() and not touching.all():
-        means = scene.active_means if scene is not None else "at a bound"
-        axes.plot(x[touching], result.z[touching], ".", color=ACTIVE, markersize=4, label=means)
-    label = scene.axis_labels[0] if scene is not None and scene.axis_labels else "index"
-    axes.set(xlabel=label, ylabel=name)
-    axes.legend(fontsize=8)
+def _line(scene: Scene | None, answer: Certificate, longest: int) -> dict[str, Any]:
+    """Return z over its only axis, or by its index, with at most so many values: bounds, contact set and names."""
+    problem, step = answer.problem, slice(None, None, max(1, -(-answer.z.size // max(longest, 1))))
+    axes = (scene.coordinates if scene is not None else None) or ()
+    has_axis = len(axes) == 1 and scene is not None
+    bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
+    return {
+        "kind": "line" if has_axis else "dots", "z": answer.z[step], "active": _active(answer)[step],
+        "x": (axes[0] if has_axis else np.arange(answer.z.size))[step],
+        "x_label": scene.axis_labels[0] if has_axis and scene is not None else "index",
+        "unknown": "z" if scene is None else scene.unknown,
+        "active_means": "at a bound" if scene is None else scene.active_means,
+    } | {name: bound[step] for name, bound in bounds.items() if np.isfinite(bound).all()}
+
+
+def _draw_line(axes: Any, line: dict[str, Any]) -> None:
+    """Draw z, what rests on a bound in orange; grey is where z must not go."""
+    x, z, active = line["x"], line["z"], line["active"].astype(bool)
+    for name, end in (("lower", min), ("upper", max)):
+        if name in line:
+            axes.fill_between(x, line[name], end(*line[name], *z), color="#eeeeee", linewidth=0)
+    if line["kind"] == "line":
+        axes.plot(x, z, color=FREE, linewidth=1.6)
+        axes.plot(x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round")
+    else:
+        size = 2.5 if z.size > FEW else 6.0
+        axes.plot(x[~active], z[~active], ".", color=FREE, markersize=size)
+        axes.plot(x[active], z[active], ".", color=ACTIVE, markersize=size)
+        if z.size and np.ptp(z) > 1e3 * np.median(np.abs(z[~active]) if (~active).any() else [1.0]):
+            axes.set_yscale("symlog", linthresh=1e-3)
+    if active.any():
+        axes.set_title(f"orange: {line['active_means']}", color=ACTIVE, fontsize=8.5)
+    axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
 
 
 def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
     """Draw where the contact set that begins at the lower end of the axis ends, step by step."""
     x, edges = scene.coordinates[0], []
     for result in march:
-        free = np.flatnonzero(~_active(result))
+        free = np.flatnonzero(~_active(result.certificate))
         edges.append(x[free[0] - 1] if free.size and free[0] > 0 else np.nan)
     steps = np.arange(1, len(march) + 1)
     axes.plot(steps, edges, color=ACTIVE, linewidth=1.8)
@@ -148,3 +181,35 @@ def _draw_residuals(axes: Any, result: Result) -> None:
                       textcoords="offset points", ha="right", color=ACTIVE, fontsize=8)
     axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel="seconds", ylabel=f"{result.measure} residual", title="how the residual fell")
+
+
+# --- Sketches -------------------------------------------------------------------------------------------------
+
+
+def sketch_of(scene: Scene, answer: Certificate) -> dict[str, Any]:
+    """Return what a sketch of the answer shows, coarse enough for JSON: kind, values, coordinates and names."""
+    if scene.grid is None or len(scene.grid) == 1 or min(scene.grid[-2:]) < 2:
+        shown = _line(scene, answer, LONGEST_SKETCH)
+    else:
+        shown = _coarse(_field(scene, answer), FINEST_SKETCH) | {"kind": "field"}
+    values = {name: _rounded(shown[name]) for name in ARRAYS & shown.keys()}
+    return shown | values | {"active": shown["active"].astype(int).tolist()}
+
+
+def _rounded(values: Any) -> Any:
+    """Return five digits of each value: enough for a picture."""
+    array = np.asarray(values, dtype=np.float64)
+    return [float(f"{value:.5g}") for value in array] if array.ndim == 1 else [_rounded(row) for row in array]
+
+
+def draw_sketch(sketch: dict[str, Any]) -> Any:
+    """Return the figure of a sketch."""
+    shown = sketch | {name: np.array(sketch[name], dtype=float) for name in (ARRAYS | {"active"}) & sketch.keys()}
+    with styled():
+        figure, axes = new_figure(SKETCH_SIZE)
+        axes.grid(False)
+        if sketch["kind"] == "field":
+            _draw_map(figure, axes, shown)
+        else:
+            _draw_line(axes, shown)
+    return figure

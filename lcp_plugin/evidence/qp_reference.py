@@ -24,13 +24,14 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from ..certificates.residuals import Certificate, reference_residual, scaled_residual
+from ..certificates.residuals import Certificate, reference_residual
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import factorised
+from ..matrix.factors import factorise
 from ..problem.lcp import LCP
 
 ACCURATE = 1e-7
@@ -360,9 +361,8 @@ def _on_active_set(certificate: Certificate) -> FloatVector | None:
     free = np.flatnonzero(~(at_lower | at_upper))
     if free.size == 0:
         return z
-    try:
-        block = problem.csr[free][:, free]
-        z[free] -= splu(sp.csc_array(block)).solve(problem.slack(z)[free])
-    except RuntimeError:
+    factor = factorise(problem.csr[free][:, free])
+    if factor is None:
         return None
+    z[free] -= factor.solve(problem.slack(z)[free])
     return z if np.isfinite(z).all() else None

@@ -1,1 +1,47 @@
-"""The cvxpy side: complementarity constraints, models, registration."""
+"""The cvxpy side: complementarity between expressions, quadratic programs, and who judges the status.
+
+**What you may write** in the list of ``cp.Problem(cp.Minimize(0), [...])``, solved with ``method="LCP"``, or of
+``ComplementarityProblem([...])``, which needs neither objective nor method:
+
+- ``complements(x >= 0, F >= 0)``: in either order; both sides have one shape, nothing is broadcast.
+- ``complements(F >= 0, G >= 0)`` with two affine expressions.
+- ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0.
+- ``complements(x, F)``: the bounds are those of the variable, as in ``cp.Variable(2, nonneg=True)``; where it has none,
+  F == 0 is what that means, and a ``ModelWarning`` says so.
+- ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation.
+- Bounds of a variable that equations define, as in ``w == M @ x + q`` with w nonneg, where the pairs imply them.
+
+Parameters may stand anywhere, and a second solve starts from the first. cvxpy keeps sparse constants by columns, so
+that ``M @ x`` costs one conversion of M.
+
+**Afterwards** ``pair.dual_value`` is w and ``pair.violation()`` the largest natural residual; the inequalities inside
+carry the duals that a quadratic program would give them. A model that is proved to have no solution gets the status
+"infeasible", and the proof is ``problem.solver_stats.extra_stats.infeasibility``; ``extra_stats`` is a `Result` always.
+
+>>> import cvxpy as cp
+>>> import numpy as np
+>>> from lcp_plugin import ComplementarityProblem, box, complements
+>>> x, y = cp.Variable(2), cp.Variable()
+>>> pair = complements(box(x, 0, [1, 4]), 2 * x - y - [3, 1])
+>>> _ = ComplementarityProblem([pair, y == cp.sum(x) / 2]).solve()
+>>> x.value.round(6), pair.dual_value.round(6), pair.violation() < 1e-8
+(array([1., 1.]), array([-2.,  0.]), True)
+
+**Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
+included; then ``method="LCP"`` is known too.
+
+>>> import lcp_plugin
+>>> A, b = np.random.default_rng(0).standard_normal((30, 5)), np.ones(30)
+>>> x = cp.Variable(5)
+>>> problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0])
+>>> _ = problem.solve(solver=lcp_plugin.QPSolver)
+>>> problem.status, problem.solver_stats.extra_stats.status.name
+('optimal', 'SOLVED')
+
+Their status is judged by the program's own residuals, and then on the problem as you stated it, before cvxpy rewrote
+it: its objective and constraints at the values found, its Lagrangian at a few other points, the proof of infeasible and
+unbounded, without which neither is said. A contradiction is a ``SolverError`` that says what differs. Bounds that cvxpy
+derives for its own variables are not used. All this is in units of the program's data, never relative to x: row i's
+violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
+what is called optimal (1e-7 by default).
+"""

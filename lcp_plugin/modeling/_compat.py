@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -89,6 +90,7 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
     if not any(map(sp.issparse, values)):
         return node.numeric(values)
     if _multiplies_sparse(node, values):
+        # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
         return values[0] @ values[1]
     if isinstance(node, TRANSPOSE):
         return values[0].T
@@ -104,19 +106,14 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
     if isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
         return node.numeric([sp.csr_matrix(value) for value in values])
-    if isinstance(node, KEEP_SPARSE):
+    if isinstance(node, KEEP_SPARSE) and all(value.ndim <= 2 for value in values):
         return node.numeric(values)
     return node.numeric([dense(value) for value in values])
 
 
 def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
     """Return the atom's value where variables enter: as large as its result, which is dense anyway."""
-    # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
-    if _multiplies_sparse(node, values):
-        value = values[0] @ values[1]
-    else:
-        value = node.numeric([dense(value) for value in values])
-    result: NDArray[Any] = dense(shaped(node, value))
+    result: NDArray[Any] = dense(shaped(node, constant_numeric(node, values)))
     return result
 
 
@@ -143,3 +140,32 @@ def name_of(expression: Any) -> str:
     except RecursionError:
         text = f"a deep {type(expression).__name__}"
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"
+
+
+def attribute_bounds(variable: Any) -> tuple[Any, Any]:
+    """Return the bounds that a variable's attributes state: nonneg, pos, nonpos, neg, bounds."""
+    attributes = variable.attributes
+    lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
+    upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
+    given = attributes.get("bounds")
+    if given is not None:
+        low, high = (bound_value(bound, variable) for bound in given)
+        lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+    return lower, upper
+
+
+def bound_value(bound: Any, owner: Any) -> Any:
+    """Return a bound that a user gave as an array of doubles; raise where it is none."""
+    if bound is None:
+        raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
+    if isinstance(bound, cp.Expression) and bound.variables():
+        raise UnsupportedModel(f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter")
+    value = bound.value if isinstance(bound, cp.Expression) else bound
+    if value is None:
+        raise UnsupportedModel(f"the bound {bound} of {owner} has no value; set its parameter first")
+    if hasattr(value, "toarray"):
+        value = value.toarray()
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub" or np.isnan(array).any():
+        raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
+    return array.astype(np.float64)

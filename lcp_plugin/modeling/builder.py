@@ -1,9 +1,9 @@
-"""Collects what a list of complementarities and equalities says: unknowns, bounds, rows."""
+"""Collects what a list of complementarities and equalities says: unknowns, bounds, rows; and the way back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
@@ -13,23 +13,82 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
-from .compiled_model import Model, Report
-from .constraint import Complements, Side, attribute_bounds, bounds_of
-from .elimination import Affine, Elimination, eliminate_definitions, is_definition
+from ._compat import attribute_bounds
+from .equations import Affine, Elimination, KnownRanges, eliminate_definitions, is_definition, matched_for_monotony
 from .extract import AffineMap, affine_map
-from .implied_bounds import KnownRanges
-from .matching import matched_for_monotony
+
+if TYPE_CHECKING:
+    from .constraint import Complements, Side
+
+Single = tuple[NDArray[np.int64], FloatVector]
 
 PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
 
 
 @dataclass(eq=False)
-class _Rows:
-    """Rows of the function that belong to the columns of some unknowns."""
+class Report:
+    """What to write back into a constraint's dual variable: scale · (w or z)[columns] + shift."""
 
+    constraint: Any
     columns: NDArray[np.int64]
-    function: AffineMap
-    sign: FloatVector
+    shape: tuple[int, ...]
+    is_slack: bool
+    scale: Any = 1.0
+    shift: Any = 0.0
+
+    def value(self, z: FloatVector, w: FloatVector) -> NDArray[np.float64]:
+        """Return the dual value in the constraint's own shape."""
+        values: FloatVector = self.scale * (w if self.is_slack else z)[self.columns] + self.shift
+        return values.reshape(self.shape, order="F")
+
+
+@dataclass(eq=False)
+class Model:
+    """An LCP together with the way back to the cvxpy variables and constraints."""
+
+    problem: LCP
+    variables: list[Any]
+    offsets: dict[int, int]
+    reports: list[Report] = field(repr=False)
+    elimination: Elimination = field(repr=False)
+
+    def values(self, z: FloatVector) -> dict[int, Any]:
+        """Return the value of each variable by its id, in its own shape."""
+        z = self.elimination.expand(z)
+        places = [(variable, self.offsets[variable.id]) for variable in self.variables]
+        return {v.id: z[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
+
+    def duals(self, z: FloatVector, w: FloatVector) -> list[tuple[Any, Any]]:
+        """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""
+        z, w = self.elimination.expand(z), self.elimination.expand_slack(w)
+        return [(report.constraint, report.value(z, w)) for report in self.reports]
+
+    def start(self) -> FloatVector | None:
+        """Return the present values of all variables as one vector; None where one has no value."""
+        if any(variable.value is None for variable in self.variables):
+            return None
+        z = np.zeros(self.elimination.offset.size)
+        for variable in self.variables:
+            first = self.offsets[variable.id]
+            z[first : first + variable.size] = np.ravel(variable.value, order="F")
+        return z[self.elimination.kept]
+
+
+@dataclass(frozen=True, eq=False)
+class _Function:
+    """Rows matrix · unknowns + offset; an equation of this constraint, of a pair where it is None."""
+
+    matrix: sp.csr_array
+    offset: FloatVector
+    constraint: Any = None
+    shape: tuple[int, ...] = ()
+
+    def over(self, count: int) -> sp.csr_array:
+        """Return the matrix over all unknowns, those included that came later."""
+        matrix = self.matrix
+        if matrix.shape[1] == count:
+            return matrix
+        return sp.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=(self.offset.size, count))
 
 
 class Builder:
@@ -37,24 +96,22 @@ class Builder:
 
     def __init__(self, constraints: list[Any], memo: dict[Any, Any]) -> None:
         self.memo = memo
-        self.variables = _variables(constraints)
-        self.offsets: dict[int, int] = {}
-        self.count = 0
-        for variable in self.variables:
-            self.offsets[variable.id] = self.count
-            self.count += variable.size
-        self.width = self.count
-        bounds = [attribute_bounds(variable) for variable in self.variables]
-        self.lower = self._stacked([low for low, _ in bounds])
-        self.upper = self._stacked([high for _, high in bounds])
-        self.is_paired = np.zeros(self.count, dtype=bool)
-        self.rows: list[_Rows] = []
-        self.equations: list[tuple[AffineMap, Any]] = []
-        self.slacks: list[tuple[AffineMap, int]] = []
+        self.variables = list({v.id: v for constraint in constraints for v in constraint.variables()}.values())
+        ends = np.cumsum([0, *(variable.size for variable in self.variables)]).tolist()
+        self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends[:-1], strict=True)}
+        self.count: int = ends[-1]
+        bounds = [
+            [np.ravel(np.broadcast_to(bound, variable.shape), order="F") for bound in attribute_bounds(variable)]
+            for variable in self.variables
+        ]
+        self.lower, self.upper = (
+            np.concatenate([*(pair[k] for pair in bounds), np.zeros(0)]).astype(np.float64) for k in (0, 1)
+        )
+        self.is_paired, self.is_defined = np.zeros(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
+        #: Of each pair: the unknowns, the function that belongs to them, and its sign.
+        self.pairs: list[tuple[NDArray[np.int64], _Function, FloatVector]] = []
+        self.equations: list[_Function] = []
         self.reports: list[Report] = []
-        self.is_defined = np.zeros(self.count, dtype=bool)
-        #: Sides that are one unknown each and whose sign the pair knows: columns, weights, offset, sign.
-        self.signed: list[tuple[NDArray[np.int64], FloatVector, FloatVector, FloatVector]] = []
         #: Variables that are paired as if they had bounds, and have none.
         self.unbounded: list[Side] = []
 
@@ -62,41 +119,46 @@ class Builder:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
         function = affine_map(constraint.expr, memo=self.memo)
-        self.equations.append((function, constraint))
+        self.equations.append(_Function(self._matrix(function), function.offset, constraint, function.shape))
         for variable, block in function.blocks.items():
             if is_definition(block):
                 self.is_defined[self.offsets[variable] + block.indices] = True
 
-    def _stacked(self, bounds: list[Any]) -> FloatVector:
-        parts = [
-            np.ravel(np.broadcast_to(bound, variable.shape), order="F")
-            for bound, variable in zip(bounds, self.variables, strict=True)
-        ]
-        return np.concatenate([*parts, np.zeros(0)]).astype(np.float64)
+    def _function(self, side: Side) -> _Function:
+        function = affine_map(side.expression, memo=self.memo)
+        return _Function(self._matrix(function), function.offset)
+
+    def _matrix(self, function: AffineMap) -> sp.csr_array:
+        """Return the rows of an affine map over the unknowns that variables are."""
+        size = function.offset.size
+        if len(self.variables) == len(function.blocks) == 1:
+            return next(iter(function.blocks.values()))  # without a copy
+        parts = [function.blocks.get(v.id, sp.csr_array((size, v.size))) for v in self.variables]
+        return sp.csr_array(sp.hstack(parts, format="csr")) if parts else sp.csr_array((size, 0))
 
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
-        maps = [affine_map(side.expression, memo=self.memo) for side in sides]
-        singles = [self._single_columns(given) for given in maps]
+        functions = [self._function(side) for side in sides]
+        singles = [_single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
         if max(ranks) <= PLAIN and self._is_defined(singles[k]) and not self._is_defined(singles[1 - k]):
             k = 1 - k
         single = singles[k]
-        if ranks[k] == NO_VARIABLE or single is None:
-            if {side.kind for side in sides} == {"nonnegative"} and singles == [None, None]:
-                self._pair_slack(pair, maps)
-                return
+        if ranks[k] != NO_VARIABLE and single is not None:
+            self._pair_variable(pair, sides[k], functions[k], sides[1 - k], functions[1 - k], *single)
+        elif {side.kind for side in sides} == {"nonnegative"} and singles == [None, None]:
+            self._pair_slack(pair, *functions)
+        else:
             raise UnsupportedModel(
                 f"one side of {pair!r} must be a variable, or distinct entries of variables that no other pair holds"
             )
-        self._pair_variable(pair, sides[k], maps[k], sides[1 - k], maps[1 - k], *single)
 
-    def _is_defined(self, single: tuple[NDArray[np.int64], FloatVector] | None) -> bool:
+    def _is_defined(self, single: Single | None) -> bool:
         return single is not None and bool(self.is_defined[single[0]].all())
 
-    def _rank(self, side: Side, other: Side, single: tuple[NDArray[np.int64], FloatVector] | None) -> int:
+    def _rank(self, side: Side, other: Side, single: Single | None) -> int:
         """Return how naturally this side is the variable: 0 best, NO_VARIABLE not at all."""
         if single is None or side.kind == "zero" or other.kind == "box" or self.is_paired[single[0]].any():
             return NO_VARIABLE
@@ -110,28 +172,12 @@ class Builder:
         # Of two inequalities the plainer one bounds the variable; with its attributes it must not quarrel.
         return 3 if (weights == 1.0).all() and not is_bounded else 4
 
-    def _single_columns(self, given: AffineMap) -> tuple[NDArray[np.int64], FloatVector] | None:
-        """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
-        size = int(given.offset.size)
-        columns = np.full(size, -1, dtype=np.int64)
-        weights = np.zeros(size)
-        for variable, block in given.blocks.items():
-            counts = np.diff(block.indptr)
-            rows = np.flatnonzero(counts)
-            if (counts > 1).any() or (columns[rows] >= 0).any():
-                return None
-            columns[rows] = self.offsets[variable] + block.indices
-            weights[rows] = block.data
-        if (columns < 0).any() or (weights == 0.0).any() or np.bincount(columns, minlength=1).max() > 1:
-            return None
-        return columns, weights
-
     def _pair_variable(
-        self, pair: Complements, side: Side, own: AffineMap, other: Side, function: AffineMap,
+        self, pair: Complements, side: Side, own: _Function, other: Side, function: _Function,
         columns: NDArray[np.int64], weights: FloatVector,
     ) -> None:
         positive = weights > 0.0
-        low, high = (np.ravel(bound, order="F") for bound in bounds_of(side))
+        low, high = (np.ravel(bound, order="F") for bound in side.bounds())
         if side.kind in ("nonnegative", "box"):
             low, high = (low - own.offset) / weights, (high - own.offset) / weights
             low, high = np.where(positive, low, high), np.where(positive, high, low)
@@ -145,20 +191,22 @@ class Builder:
         if other.kind == "zero" and (np.isfinite(low) | np.isfinite(high)).any():
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         self.is_paired[columns] = True
-        self.rows.append(_Rows(columns, function, sign))
-        has_low, has_high = np.isfinite(low), np.isfinite(high)
-        opposite = self._single_columns(function)
-        if opposite is not None:
-            known = np.where(has_low & ~has_high, sign, np.where(has_high & ~has_low, -sign, 0.0))
-            self.signed.append((*opposite, function.offset, known))
-        if side.kind == other.kind == "value" and not (has_low | has_high).any() and not _states_bounds(side):
+        is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
+        if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
             self.unbounded.append(side)
-        shape = side.expression.shape
-        self.reports.append(Report(pair, columns, shape, True, sign))
-        if side.constraint is not None:
-            self.reports.append(Report(side.constraint, columns, shape, True, sign))
-        if other.constraint is not None:
-            self.reports.append(Report(other.constraint, columns, shape, False, weights, own.offset))
+        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset))
+
+    def _keep_pair(
+        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: _Function,
+        sign: FloatVector, value: tuple[Any, Any] = (1.0, 0.0),
+    ) -> None:
+        """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
+        self.pairs.append((columns, function, sign))
+        shape = pair.first.expression.shape
+        for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
+            if constraint is not None:
+                scale, shift = (sign, 0.0) if is_slack else value
+                self.reports.append(Report(constraint, columns, shape, is_slack, scale, shift))
 
     @staticmethod
     def _sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
@@ -184,109 +232,71 @@ class Builder:
             raise UnsupportedModel(f"{side} has a lower bound above its upper bound")
         self.lower[columns], self.upper[columns] = low, high
 
-    def _pair_slack(self, pair: Complements, maps: list[AffineMap]) -> None:
+    def _pair_slack(self, pair: Complements, first: _Function, second: _Function) -> None:
         """S ≥ 0 ⟂ F ≥ 0 without a variable side: a new unknown s = S, s ≥ 0 ⟂ F ≥ 0."""
-        size = int(maps[0].offset.size)
+        size = first.offset.size
         columns = np.arange(self.count, self.count + size)
+        minus = sp.csr_array((np.full(size, -1.0), (np.arange(size), columns)), shape=(size, self.count + size))
+        self.equations.append(_Function(sp.csr_array(first.over(self.count + size) + minus), first.offset))
         self.count += size
-        self.lower = np.concatenate([self.lower, np.zeros(size)])
-        self.upper = np.concatenate([self.upper, np.full(size, np.inf)])
-        self.is_paired = np.concatenate([self.is_paired, np.ones(size, dtype=bool)])
-        ones = np.ones(size)
-        self.rows.append(_Rows(columns, maps[1], ones))
-        self.slacks.append((maps[0], int(columns[0]) if size else self.count))
-        shape = pair.first.expression.shape
-        for constraint, is_slack in ((pair, True), (pair.first.constraint, True), (pair.second.constraint, False)):
-            self.reports.append(Report(constraint, columns, shape, is_slack))
+        self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
+        self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
+        self._keep_pair(pair, (pair.first, pair.second), columns, second, np.ones(size))
 
     def finished(self) -> Model:
         """Put definitions in, match the equations left with the unknowns left, and put everything in its place."""
-        blocks, offsets, owners = self._equations()
-        count = sum(block.shape[0] for block in blocks)
+        pairs = self._affine([function for _, function, _ in self.pairs])
+        equations = self._affine(self.equations)
         free = np.flatnonzero(~self.is_paired)
-        self._check_square(free, count)
-        columns, signs = [rows.columns for rows in self.rows], [rows.sign for rows in self.rows]
-        functions = [self.matrix(rows.function) for rows in self.rows], [rows.function.offset for rows in self.rows]
-        if not count:
-            return self._assembled(*functions, columns, signs, None)
-        owner = np.repeat(np.arange(len(owners)), [size for _, size, _ in owners])
-        equations, pairs = _stacked(blocks, offsets, owner, self.count), _stacked(*functions, None, self.count)
+        self._check_square(free, equations.offset.size)
         self._drop_implied_bounds(free, equations)
-        found = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
-        elimination, left, pairs = (None, equations, pairs) if found is None else found
-        kept = np.arange(self.count) if elimination is None else elimination.kept
-        free = np.flatnonzero(~self.is_paired[kept])
+        elimination, left, pairs = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
+        kept = elimination.kept
         place = np.zeros(self.count, dtype=np.int64)
         place[kept] = np.arange(kept.size)
-        columns = [place[own] for own in columns]
-        sign = np.concatenate([*signs, np.zeros(0)])
-        paired = np.concatenate([*columns, np.zeros(0, dtype=np.int64)])
-        order, turned = free, np.zeros(0)
+        columns = place[np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])]
+        sign = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
+        free = np.flatnonzero(~self.is_paired[kept])
         if free.size:
             signed = sp.csr_array(sp.diags_array(sign) @ pairs.matrix)
-            order, turned = matched_for_monotony(left.matrix, signed, paired, free)
-        self._report_equations(owners, _columns_of(count, elimination, kept[free[order]]))
-        return self._assembled(
-            [pairs.matrix, left.matrix], [pairs.offset, left.offset], [*columns, free[order]], [*signs, turned],
-            elimination,
-        )
-
-    def _assembled(
-        self, blocks: list[Any], offsets: list[Any], columns: list[Any], signs: list[Any],
-        elimination: Elimination | None,
-    ) -> Model:
-        kept = np.arange(self.count) if elimination is None else elimination.kept
-        if len(blocks) == 1 and np.array_equal(columns[0], np.arange(self.count)) and (signs[0] == 1.0).all():
-            M, q = blocks[0], offsets[0]  # the user's own matrix, without a copy
-        else:
-            place = np.argsort(np.concatenate([*columns, np.zeros(0, dtype=np.int64)]), kind="stable")
-            sign = np.concatenate([*signs, np.zeros(0)])
-            stacked = sp.csr_array(sp.vstack(blocks, format="csr")) if blocks else sp.csr_array((0, 0))
-            if (sign != 1.0).any():
-                stacked = sp.csr_array(sp.diags_array(sign) @ stacked)
-            M, q = sp.csr_array(stacked[place]), (sign * np.concatenate([*offsets, np.zeros(0)]))[place]
+            order, turned = matched_for_monotony(left.matrix, signed, columns, free)
+            free = free[order]
+            matrix = sp.csr_array(sp.vstack([pairs.matrix, left.matrix], format="csr"))
+            pairs = Affine(matrix, np.append(pairs.offset, left.offset), order)
+            columns, sign = np.concatenate([columns, free]), np.concatenate([sign, turned])
+        self._report_equations(elimination, kept[free])
+        M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
+        if (sign != 1.0).any():
+            M, q = sp.csr_array(sp.diags_array(sign) @ M), sign * q
+        if not np.array_equal(columns, np.arange(kept.size)):
+            order = np.argsort(columns, kind="stable")
+            M, q = sp.csr_array(M[order]), q[order]
         problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
         return Model(problem, self.variables, self.offsets, self.reports, elimination)
 
     def _variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
-        sizes = [*(variable.size for variable in self.variables), self.count - self.width]
+        sizes = [variable.size for variable in self.variables]
+        sizes.append(self.count - sum(sizes))
         return np.repeat(np.arange(len(sizes)), sizes).astype(np.int64)
 
-    def matrix(self, function: AffineMap) -> sp.csr_array:
-        """Return the rows of an affine map over all unknowns."""
-        size = int(function.offset.size)
-        if len(function.blocks) == 1 and len(self.variables) == 1 and self.count == self.width:
-            return next(iter(function.blocks.values()))
-        parts: list[Any] = [
-            function.blocks.get(variable.id, sp.csr_array((size, variable.size))) for variable in self.variables
-        ]
-        if self.count > self.width:
-            parts.append(sp.csr_array((size, self.count - self.width)))
-        return sp.csr_array(sp.hstack(parts, format="csr")) if parts else sp.csr_array((size, 0))
+    def _affine(self, functions: list[_Function]) -> Affine:
+        """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
+        blocks = [function.over(self.count) for function in functions] or [sp.csr_array((0, self.count))]
+        matrix = blocks[0] if len(blocks) == 1 else sp.csr_array(sp.vstack(blocks, format="csr"))
+        offset = np.concatenate([*(function.offset for function in functions), np.zeros(0)])
+        return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.offset.size for one in functions]))
 
-    def _equations(self) -> tuple[list[Any], list[Any], list[Any]]:
-        blocks, offsets, owners = [], [], []
-        for function, constraint in self.equations:
-            blocks.append(self.matrix(function))
-            offsets.append(function.offset)
-            owners.append((constraint, function.offset.size, function.shape))
-        for function, first in self.slacks:
-            size = function.offset.size
-            place = (np.arange(size), np.arange(first, first + size))
-            slack = sp.csr_array((-np.ones(size), place), shape=(size, self.count))
-            blocks.append(sp.csr_array(self.matrix(function) + slack))
-            offsets.append(function.offset)
-            owners.append((None, size, function.shape))
-        return blocks, offsets, owners
-
-    def _report_equations(self, owners: list[Any], columns: NDArray[np.int64]) -> None:
-        first = 0
-        for constraint, size, shape in owners:
-            if constraint is not None:
-                part = columns[first : first + size]
-                self.reports.append(Report(constraint, part, shape, False))
-            first += size
+    def _report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
+        """Report for each equation the unknown that it defined or was matched with."""
+        ends = np.cumsum([function.offset.size for function in self.equations]).tolist()
+        columns = np.full(ends[-1] if ends else 0, -1, dtype=np.int64)
+        columns[elimination.rows] = elimination.columns
+        columns[columns < 0] = matched
+        for function, end in zip(self.equations, ends, strict=True):
+            if function.constraint is not None:
+                part = columns[end - function.offset.size : end]
+                self.reports.append(Report(function.constraint, part, function.shape, False))
 
     def _drop_implied_bounds(self, free: NDArray[np.int64], equations: Affine) -> None:
         """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
@@ -295,8 +305,10 @@ class Builder:
             return
         known = KnownRanges(self.count)
         with np.errstate(all="ignore"):
-            for signed in self.signed:
-                known.of_signed(*signed)
+            for columns, function, sign in self.pairs:
+                if (single := _single_columns(function)) is not None:
+                    has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
+                    known.of_signed(*single, function.offset, sign * (has_low.astype(float) - has_high))
             known.of_equations(equations.matrix, equations.offset, self.lower, self.upper, self.is_paired)
         wrong = bounded[known.contradict(self.lower, self.upper)[bounded]]
         if wrong.size:
@@ -333,20 +345,11 @@ class Builder:
         )
 
 
-def _stacked(blocks: list[Any], offsets: list[Any], owner: NDArray[np.int64] | None, width: int) -> Affine:
-    matrix = sp.csr_array(sp.vstack(blocks, format="csr")) if blocks else sp.csr_array((0, width))
-    offset = np.concatenate([*offsets, np.zeros(0)])
-    return Affine(matrix, offset, np.zeros(offset.size, dtype=np.int64) if owner is None else owner)
-
-
-def _columns_of(count: int, elimination: Elimination | None, matched: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each equation the unknown that it defined or was matched with."""
-    if elimination is None:
-        return matched
-    columns = np.full(count, -1, dtype=np.int64)
-    columns[elimination.rows] = elimination.columns
-    columns[columns < 0] = matched
-    return columns
+def _single_columns(function: _Function) -> Single | None:
+    """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
+    matrix = function.matrix
+    is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
+    return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
 
 
 def _states_bounds(side: Side) -> bool:
@@ -355,10 +358,18 @@ def _states_bounds(side: Side) -> bool:
     return any(variable.attributes.get(name) for variable in side.expression.variables() for name in names)
 
 
-def _variables(constraints: list[Any]) -> list[Any]:
-    """Return the variables of the constraints in the order of their first appearance."""
-    seen: dict[int, Any] = {}
-    for constraint in constraints:
-        for variable in constraint.variables():
-            seen.setdefault(variable.id, variable)
-    return list(seen.values())
+def pair_residual(pair: Complements) -> FloatVector | None:
+    """Return the natural residual of each row of a pair at the present values; None where one is missing."""
+    values = [side.expression.value for side in (pair.first, pair.second)]
+    if any(value is None for value in values):
+        return None
+    builder = Builder([pair], {})
+    builder.add_pair(pair)
+    if builder.equations:
+        return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
+    (columns, function, sign), = builder.pairs
+    z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
+    w = sign * (function.matrix @ z + function.offset)
+    x, low, high = z[columns], builder.lower[columns], builder.upper[columns]
+    residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
+    return residual

@@ -12,6 +12,8 @@ from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
 from ..errors import UnsupportedModel
+from ._compat import attribute_bounds, bound_value
+from .builder import pair_residual
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
 
@@ -20,8 +22,17 @@ REMEDY = 'solve it with problem.solve(method="LCP")'
 class Side:
     """One side of a complementarity: an expression and what the other side has to do with it.
 
-    `kind` is "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or
-    "value" (an expression whose bounds, if any, are those of its variable).
+    Attributes
+    ----------
+    expression : cvxpy expression
+        In the form "box" a variable, or a part of one.
+    kind : str
+        "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
+        expression whose bounds, if any, are those of its variable).
+    constraint : cvxpy constraint or None
+        The inequality or equality that states the side.
+    lower, upper : scalar, array or parameter
+        Bounds of a box, of the shape of the expression, or scalars; ±∞ for none.
     """
 
     expression: Any
@@ -37,24 +48,26 @@ class Side:
             return f"box({self.expression}, {self.lower}, {self.upper})"
         return str(self.expression)
 
+    def bounds(self) -> tuple[Any, Any]:
+        """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
+        shape = self.expression.shape
+        if self.kind == "box":
+            lower, upper = bound_value(self.lower, self), bound_value(self.upper, self)
+        elif self.kind == "nonnegative":
+            lower, upper = 0.0, np.inf
+        elif isinstance(self.expression, cp.Variable):
+            lower, upper = attribute_bounds(self.expression)
+        else:
+            lower, upper = -np.inf, np.inf
+        for bound in (lower, upper):
+            if np.shape(bound) not in ((), shape):
+                raise UnsupportedModel(
+                    f"the bounds of {self} must be numbers or have its shape {shape}, got {np.shape(bound)}"
+                )
+        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
 
-@dataclass(frozen=True, eq=False)
-class Box:
-    """lower ≤ expression ≤ upper, as one side of :func:`complements`.
 
-    Attributes
-    ----------
-    expression : cvxpy expression
-    lower, upper : scalar, array or parameter
-        Bounds of the shape of the expression, or scalars; ±∞ for none.
-    """
-
-    expression: Any
-    lower: Any
-    upper: Any
-
-
-def box(expression: Any, lower: Any, upper: Any) -> Box:
+def box(expression: Any, lower: Any, upper: Any) -> Side:
     """Return the side lower ≤ expression ≤ upper of a complementarity.
 
     Parameters
@@ -70,7 +83,7 @@ def box(expression: Any, lower: Any, upper: Any) -> Box:
     >>> x = cp.Variable(2)
     >>> pair = complements(box(x, -1, 1), x - 3)
     """
-    return Box(_expression(expression, "the expression of box"), lower, upper)
+    return Side(_expression(expression, "the expression of box"), "box", None, lower, upper)
 
 
 def complements(first: Any, second: Any) -> Complements:
@@ -123,8 +136,8 @@ def _side(given: Any, which: str) -> Side:
         raise UnsupportedModel(f"the {which} side of complements is None; it must be an inequality or an expression")
     if isinstance(given, Complements):
         raise UnsupportedModel(f"the {which} side of complements is {given!r}, which is a constraint itself")
-    if isinstance(given, Box):
-        return Side(given.expression, "box", None, given.lower, given.upper)
+    if isinstance(given, Side):
+        return given
     if isinstance(given, Inequality):
         return Side(given.args[1] - given.args[0], "nonnegative", given)
     if isinstance(given, NonNeg):
@@ -194,17 +207,7 @@ class Complements(Constraint):  # type: ignore[misc]
         """Return False: complementarity is not convex."""
         return False
 
-    def is_dgp(self, dpp: bool = False) -> bool:
-        """Return False."""
-        return False
-
-    def is_dqcp(self) -> bool:
-        """Return False."""
-        return False
-
-    def is_dnlp(self) -> bool:
-        """Return False."""
-        return False
+    is_dgp = is_dqcp = is_dnlp = is_dcp
 
     def parameters(self) -> list[Any]:
         """Return the parameters of both sides, those of the bounds of a box included."""
@@ -218,8 +221,6 @@ class Complements(Constraint):  # type: ignore[misc]
     @property
     def residual(self) -> Any:
         """The natural residual of each row, in the shape of a side; None without values."""
-        from .model import pair_residual
-
         residual = pair_residual(self)
         return None if residual is None else residual.reshape(self.shape, order="F")
 
@@ -249,50 +250,3 @@ class Complements(Constraint):  # type: ignore[misc]
         if args is not None and any(mine is not theirs for mine, theirs in zip(self.args, args, strict=True)):
             raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
         return Complements(self.first, self.second, self.id)
-
-
-def bounds_of(side: Side) -> tuple[Any, Any]:
-    """Return the bounds of a side in its own shape: of a box, of an inequality, or of the variable's attributes."""
-    shape = side.expression.shape
-    if side.kind == "box":
-        lower, upper = _number(side.lower, side), _number(side.upper, side)
-    elif side.kind == "nonnegative":
-        lower, upper = 0.0, np.inf
-    elif isinstance(side.expression, cp.Variable):
-        lower, upper = attribute_bounds(side.expression)
-    else:
-        lower, upper = -np.inf, np.inf
-    for bound in (lower, upper):
-        if np.shape(bound) not in ((), shape):
-            raise UnsupportedModel(
-                f"the bounds of {side} must be numbers or have its shape {shape}, got {np.shape(bound)}"
-            )
-    return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
-
-
-def attribute_bounds(variable: Any) -> tuple[Any, Any]:
-    """Return the bounds that a variable's attributes state: nonneg, pos, nonpos, neg, bounds."""
-    attributes = variable.attributes
-    lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
-    upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
-    given = attributes.get("bounds")
-    if given is not None:
-        low, high = (_number(bound, variable) for bound in given)
-        lower, upper = np.maximum(lower, low), np.minimum(upper, high)
-    return lower, upper
-
-
-def _number(bound: Any, owner: Any) -> Any:
-    if bound is None:
-        raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
-    if isinstance(bound, cp.Expression) and bound.variables():
-        raise UnsupportedModel(f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter")
-    value = bound.value if isinstance(bound, cp.Expression) else bound
-    if value is None:
-        raise UnsupportedModel(f"the bound {bound} of {owner} has no value; set its parameter first")
-    if hasattr(value, "toarray"):
-        value = value.toarray()
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiub" or np.isnan(array).any():
-        raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
-    return array.astype(np.float64)

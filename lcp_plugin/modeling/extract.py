@@ -44,34 +44,23 @@ class AffineMap:
         Variable id → CSR array, shape (size of the expression, size of the variable). Read-only: it may be the
         array of a constant in the expression.
     offset : array, shape (size of the expression,)
-    variables : dict
-        Variable id → the variable, for every variable below the expression.
     shape : tuple
         The shape of the expression.
-    depends_on_parameters : bool
-        Whether a parameter stands in the linear part. Where not, a memo gives the same blocks again.
-    offset_depends_on_parameters : bool
-        Whether a parameter stands anywhere in the expression, so that the offset may change.
     """
 
     blocks: dict[int, sp.csr_array]
     offset: FloatVector
-    variables: dict[int, cp.Variable]
     shape: tuple[int, ...]
-    depends_on_parameters: bool
-    offset_depends_on_parameters: bool
 
 
-def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None, check: bool = True) -> AffineMap:
-    """Return the map x ↦ M x + q that an affine expression states.
+def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None) -> AffineMap:
+    """Return the map x ↦ M x + q that an affine expression states, compared with its value at one more point.
 
     Parameters
     ----------
     expression : cvxpy expression or constant
     memo : dict, optional
         Keeps what no parameter enters from one call to the next: give the same dict again.
-    check : bool
-        Compare the map with one evaluation of the expression at a point that is random but always the same.
 
     Raises
     ------
@@ -88,21 +77,19 @@ def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None, chec
     """
     root = Expression.cast_to_const(expression)
     kept: dict[Hashable, Any] = {} if memo is None else memo
-    nodes = postorder(root, ())
-    variables = {node.id: node for node in nodes if isinstance(node, cp.Variable)}
-    for variable in variables.values():
-        _check_attributes(variable)
-    tree = _Tree(nodes)
+    tree = _Tree(postorder(root, ()))
+    shapes = {node.id: node.shape for node in tree.nodes if isinstance(node, cp.Variable)}
+    for node in tree.nodes:
+        if isinstance(node, cp.Variable):
+            _check_attributes(node)
     with np.errstate(all="ignore"):  # what is not finite is refused by name
         constants = _constants(tree, kept)
         blocks = _linear_part(tree, constants, kept)
-        shapes = {key: variable.shape for key, variable in variables.items()}
         offset = _evaluated(tree, constants, {key: np.zeros(shape) for key, shape in shapes.items()})
         if not _all_finite(offset):
             raise UnsupportedModel(f"{name_of(root)} is not finite at zero: its data overflow; scale the data down")
-        if check:
-            _check(tree, constants, blocks, offset, shapes)
-    return AffineMap(blocks, offset, variables, root.shape, id(root) in tree.varying, id(root) in tree.parametric)
+        _check(tree, constants, blocks, offset, shapes)
+    return AffineMap(blocks, offset, root.shape)
 
 
 class _Tree:
@@ -208,11 +195,19 @@ def _check_constant(node: Any, value: Any) -> None:
         raise UnsupportedModel(f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry")
 
 
-def _evaluated(tree: _Tree, constants: Values, point: dict[int, FloatVector]) -> FloatVector:
-    """Return the expression's value where the variables have the given values, by columns."""
+def _evaluated(
+    tree: _Tree, constants: Values, point: dict[int, FloatVector], sizes: list[float] | None = None
+) -> FloatVector:
+    """Return the expression's value where the variables have the given values, by columns.
+
+    `sizes`, where it is given, gets the largest number of each value on the way.
+    """
 
     def value(node: Any, values: list[Any]) -> Any:
-        return point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
+        result = point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
+        if sizes is not None:
+            sizes.append(float(np.abs(result).max(initial=0.0)))
+        return result
 
     result = _fold(postorder(tree.root, constants), value, constants)
     return np.array(atoms.dense(result), dtype=np.float64).ravel(order="F")
@@ -230,16 +225,9 @@ def _check(tree: _Tree, constants: Values, blocks: dict[int, sp.csr_array], offs
         return
     # Cancellation inside a row, then inside the expression: only now worth the second look.
     size = sum((abs(blocks[key][doubtful]) @ columns[key] for key in blocks), start=np.abs(offset[doubtful]))
-    largest = 0.0
-
-    def watched(node: Any, values: list[Any]) -> Any:
-        nonlocal largest
-        value = point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
-        largest = max(largest, float(np.abs(value).max(initial=0.0)))
-        return value
-
-    _fold(postorder(tree.root, constants), watched, constants)
-    wrong = doubtful[~(error[doubtful] <= CHECK_TOLERANCE * (size + largest))]
+    sizes = [0.0]
+    _evaluated(tree, constants, point, sizes)
+    wrong = doubtful[~(error[doubtful] <= CHECK_TOLERANCE * (size + max(sizes)))]
     if wrong.size:
         raise UnsupportedModel(
             f"{name_of(tree.root)} differs from its own matrices by {error[wrong[0]]:.1e} in entry {wrong[0]}; "

@@ -1,26 +1,30 @@
-"""problem.solve(method="LCP"), ComplementarityProblem, and what cvxpy users expect to find after a solve."""
+"""From cvxpy problems to LCPs and back: problem.solve(method="LCP"), and what cvxpy users find after a solve."""
 
 from __future__ import annotations
 
+import inspect
 import warnings
+import weakref
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
 from cvxpy.constraints.constraint import Constraint
+from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..errors import UnsupportedModel
+from ..errors import ModelWarning, UnsupportedModel
+from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
-from .constraint import Complements
-from .hooks import METHODS
-from .model import Model, build_from
-from .qp_solver import QPSolver
+from .builder import Builder, Model
+from .constraint import Complements, box, complements
+from .qp_solver import QPSolver, statistics
+from .user_terms import METHODS
 
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 CVXPY_STATUS = {
@@ -116,6 +120,68 @@ def _listed(constraints: Any) -> list[Any]:
     return listed
 
 
+def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
+    """Return the LCP that a list of complementarities and equalities states.
+
+    Raises
+    ------
+    UnsupportedModel
+        Naming the constraint or variable that stands in the way, and the remedy.
+    """
+    builder = Builder(constraints, {} if memo is None else memo)
+    for constraint in constraints:
+        if isinstance(constraint, (Equality, Zero)):
+            builder.add_equation(constraint)
+    for constraint in constraints:
+        if isinstance(constraint, Complements):
+            builder.add_pair(constraint)
+        elif not isinstance(constraint, (Equality, Zero)):
+            raise UnsupportedModel(
+                f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
+                f"complements({constraint}, F >= 0)"
+            )
+    for side in builder.unbounded:
+        warnings.warn(
+            f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
+            "nonneg=True, or write F == 0 if that is what is meant",
+            ModelWarning, stacklevel=_level_of_caller(),
+        )
+    return builder.finished()
+
+
+def _level_of_caller() -> int:
+    """Return the stacklevel at which somebody else's code called this package, or cvxpy, which called it."""
+    own = {__package__.partition(".")[0], cp.__name__}
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
+        frame, level = frame.f_back, level + 1
+    return level
+
+
+_memos: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def build_from(problem: Any) -> Model:
+    """Return the model of a cvxpy problem; what depends on no parameter is kept for the next call."""
+    if not isinstance(problem, cp.Problem):
+        kind = type(problem).__name__
+        raise UnsupportedModel(f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])")
+    if not problem.objective.args[0].is_constant():
+        raise UnsupportedModel(
+            "a complementarity problem has no objective; write cp.Minimize(0), or state optimality conditions as pairs"
+        )
+    return build(problem.constraints, _memos.setdefault(problem, {}))
+
+
+def stated_in_cvxpy(problem: LCP) -> Any:
+    """Return the ComplementarityProblem in one variable z that states an LCP."""
+    if problem.n == 0:  # older versions of cvxpy have no empty variables
+        return ComplementarityProblem([])
+    z = cp.Variable(problem.n, name="z")
+    F = problem.csr @ z + problem.q
+    return ComplementarityProblem([complements(box(z, problem.lower, problem.upper), F)])
+
+
 def solve_model(
     problem: Any, algorithm: Any = "auto", *, warm_start: bool = True, verbose: bool = False, solver: Any = None,
     **options: Any,
@@ -173,13 +239,7 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     status = CVXPY_STATUS.get(result.status)
     if status is None:
         raise SolverError(f"{result.status.name}: {result.advice}")
-    attributes = {
-        settings.SOLVE_TIME: result.seconds,
-        settings.SETUP_TIME: result.setup_seconds,
-        settings.NUM_ITERS: result.iterations,
-        settings.EXTRA_STATS: result,
-    }
-    duals = model.duals(result.z, result.w)
+    attributes, duals = statistics(result), model.duals(result.z, result.w)
     own = {constraint.id for constraint in problem.constraints}
     if status == settings.INFEASIBLE:
         problem.unpack(Solution(status, np.inf, {}, {}, attributes))

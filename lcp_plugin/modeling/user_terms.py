@@ -9,13 +9,19 @@ answer is. What shows it are the user's own expressions:
 - "unbounded": the user's objective falls along the proof's direction as the program's does, and his constraints hold.
 
 Each of these is necessary, none sufficient: a few points are no proof, but they cost a few products with the data.
+
+A solver inside cvxpy never sees the user's problem. ``get_problem_data`` and ``unpack_results`` do, in every release;
+all roads to QPSolver lead through them. The first is wrapped, and passes on what is for other solvers; the second is
+replaced in a problem that was compiled for QPSolver, until it is compiled for another solver.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial, wraps
 from typing import Any
 
 import cvxpy as cp
@@ -23,13 +29,18 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
+from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, leaf_value, name_of
+from ._compat import SUM, attribute_bounds, leaf_value, name_of
 from .extract import postorder
 
 Values = dict[int, Any]
+
+METHODS = ("LCP", "lcp")
+#: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
+CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
@@ -88,10 +99,8 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
     limit = claim.tolerance
     if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
-    for constraint in problem.constraints:
-        violation = float(_violation(constraint).max(initial=0.0))
-        if not violation <= limit and not violation <= limit * _size(_expression(constraint)):
-            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
+    if (violated := _violated(problem, limit, limit)) is not None:
+        return violated
     for variable in problem.variables():
         entries = _dense(leaf_value(variable))
         miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
@@ -102,37 +111,45 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
 
 def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
     """Look for a point where the Lagrangian is below the claimed minimum."""
-    claimed, duals = _sign(problem) * float(claim.solution.opt_val), claim.solution.dual_vars or {}
-    if any(constraint.id not in duals for constraint in problem.constraints):
-        return None
-    for values in _trials(problem, values_of(problem), before):
-        with valued(problem, values):
-            goal = _goal(problem)
-            least, size = _combined(problem, duals)
-        if goal + least < claimed - claim.tolerance * (1.0 + abs(goal) + abs(claimed) + size):
+    claimed = _sign(problem) * float(claim.solution.opt_val)
+    for value, size in _weighed(problem, claim.solution, values_of(problem), before, _goal):
+        if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
             return (
-                f"its Lagrangian is {goal + least:.9g} at another point, below {claimed:.9g}, which is said to be the "
-                "minimum"
+                f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
             )
     return None
 
 
 def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, before: Values) -> str | None:
     """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
-    if any(constraint.id not in duals.dual_vars for constraint in problem.constraints):
-        return None
-    if any(bool((lower > upper).any()) for lower, upper in map(_limits, problem.variables())):
+    if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
         return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-    for values in _trials(problem, zero, before):
-        with valued(problem, values):
-            least, size = _combined(problem, duals.dual_vars)
-        if least < contradiction - ROUNDING * (contradiction + size):
+    for value, size in _weighed(problem, duals, zero, before, lambda _: 0.0):
+        if value < contradiction - ROUNDING * (contradiction + size):
             return (
                 f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
-                f"{least:.3g} at a point"
+                f"{value:.3g} at a point"
             )
     return None
+
+
+def _weighed(
+    problem: Any, solution: Solution, base: Values, before: Values, goal: Callable[[Any], float]
+) -> Iterator[tuple[float, float]]:
+    """Yield goal + Σ λ g and |goal| + Σ |λ g| at the trial points; nothing where a multiplier λ is missing."""
+    duals = solution.dual_vars or {}
+    if any(constraint.id not in duals for constraint in problem.constraints):
+        return
+    for values in _trials(problem, base, before):
+        with valued(problem, values):
+            first = goal(problem)
+            terms = [np.zeros(0)] + [
+                np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
+                for constraint in problem.constraints
+            ]
+        products = np.concatenate(terms)
+        yield first + float(products.sum()), abs(first) + float(np.abs(products).sum())
 
 
 def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
@@ -143,10 +160,17 @@ def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
             goal, claimed = _goal(problem), sign * float(point.opt_val)
             if goal > claimed and not goal - claimed <= claim.tolerance * _size(problem.objective.args[0]):
                 return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
-            for constraint in problem.constraints:
-                violation = float(_violation(constraint).max(initial=0.0))
-                if violation > ROUNDING and not violation <= claim.tolerance * _size(_expression(constraint)):
-                    return f"its constraint {name_of(constraint)} is violated by {violation:.3g} on the ray"
+            if (violated := _violated(problem, ROUNDING, claim.tolerance)) is not None:
+                return f"{violated} on the ray"
+    return None
+
+
+def _violated(problem: Any, least: float, tolerance: float) -> str | None:
+    """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
+    for constraint in problem.constraints:
+        violation = float(_violation(constraint).max(initial=0.0))
+        if not violation <= least and not violation <= tolerance * _size(_expression(constraint)):
+            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
 
 
@@ -164,7 +188,8 @@ def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
 
 def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes, (lower, upper) = variable.attributes, _limits(variable)
+    attributes = variable.attributes
+    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in attribute_bounds(variable))
     if attributes["symmetric"]:
         lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
         x = (x + np.swapaxes(x, -2, -1)) / 2
@@ -222,15 +247,6 @@ def _violation(constraint: Any) -> NDArray[np.float64]:
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
 
 
-def _combined(problem: Any, duals: Values) -> tuple[float, float]:
-    """Return Σ λ g and Σ |λ g| over all constraints."""
-    total = size = 0.0
-    for constraint in problem.constraints:
-        products = np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
-        total, size = total + float(products.sum()), size + float(np.abs(products).sum())
-    return total, size
-
-
 def _size(expression: Any) -> float:
     """Return 1 + the largest term that the expression's value is made of; looked for only where it matters."""
     size = 0.0
@@ -274,15 +290,63 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
-def _limits(variable: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bounds that the variable's attributes give it."""
-    attributes, shape = variable.attributes, variable.shape
-    lower, upper = np.full(shape, -np.inf), np.full(shape, np.inf)
-    if attributes["bounds"] is not None:
-        ends = (_dense(getattr(bound, "value", bound)) for bound in attributes["bounds"])
-        lower, upper = (np.broadcast_to(end, shape) for end in ends)
-    if attributes["nonneg"] or attributes["pos"]:
-        lower = np.maximum(lower, 0.0)
-    if attributes["nonpos"] or attributes["neg"]:
-        upper = np.minimum(upper, 0.0)
-    return lower, upper
+def accompany(solver_class: type) -> None:
+    """Wrap the first method for the solvers of this class; once, however often this is called."""
+    compiled = cp.Problem.get_problem_data
+    if getattr(compiled, "accompanies_lcp_plugin", False):
+        return
+
+    @wraps(compiled)
+    def get_problem_data(self: Any, solver: Any, *args: Any, **kwargs: Any) -> Any:
+        if isinstance(solver, str) and solver in METHODS:
+            raise SolverError(
+                f"solver={solver!r}: cvxpy looks for names among its own solvers only; write "
+                'solver=lcp_plugin.QPSolver, or method="LCP"'
+            )
+        self.__dict__.pop("unpack_results", None)
+        if not isinstance(solver, solver_class):
+            return compiled(self, solver, *args, **kwargs)
+        try:
+            # Values of an earlier solve would start auxiliary variables that nobody needs, and cvxpy fails at some.
+            with valued(self, {}):
+                data = compiled(self, solver, *args, **kwargs)
+        except SolverError as error:
+            reasons = why_not(self)
+            if not reasons:
+                raise
+            raise SolverError(
+                f"QPSolver takes programs with a convex quadratic objective and linear constraints, and what can be "
+                f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
+                "or cp.HIGHS"
+            ) from error
+        self.unpack_results = partial(_judged, self)
+        return data
+
+    get_problem_data.accompanies_lcp_plugin = True  # type: ignore[attr-defined]
+    cp.Problem.get_problem_data = get_problem_data
+
+
+def _judged(problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
+    """Unpack as cvxpy does; what answers for itself with a claim is held against the problem."""
+    before = values_of(problem)
+    type(problem).unpack_results(problem, solution, chain, inverse_data)
+    if not hasattr(solution, "claim"):  # another solver's, kept from before
+        return
+    claim = solution.claim(problem.solution, lambda answer: chain.invert(answer, inverse_data))
+    try:
+        what = None if claim is None else disagreement(problem, claim, before)
+    except CANNOT_BE_EVALUATED as error:
+        what = None
+        warnings.warn(
+            "QPSolver's answer is that of the program which cvxpy made; it could not be judged on the problem "
+            f"itself, because cvxpy fails to evaluate it: {error}",
+            stacklevel=2,
+        )
+    if what is not None:
+        status = problem.status
+        problem._clear_solution()
+        raise SolverError(
+            f"QPSolver's answer to the program that cvxpy {cp.__version__} made of this problem is {status!r}, but "
+            f"the problem itself contradicts: {what}. The program is not the problem, or too ill-conditioned; "
+            "write the expression in another way, or compare with another solver"
+        )

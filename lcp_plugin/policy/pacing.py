@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 from ..algorithms.base import Step
 from ..checks import FloatVector
 from ..settings import Settings, Status
-
-if TYPE_CHECKING:
-    pass
 
 FIRST_CHECK = 10
 CHECK_GROWTH = 1.5
@@ -94,72 +90,61 @@ class Progress:
         return needed > fall * (self.max_iterations - iteration)
 
 
-class Paused:
-    """Stop a run's clock while something is measured that the algorithm did not need; `run.stopped` grows by it."""
-
-    def __init__(self, run: Any) -> None:
-        self.run = run
-
-    def __enter__(self) -> Paused:
-        self.began = time.perf_counter()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds = time.perf_counter() - self.began
-        self.run.stopped += self.seconds
-
-
-class Ending:
-    """When a run is over: one decision, whether its rows lie on one process or on many.
-
-    A run gives what is asked here; on many processes all of it is the same on each.
-    """
+class Running(Protocol):
+    """What a run tells about itself; on many processes all of it is the same on each."""
 
     settings: Settings
     progress: Progress
-    iteration: int
-    best: float
-    start_residual: float
+
+    @property
+    def iteration(self) -> int:
+        """The present iteration."""
+
+    @property
+    def best(self) -> float:
+        """The best residual so far."""
+
+    @property
+    def start_residual(self) -> float:
+        """The residual of the start."""
 
     @property
     def elapsed(self) -> float:
         """Seconds that count against the limit."""
-        raise NotImplementedError
 
     @property
     def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
-        raise NotImplementedError
 
     def passes(self, z: FloatVector, residual: float) -> bool:
         """Return whether z is what was asked for."""
-        raise NotImplementedError
 
     def is_at_floor(self) -> bool:
         """Return whether the best residual is no larger than rounding explains."""
-        raise NotImplementedError
 
-    def reason_to_end(self, step: Step, residual: float | None, *, is_monotone: bool) -> Status | None:
-        """Return why the run ends with this step, or None."""
-        if residual is not None:
-            if self.passes(step.z, residual):
-                return Status.SOLVED
-            is_lost = (is_monotone and self.progress.is_rising(residual)) or not math.isfinite(residual)
-            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
-            if is_beyond and not residual <= DIVERGED_BEYOND * self.unit:
-                return Status.DIVERGED
-        elif step.increment is not None and not math.isfinite(step.increment):
+
+def reason_to_end(run: Running, step: Step, residual: float | None, *, is_monotone: bool) -> Status | None:
+    """Return why a run ends with this step, or None: one decision for one process and for many."""
+    settings, progress = run.settings, run.progress
+    if residual is not None:
+        if run.passes(step.z, residual):
+            return Status.SOLVED
+        is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
+        is_beyond = is_lost and not residual <= DIVERGED_BEYOND * run.start_residual
+        if is_beyond and not residual <= DIVERGED_BEYOND * run.unit:
             return Status.DIVERGED
-        if self.iteration >= self.settings.max_iterations:
-            return Status.MAX_ITERATIONS
-        if self.elapsed >= self.settings.max_seconds:
-            return Status.MAX_SECONDS
-        if step.is_settling:
-            self.progress.restart(self.iteration, self.best)
-        if residual is None:
-            return None
-        if self.progress.is_flat(self.iteration, self.best) and self.is_at_floor():
-            return Status.PRECISION_LIMIT
-        if not is_monotone:
-            return None
-        return Status.STALLED if self.progress.is_stalled(self.iteration, self.best, self.settings.tolerance) else None
+    elif step.increment is not None and not math.isfinite(step.increment):
+        return Status.DIVERGED
+    if run.iteration >= settings.max_iterations:
+        return Status.MAX_ITERATIONS
+    if run.elapsed >= settings.max_seconds:
+        return Status.MAX_SECONDS
+    if step.is_settling:
+        progress.restart(run.iteration, run.best)
+    if residual is None:
+        return None
+    if progress.is_flat(run.iteration, run.best) and run.is_at_floor():
+        return Status.PRECISION_LIMIT
+    if is_monotone and progress.is_stalled(run.iteration, run.best, settings.tolerance):
+        return Status.STALLED
+    return None

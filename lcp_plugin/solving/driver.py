@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from contextlib import nullcontext
 from functools import cached_property
 from typing import Any
 
@@ -13,25 +12,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm, Step
-from ..algorithms.base import require_step
 from ..algorithms.rehearsal import rehearse
-from ..certificates.residuals import GAINED, Certificate, ratio, reference_residual, scaled_residual
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..policy.choice import Choice, Policy, Single, Stage, policy_for
-from ..policy.pacing import CheckSchedule, Ending, Paused, Progress
+from ..policy.choice import Policy, policy_for
+from ..policy.pacing import CheckSchedule, Progress, reason_to_end
+from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
-from ..settings import PROVEN, CallersOwn, Settings, Status
-from .error_watch import Bounded, ErrorWatch
-from .guarantees import warn_where_uncovered
-from .result import Result, Sample, StageRecord, status_of
+from ..settings import CallersOwn, Settings, Status, checked_callback
+from .error_watch import Bounded
+from .guarantees import warn_where_known_to_be_uncovered
+from .judge import Judge
+from .result import Result, Sample, status_of
+from .state import Clock, Incumbent, Ledger
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 SAMPLE_GROWTH = 1.05
-SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
 
 def solve(
@@ -54,7 +52,8 @@ def solve(
     Parameters
     ----------
     problem : LCP
-        Never modified. A DistributedLCP is solved on all its ranks.
+        Never modified. Where its rows are spread over ranks (:meth:`LCP.from_rows`), all of them call with the same
+        arguments; z0, z and w are the own parts then, and everything else is the same on every rank.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), optional
@@ -100,295 +99,190 @@ def solve(
     >>> result.status.name, result.z.round(6)
     ('SOLVED', array([0.75, 0.  ]))
     """
-    if hasattr(problem, "solve_with"):  # its rows are not all here
-        return problem.solve_with(  # type: ignore[no-any-return]
-            algorithm=algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, measure=measure, record=record,
-            max_iterations=max_iterations, max_seconds=max_seconds, callback=callback, error_bound=error_bound,
-            **options,
-        )
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
-    with np.errstate():  # Ctrl-C that hits one further down while it ends leaves its settings behind
-        policy = policy_for(algorithm, options)
-        settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
-        start = checked_start(problem, z0)
+    peers, clock = problem.peers, Clock(problem.peers)
+    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
+    with np.errstate(), peers.interruptions() as clock.hears:
+        policy, settings, own, start = peers.together(lambda: (
+            policy_for(algorithm, options, on_ranks=problem.is_distributed),
+            Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound),
+            checked_callback(callback), checked_start(problem, z0),
+        ))
+        asked = policy.chosen, settings
+        peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         run: _Run | None = None
         try:
-            # Before the clock starts: the reference and the question below need compiled code too.
-            rehearse(policy.algorithm if isinstance(policy, Single) else None, problem)
-            run = _Run(problem, policy, settings, callback)
-            run.errors.require_rigorous()
-            if isinstance(policy, Single):
-                warn_where_uncovered(problem, policy.algorithm, has_failed=False, stacklevel=2)
-            with time_limit(settings.max_seconds):
+            with clock.paused(to_compile=True):
+                rehearse(None, problem)  # the judge
+            run = _Run(problem, policy, settings, own, clock)
+            if settings.is_on_error:
+                run.judge.require_rigorous_bounds()
+            warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
+            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
                 reason = run.drive(start)
-            result = run.judged(start, reason)
+            return run.judged(start, reason)
         except KeyboardInterrupt:
-            run = run or _Run(problem, policy, settings, callback)
+            if problem.is_distributed:
+                raise  # the second one: the other ranks have not heard of it
+            run = run or _Run(problem, policy, settings, own, clock)
             return run.judged(start, Status.INTERRUPTED)
-        # What could be learnt from an analysis is not worth more time than the caller allows.
-        if isinstance(policy, Single) and result.status in FAILED and not result.seconds >= settings.max_seconds:
-            try:
-                warn_where_uncovered(problem, policy.algorithm, has_failed=True, stacklevel=2)
-            except KeyboardInterrupt:
-                return replace(result, status=Status.INTERRUPTED)
-        return result
 
 
-class _Run(Ending):
-    """The state of one run: its clock, its best iterate, its record."""
+class _Run:
+    """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it."""
 
-    def __init__(self, problem: LCP, policy: Policy, settings: Settings, callback: Callback | None) -> None:
-        self._began = self._now = time.perf_counter()
-        self.stopped = self._compiling = 0.0
-        self.problem, self.policy, self.settings = problem, policy, settings
-        self.callback = None if callback is None else CallersOwn(callback)
-        if callback is not None and not callable(callback):
-            raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
-        self.reference = reference_residual(problem)
-        self.errors = ErrorWatch(problem, settings)
-        self.stages: list[Stage] = []
-        self.iteration, self.work = -1, 0.0
-        self.seconds = self.setup_seconds = 0.0  # up to the present step, the clock's pauses taken off
-        self.history: list[Sample] = []
-        self.best_z: FloatVector | None = None
-        self.best = math.inf
-        self.start_residual = math.inf
-        # Near the answer an increment is about as large as the scaled residual.
-        per_increment = ratio(1.0, self.reference) if settings.measure == "relative" else 1.0
-        self.checks = CheckSchedule(per_increment, settings.tolerance)
+    def __init__(
+        self, problem: LCP, policy: Policy, settings: Settings, callback: CallersOwn | None, clock: Clock
+    ) -> None:
+        self.problem, self.policy, self.settings, self.callback, self.clock = problem, policy, settings, callback, clock
+        self.judge, self.incumbent, self.ledger = Judge(problem, settings), Incumbent(), Ledger()
         self.progress = Progress(problem.n, settings.max_iterations)
-        self._last_certificate: Certificate | None = None
-        self._unmeasured: FloatVector | None = None
+        self.start_residual = math.inf
+        self._is_watched = settings.record or not problem.peers.everywhere(callback is None)
         self._next_sample = 0
-        self.proof: Any = None  # that there is no solution
 
-    # --- the loop ---------------------------------------------------------------------------------------
+    @cached_property
+    def checks(self) -> CheckSchedule:
+        """When to measure what the algorithm does not tell."""
+        return CheckSchedule(self.judge.per_increment, self.settings.tolerance)
 
     def drive(self, start: FloatVector) -> Status:
         """Run the chain of algorithms; return why it ended."""
-        choice: Choice | None = self.policy.first(self.problem)
-        if self.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
+        following: Choice | None = self.policy.first(self.problem)
+        if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
-        while choice is not None:
-            with Paused(self) as pause:
-                rehearse(choice.algorithm, self.problem)
-            self._compiling += pause.seconds
-            self.stages.append(Stage(choice.algorithm, choice.because))
-            z = (start if self.best_z is None else self.best_z).copy()
-            choice, reason = self._run_stage(choice.iterates(self.problem, z))
-            if reason is not None:
-                return reason
-        return Status.STALLED
+        while following is not None:
+            with self.clock.paused(to_compile=True):
+                rehearse(following.algorithm, self.problem)
+            self.ledger.open(Stage(following.algorithm, following.because))
+            z = (start if self.incumbent.z is None else self.incumbent.z).copy()
+            reason, following = self._follow(following.iterates(self.problem, z))
+        return reason
 
-    def _run_stage(self, steps: Iterator[Step]) -> tuple[Choice | None, Status | None]:
-        """Run one algorithm; return the next one, or why the run is over."""
-        try:
-            following, reason = self._follow(steps)
-        except (UnsuitableMatrix, UnsuitableProblem) as error:
-            is_the_caller_s = self.callback is not None and error is self.callback.raised
-            if len(self.stages) == 1 or self.stages[-1].iterations > 0 or is_the_caller_s:
-                raise
-            following, reason = None, Status.STALLED  # auto tried what does not take this problem
-        if following is not None:
-            return following, None
-        if reason not in (Status.STALLED, Status.DIVERGED):
-            return None, reason
-        if self.is_at_floor():
-            return None, Status.PRECISION_LIMIT
-        following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, True)
-        return (following, None) if following is not None else (None, reason)
-
-    def _follow(self, steps: Iterator[Step]) -> tuple[Choice | None, Status]:
-        """Take the steps of one algorithm until the policy or the run wants an end; STALLED where they just end."""
-        stage = self.stages[-1]
+    def _follow(self, steps: Iterator[Step]) -> tuple[Status, Choice | None]:
+        """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
         self.progress.restart(max(self.iteration, 0), self.best)
-        is_first_step = True
-        for step in steps:
-            if is_first_step:
-                require_step(stage.algorithm.name, step)
-            self._now = time.perf_counter()
-            self.seconds = self._now - self._began - self.stopped
-            self._unmeasured = step.z
-            self.work += step.work
-            stage.work += step.work
-            stage.remark = step.remark or stage.remark
-            # A later stage begins with the iterate that the one before ended with.
-            if not is_first_step or len(self.stages) == 1:
-                self.iteration += 1
-            stage.iterations += 0 if is_first_step else 1
-            reason = self._observe(step, is_first_step)
-            is_first_step = False
-            if step.proof is not None and reason is None and self._counts(step.proof):
-                return None, status_of(step.proof)
-            if reason is not None:
-                return None, reason
-            following = self.policy.next_step(self.problem, self.stages, self.settings.tolerance, False)
-            if following is not None:
-                return following, Status.STALLED
-        return None, Status.STALLED
+        reason: Status | None = None
+        try:
+            for step in steps:
+                reason = self._observe(step)
+                if reason is not None:
+                    break
+                following = self._next(has_failed=False)
+                if following is not None:
+                    return Status.STALLED, following
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            is_the_callers = self.callback is not None and error is self.callback.raised
+            is_known_to_all = not (is_the_callers or self.problem.is_distributed)
+            if len(self.ledger.stages) == 1 or self.ledger.stages[-1].iterations > 0 or not is_known_to_all:
+                raise  # otherwise auto tried what does not take this problem
+        reason = reason or Status.STALLED
+        if reason not in (Status.STALLED, Status.DIVERGED):
+            return reason, None
+        if self.is_at_floor():
+            return Status.PRECISION_LIMIT, None
+        return reason, self._next(has_failed=True)
 
-    def _counts(self, proof: Any) -> bool:
-        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
+    def _next(self, *, has_failed: bool) -> Choice | None:
+        return self.policy.next_step(self.problem, self.ledger.stages, self.settings.tolerance, has_failed)
 
-        Where the problem is made from a program, that has to be refuted in its own units as well.
-        """
-        settings = self.settings
-        if not proof.verify():
-            return False
-        if self.proof is None or proof.measured(settings.measure) > self.proof.measured(settings.measure):
-            self.proof = proof
-        if not proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on):
-            return False
-        is_refuted = getattr(self.problem.origin, "is_refuted", None)
-        return is_refuted is None or is_refuted(settings.tolerance)
-
-    def _observe(self, step: Step, is_first_step: bool) -> Status | None:
+    def _observe(self, step: Step) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
-        if self.iteration == 0:
-            self.setup_seconds = self.seconds
-        wanted = is_first_step or self.checks.is_due(self.iteration, step.increment)
-        residual = self._residual(step, wanted)
+        is_first = self.ledger.enter(step, self.clock.read()) if isinstance(step, Step) else self._refuse(step)
+        self.incumbent.unmeasured = step.z
+        known = residual = self.judge.residual_of(step)
+        if known is None and (is_first or self.checks.is_due(self.iteration, step.increment)):
+            residual = self.judge.measure(step.z)
+            self.ledger.work += 1.0 if self.iteration > 0 else 0.0  # the start is measured for every problem
         if residual is not None:
             if residual <= self.settings.tolerance:  # measured, not proved
-                residual = self._certified_residual(step.z)
-            if step.residual is None and step.increment is not None:
+                residual = self.judge.certified(step.z)
+            if known is None and step.increment is not None:
                 self.checks.learn(self.iteration, step.increment, residual)
-            self._keep_if_better(step.z, residual)
-            self.stages[-1].note(residual)
+            self.incumbent.offer(step.z, residual)
+            self.ledger.stages[-1].note(residual)
             if self.iteration == 0:
                 self.start_residual = residual
-        reason = self.reason_to_end(step, residual, is_monotone=self.stages[-1].algorithm.is_monotone)
-        wants_to_stop = self._report(step, residual, is_last=reason is not None)
-        return reason or (Status.INTERRUPTED if wants_to_stop else None)
+        reason = reason_to_end(self, step, residual, is_monotone=self.ledger.stages[-1].algorithm.is_monotone)
+        if reason is None and self.clock.is_interrupted:
+            reason = Status.INTERRUPTED
+        if self._is_watched and self._report(step, residual, reason is not None):
+            reason = reason or Status.INTERRUPTED
+        if step.proof is not None and reason is None and self.judge.counts(step.proof):
+            return status_of(step.proof)
+        return reason
+
+    def _refuse(self, step: Any) -> bool:
+        """Refuse what is no step, as an algorithm of somebody else's may yield."""
+        name = self.ledger.stages[-1].algorithm.name
+        raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
+
+    # --- what the ending asks ---------------------------------------------------------------------------
+
+    @property
+    def iteration(self) -> int:
+        """The present iteration."""
+        return self.ledger.iteration
+
+    @property
+    def best(self) -> float:
+        """The best residual so far."""
+        return self.incumbent.residual
 
     @property
     def elapsed(self) -> float:
-        """Seconds by the clock of the wall, compilation taken off."""
-        return self._now - self._began - self._compiling
+        """Seconds that count against the limit."""
+        return self.clock.elapsed
+
+    @property
+    def unit(self) -> float:
+        """The size of a residual that is nothing to worry about."""
+        return self.judge.unit
 
     def passes(self, z: FloatVector, residual: float) -> bool:
-        if self.settings.is_on_error:
-            if self.settings.measure == "euclidean":  # another norm, in another unit
-                residual = Certificate.of(self.problem, z).relative_residual
-            return self.errors.proves(z, residual * self.reference, self.iteration)
-        return bool(residual <= self.settings.tolerance)
-
-    # --- measuring --------------------------------------------------------------------------------------
-
-    def _residual(self, step: Step, wanted: bool) -> float | None:
-        """Return the residual of the step in the run's measure: the algorithm's own, or measured when wanted."""
-        if self.settings.measure == "relative":
-            if step.residual is not None:
-                return ratio(step.residual, self.reference)
-        elif step.euclidean is not None and SAFE_TO_SQUARE[0] < step.euclidean < SAFE_TO_SQUARE[1]:
-            return step.euclidean
-        if not wanted:
-            return None
-        if self.iteration > 0:  # every problem starts with a measured residual; only further ones are work
-            self.work += 1.0
-        return self._measure(step.z)
-
-    def _measure(self, z: FloatVector) -> float:
-        if self.settings.measure == "euclidean":
-            return Certificate.of(self.problem, z).euclidean_residual
-        with np.errstate(all="ignore"):
-            residual = scaled_residual(self.problem, z, self.problem.slack(z))
-            largest = float(np.max(np.abs(residual, out=residual), initial=0.0))
-        return ratio(largest, self.reference)
-
-    def _certified_residual(self, z: FloatVector) -> float:
-        self._last_certificate = Certificate.of(self.problem, z)
-        return self._last_certificate.measured(self.settings.measure)
+        """Return whether z is what was asked for."""
+        return self.judge.passes(z, residual, self.iteration)
 
     def is_at_floor(self) -> bool:
-        if self.best_z is None:
-            return False
-        certificate = Certificate.of(self.problem, self.best_z)
-        return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
-
-    @cached_property
-    def unit(self) -> float:
-        """The size of a residual that is nothing to worry about: that of z°."""
-        return 1.0 if self.settings.measure == "relative" else self._measure(self.problem.nearest_to_zero)
-
-    def _keep_if_better(self, z: FloatVector | None, residual: float | None = None) -> None:
-        """Keep a copy of the best iterate; measure z where its residual is not given."""
-        if z is None:
-            return
-        self._unmeasured = None
-        if residual is None:
-            residual = self._measure(z)
-        if self.best_z is None:
-            self.best_z = z.copy()
-            self.best = math.inf if math.isnan(residual) else residual
-        elif residual < self.best:
-            np.copyto(self.best_z, z)
-            self.best = residual
+        """Return whether the best residual is no larger than rounding explains."""
+        return self.judge.is_at_floor(self.incumbent.z)
 
     # --- telling ----------------------------------------------------------------------------------------
 
-    def _report(self, step: Step, residual: float | None, *, is_last: bool) -> bool:
+    def _report(self, step: Step, residual: float | None, is_last: bool) -> bool:
         """Record and call back, the clock stopped; return whether the caller wants to stop."""
-        due = self.settings.record and (is_last or self.iteration >= self._next_sample)
-        if not due and self.callback is None:
-            return False
-        with Paused(self):
-            name = self.stages[-1].algorithm.name
-            wants_to_stop = False
-            if self.callback is not None:
-                view = step.z.view()
-                view.flags.writeable = False
-                sample = Sample(self.iteration, self.work, self.seconds, residual, name)
-                wants_to_stop = self.callback(sample, view)
-            if due or (self.settings.record and wants_to_stop):
+        ledger, name, wants_to_stop = self.ledger, self.ledger.stages[-1].algorithm.name, False
+        is_due = self.settings.record and (is_last or self.iteration >= self._next_sample)
+        with self.clock.paused():
+            sample = Sample(self.iteration, ledger.work, ledger.seconds, residual, name)
+            wants_to_stop = self._called_back(sample, step.z)
+            if is_due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
-                residual = self._measure(step.z) if residual is None else residual
-                bound = self.errors.along_the_run(step.z, self.work)
-                self.history.append(Sample(self.iteration, self.work, self.seconds, residual, name, bound))
-            return wants_to_stop
+                residual = self.judge.measure(step.z) if residual is None else residual
+                bound = self.judge.bound_along_the_run(step.z, ledger.work)
+                ledger.samples.append(Sample(self.iteration, ledger.work, ledger.seconds, residual, name, bound))
+        return wants_to_stop
+
+    def _called_back(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether a callback, of any rank, wants to stop."""
+        callback, peers = self.callback, self.problem.peers
+        wants_to_stop = peers.together(lambda: callback is not None and bool(callback(sample, read_only(z))))
+        return not peers.everywhere(not wants_to_stop)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
         """Return the result: finish, certify, and let the certificate name the status."""
-        problem = self.problem
-        self._keep_if_better(self._unmeasured)
-        z = start if self.best_z is None else self.best_z
-        if self.errors.proof is not None:  # in another measure it need not be the best
-            z = self.errors.proof[0]
-        certificate = self._last_certificate
-        if certificate is None or not np.array_equal(certificate.z, z):
-            certificate = Certificate.of(problem, z)
-        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
-        if self.stages and may_finish and np.isfinite(z).all():
-            finished = self.stages[-1].algorithm.finish(problem, z)
-            cleaned = certificate if finished is z else Certificate.of(problem, finished)
-            if cleaned.relative_residual <= certificate.relative_residual < math.inf:
-                certificate = cleaned
-        if self.settings.is_on_error:
-            with Paused(self):
-                is_solved = self.errors.is_proved(certificate.z)
-        else:
-            is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
-        if is_solved:
-            reason = Status.SOLVED
-        elif reason in PROVEN:
-            pass
-        elif certificate.relative_residual <= GAINED and certificate.is_at_rounding_level:
-            reason = Status.PRECISION_LIMIT
-        elif reason in (Status.SOLVED, Status.PRECISION_LIMIT) or (reason is Status.DIVERGED and len(self.stages) > 1):
-            reason = Status.STALLED
-        seconds = time.perf_counter() - self._began - self.stopped
-        chain = [stage.algorithm.name for stage in self.stages]
-        is_one = "".join(chain) in ("", self.policy.name)
-        name = self.policy.name if is_one else f"{self.policy.name}: {', '.join(chain)}"
+        incumbent, ledger, settings = self.incumbent, self.ledger, self.settings
+        if incumbent.unmeasured is not None:
+            incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
+        last = ledger.stages[-1].algorithm if ledger.stages else None
+        certificate = self.judge.final(start if incumbent.z is None else incumbent.z, reason, last)
+        status = self.judge.verdict(certificate, reason, is_chain=len(ledger.stages) > 1)
         return Result(
-            z=certificate.z, w=certificate.w, status=reason, certificate=certificate, algorithm=name,
-            iterations=max(self.iteration, 0), work=self.work, seconds=seconds, setup_seconds=self.setup_seconds,
-            tolerance=self.settings.tolerance, tolerance_on=self.settings.tolerance_on, measure=self.settings.measure,
-            history=tuple(self.history), bounded=self.errors.final(certificate.z) if self.stages else Bounded(),
-            infeasibility=self.proof,
-            stages=tuple(
-                StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work, stage.remark)
-                for stage in self.stages
-            ),
+            z=certificate.z, w=certificate.w, status=status, certificate=certificate,
+            tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,
+            algorithm=ledger.name(self.policy.name), iterations=max(ledger.iteration, 0), work=ledger.work,
+            seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
+            stages=ledger.records(), infeasibility=self.judge.proof, chosen=self.policy.chosen,
+            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else Bounded(),
         )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -43,15 +43,13 @@ from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, triangle_sums, unit_triangle_sums
 from ..matrix.spectral_radius import jacobi_radius
 from ..matrix.structure import within_blocks
-from ..policy.choice import Single, last_resort, policy_for
+from ..policy.choice import Policy, Single, policy_for
+from ..policy.direct_methods import last_resort
 from ..problem.lcp import LCP
-
-Kept = TypeVar("Kept")
 
 NEAR_ONE = (0.05, 1.0)
 WEIGHT_STEPS = 40
 QUICK_STEPS = 2
-LARGEST_QUICK = 20_000
 DENSE_SPLITTING = 500
 CLEARLY = 1.0 + 1e-12
 
@@ -94,45 +92,35 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     if not isinstance(problem, LCP):
         raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     policy = policy_for(algorithm, options)
+    problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing
         return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
 
 
-def quick_guarantee(problem: LCP, algorithm: Algorithm) -> Guarantee | None:
-    """Return a guarantee at the cost of at most three passes over M, or None where that does not decide.
-
-    It never answers "not covered" where the full one says "guaranteed" by weights v; see
-    :func:`convergence_guarantee`.
-    """
-    with np.errstate(all="ignore"):
-        try:
-            facts = algorithm.facts(problem)
-        except (UnsuitableMatrix, UnsuitableProblem):
-            return None
-        return None if facts is None else _kept(problem, algorithm, "quick", lambda: _quick(problem, facts))
-
-
-def warn_where_uncovered(problem: LCP, algorithm: Algorithm, *, has_failed: bool, stacklevel: int) -> None:
-    """Warn, once a matrix and choice, where nothing proves that the algorithm converges.
-
-    Before a run the question may cost three passes over M, and is asked up to n = 20 000 only; after a run that
-    failed it is worth an analysis of M.
-    """
-    if has_failed:
-        guarantee: Guarantee | None = _of_one(problem, algorithm)
-    else:
-        guarantee = quick_guarantee(problem, algorithm) if problem.n <= LARGEST_QUICK else None
-    warned = warnings_given(problem.matrix)
-    key = identity(algorithm) or (type(algorithm), repr(algorithm))
-    if guarantee is None or guarantee.is_guaranteed or type(algorithm).facts is Algorithm.facts or key in warned:
+def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel: int) -> None:
+    """Warn, once a matrix and choice, where it is known already that nothing proves the convergence."""
+    held = identity(policy.algorithm) if isinstance(policy, Single) and _guarantees.is_known(problem.matrix) else None
+    guarantee = _guarantees(problem.matrix).get(held) if held else None
+    if guarantee is None or guarantee.is_guaranteed or held in (warned := _warned_of(problem.matrix)):
         return
-    warned.add(key)
+    warned.add(held)
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
-        f"{algorithm.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
+        f"{policy.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
         ConvergenceWarning, stacklevel=stacklevel + 1,
     )
 
+
+@fact
+def _warned_of(matrix: Matrix) -> set[Hashable]:
+    """Return the choices of which a caller was warned on this matrix."""
+    return set()
+
+
+@fact
+def _guarantees(matrix: Matrix) -> dict[Hashable, Guarantee]:
+    """Return what was found out about algorithms on this matrix, by their identity."""
+    return {}
 
 
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -144,28 +132,11 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    options = {field.name for field in fields(algorithm)}
-    return _kept(problem, algorithm, "full", lambda: _full(problem, facts, options))
-
-
-@fact
-def warnings_given(matrix: Matrix) -> set[Hashable]:
-    """Return the choices of which a caller was warned on this matrix."""
-    return set()
-
-
-@fact
-def _guarantees(matrix: Matrix) -> dict[Hashable, Any]:
-    return {}
-
-
-def _kept(problem: LCP, algorithm: Algorithm, kind: str, compute: Callable[[], Kept]) -> Kept:
-    """Return what `compute` gives, kept with M where all that the algorithm holds are numbers and words."""
     known, held = _guarantees(problem.matrix), identity(algorithm)
-    if held is None:
-        return compute()
-    value: Kept = known[kind, held] if (kind, held) in known else known.setdefault((kind, held), compute())
-    return value
+    if held in known:
+        return known[held]
+    guarantee = _full(problem, facts, {field.name for field in fields(algorithm)})
+    return guarantee if held is None else known.setdefault(held, guarantee)
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:

@@ -19,10 +19,12 @@ from .error_watch import Bounded
 
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
+    from ..certificates.theorems import Guarantee
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
 FAR = 1e-2  # part of ‖z‖∞
+FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
 def status_of(proof: Any) -> Status:
@@ -106,6 +108,8 @@ class Result:
         Empty unless asked for with ``record=True``.
     bounded : Bounded, or a function that returns it
         The error bound, or how it is computed once somebody looks at it.
+    chosen : str or Algorithm
+        What the caller asked for.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
     infeasibility : Refutation or None
@@ -129,6 +133,7 @@ class Result:
     stages: tuple[StageRecord, ...] = field(default=(), repr=False)
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
+    chosen: Any = field(default="auto", repr=False)
     bounded: Bounded | Callable[[], Bounded] = field(default=Bounded(), repr=False)
 
     @property
@@ -147,6 +152,16 @@ class Result:
     @cached_property
     def _bounded(self) -> Bounded:
         return self.bounded() if callable(self.bounded) else self.bounded
+
+    @cached_property
+    def guarantee(self) -> Guarantee:
+        """What is proved about the convergence of what the caller chose, on this matrix; the first look computes it.
+
+        See :func:`lcp_plugin.convergence_guarantee`.
+        """
+        from .guarantees import convergence_guarantee
+
+        return convergence_guarantee(self.certificate.problem, self.chosen)
 
     @property
     def is_solved(self) -> bool:
@@ -218,9 +233,19 @@ class Result:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *self._stiffness(), *self._complementarity()])
+        return "\n".join([*lines, *self._not_covered(), *self._stiffness(), *self._complementarity()])
 
     __str__ = explain
+
+    def _not_covered(self) -> list[str]:
+        """Return a line where a chosen method failed that nothing proves to converge."""
+        if self.status not in FAILED or isinstance(self.chosen, str) or self.certificate.problem.is_distributed:
+            return []
+        guarantee = self.guarantee
+        if guarantee.is_guaranteed or not guarantee.remedy:
+            return []
+        return [f"{self.algorithm} on this matrix: {guarantee.verdict} ({guarantee.theorem}); what to do: "
+                f"{guarantee.remedy}"]
 
     def _reached(self) -> str:
         """Return what was reached beside what was asked for."""
@@ -254,7 +279,7 @@ class Result:
     def _far(self) -> list[str]:
         """Return a line where the error may be a good part of z although the residual is small."""
         certificate, problem = self.certificate, self.certificate.problem
-        if not hasattr(problem, "csr"):  # its rows are not all here
+        if problem.is_distributed:
             return []
         residual = certificate.relative_residual * reference_residual(problem)
         error = estimated_error(problem, self.z, self.w, residual)

@@ -1,9 +1,19 @@
 """Hypothesis strategies: matrices whose class is certain, problems whose answer is exact, and a test of any solver.
 
-Everything drawn is made of small integers and powers of two, so that it is what it claims to be in exact
-arithmetic, not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All
-strategies shrink towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to
-some thirty rows are practical: hypothesis draws every entry and refuses what is too much for it.
+Everything drawn is made of small integers and powers of two, so that it is what it claims to be in exact arithmetic,
+not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All strategies shrink
+towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to some thirty rows are
+practical: hypothesis draws every entry and refuses what is too much for it.
+
+`lcps` draws problems, `solved_lcps` with the exact answer, `infeasible_lcps` with a Farkas proof, `convex_qps` with x
+and multipliers, `complementarity_models` in cvxpy; each matrix strategy is named after its class. `assert_solves` takes
+any callable (M, q, lower, upper) → z and reports the smallest problem on which it is wrong.
+
+>>> from lcp_plugin import LCP, Status, solve
+>>> def my_solver(M, q, lower, upper):
+...     result = solve(LCP(M, q, lower=lower, upper=upper), tolerance=1e-10)
+...     return result.z if result.status is Status.SOLVED else None
+>>> assert_solves(my_solver, matrices=p_matrices(size=4), bounds=True, max_examples=50)
 """
 
 try:
@@ -14,9 +24,8 @@ except ImportError as error:
     ) from error
 
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
-from .dominant import h_plus_matrices, m_matrices, strictly_dominant_matrices, z_matrices
+from .dominant import h_plus_matrices, m_matrices, not_h_matrices, p_matrices, strictly_dominant_matrices, z_matrices
 from .judge import assert_solves
-from .principal import not_h_matrices, p_matrices
 from .problems import infeasible_lcps, lcps, solved_lcps
 from .programs import QPAnswer, complementarity_models, convex_qps
 

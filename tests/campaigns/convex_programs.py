@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.conversions.qp_certificates import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
+from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum
+from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
-from lcp_plugin.modeling.qp_attempts import solve_quadratic_program
+from lcp_plugin.modeling.qp_solver import solve_quadratic_program
 
 SOLVABLE = (
     "strictly convex", "rank-deficient", "linear", "condition 1e8", "equations, free", "redundant", "degenerate",

@@ -45,7 +45,7 @@ from lcp_plugin.certificates.convergence import (
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.errors import ConvergenceWarning, LCPError
 from lcp_plugin.matrix import analyze, h_matrix, p_matrix, verdicts
-from lcp_plugin.solving.guarantees import convergence_guarantee, quick_guarantee
+from lcp_plugin.solving.guarantees import convergence_guarantee
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at
 Matrix = list[list[Fraction]]
@@ -323,10 +323,8 @@ def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tu
     """Judge what is guaranteed of a random algorithm on M."""
     problem = LCP(M, -np.ones(len(M)))
     algorithm = any_algorithm(rng, problem)
-    quick, guarantee = quick_guarantee(problem, algorithm), convergence_guarantee(problem, algorithm)
+    guarantee = convergence_guarantee(problem, algorithm)
     found = []
-    if quick is not None and quick.is_guaranteed != guarantee.is_guaranteed:
-        found.append(f"{algorithm}: quick says {quick.verdict}, full says {guarantee.verdict}")
     try:
         facts = algorithm.facts(problem)
     except LCPError:

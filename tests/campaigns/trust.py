@@ -10,6 +10,11 @@ case of more than five minutes), and whatever of the caller's a case has changed
 columns at the end are no violations: "near" counts answers SOLVED by the README's definition, verified exactly, on
 problems that have no solution (the tolerance is relative to the largest row, and rows differ in size); "open" counts
 what is left undecided. Kinds and judges are those of the other campaigns.
+
+Measured: ``--cases 14000 --seed 2029 --jobs 1`` took three minutes on a core. Of 14 000 random problems of 14 kinds,
+judged in exact arithmetic without any allowance: 0 false SOLVED, 0 violated bounds, 0 wrong verdicts on matrices, 0
+other false claims, 0 modified inputs, and one bare warning, since mended. 73 problems without an exact solution,
+numbers of any exponent nearly all, were SOLVED, rightly within the tolerance; 73 were left open.
 """
 
 from __future__ import annotations

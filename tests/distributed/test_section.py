@@ -1,21 +1,26 @@
-"""The README's section on several machines does what it says."""
+"""The README's section on several machines, and the page that it names, do what they say."""
 
 from __future__ import annotations
 
-import re
 import shlex
+import textwrap
 from pathlib import Path
 
 from launch import run, run_code
+
+import lcp_plugin.peers
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 SECTION = README.split("## Several machines")[1].split("\n## ")[0]
 
 
-def test_the_script_of_the_section_runs() -> None:
+def test_the_script_of_the_page_runs() -> None:
     """The script solves its problem on two ranks, with a rigorous bound, and rank 0 alone speaks."""
-    code, = (block for block in re.findall(r"```text\n(.*?)```", SECTION, re.S) if "from_rows" in block)
-    done = run_code(2, code)
+    assert 'help("lcp_plugin.peers")' in SECTION
+    blocks = (lcp_plugin.peers.__doc__ or "").split("::\n\n")[1:]
+    code, = (block for block in blocks if "from_rows" in block)
+    lines = [line for line in code.split("\n\n**")[0].splitlines() if line == "" or line.startswith("    ")]
+    done = run_code(2, textwrap.dedent("\n".join(lines)))
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("SOLVED") == 1
     assert "rigorous" in done.stdout

@@ -8,18 +8,21 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...problem.lcp import LCP
-from ..base import Algorithm, Step, without_warnings
-from .active_set import classify
+from ..base import Algorithm, Step, direct_passes, without_warnings
+from .active_set import BoolVector, classify
 from .damped_newton import damped_steps
 from .newton_state import LARGE_PATIENCE, NewtonState
-from .principal_pivoting import LARGEST, principal_pivots
 
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
 PATIENT_ROWS = 250
 ROUNDS = 3
+PIVOTED_ROWS = 500  # up to here single pivots are tried
+BLOCKS = 5  # block steps that may pass without a new smallest number of wrong rows
+PIVOTS_PER_STEP = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +62,10 @@ class Newton(Algorithm):
     )
     is_monotone: ClassVar[bool] = False
 
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of a direct answer."""
+        return direct_passes(problem)
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the best z so far, once a factorisation; end where nothing more can be done."""
         return without_warnings(self._steps(problem, z0))
@@ -74,7 +81,7 @@ class Newton(Algorithm):
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         start = np.clip(z0, problem.lower, problem.upper)
-        is_elsewhere = problem.n <= LARGEST and not np.array_equal(start, problem.nearest_to_zero)
+        is_elsewhere = problem.n <= PIVOTED_ROWS and not np.array_equal(start, problem.nearest_to_zero)
         state = NewtonState(problem, start)
         yield state.step()
         if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
@@ -123,3 +130,47 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
         lowest, fewest = min(lowest, size), min(fewest, changes)
         previous = present
     return False
+
+
+def principal_pivots(state: NewtonState) -> Iterator[Step]:
+    """Yield after every few pivots; nothing for large problems.
+
+    A row is wrong where its z leaves the bounds or its w has the wrong sign. Change all wrong rows as long as their
+    number reaches new minima, else only the first in a fixed order. On P-matrices that is finite; it may be
+    exponential, so that the number of pivots is bounded.
+
+    References
+    ----------
+    Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6. Murty 1974, *Opsearch* 11, 123–130.
+    """
+    problem = state.problem
+    if problem.n > PIVOTED_ROWS:
+        return
+    rank = np.random.default_rng(0).permutation(problem.n)
+    state.move(state.best_z)
+    at_lower, at_upper = classify(problem, state.z, state.w)
+    fewest, blocks_left = problem.n + 1, BLOCKS
+    for pivot in range(20 * problem.n + 100):
+        solution = state.solve(at_lower, at_upper)
+        if solution is None:
+            return
+        state.move(solution.z)
+        to_lower, to_upper = classify(problem, state.z, state.w)
+        wrong = np.flatnonzero((to_lower != at_lower) | (to_upper != at_upper))
+        if wrong.size == 0 or pivot % PIVOTS_PER_STEP == 0:
+            yield state.step()
+        if wrong.size == 0:
+            return
+        if wrong.size < fewest:
+            fewest, blocks_left = wrong.size, BLOCKS
+        else:
+            blocks_left -= 1
+        changed = wrong if blocks_left > 0 else wrong[[np.argmin(rank[wrong])]]
+        at_lower, at_upper = _changed(at_lower, to_lower, changed), _changed(at_upper, to_upper, changed)
+    yield state.step()
+
+
+def _changed(old: BoolVector, new: BoolVector, rows: NDArray[np.intp]) -> BoolVector:
+    result = old.copy()
+    result[rows] = new[rows]
+    return result

@@ -10,11 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
+from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
-from ..base import Algorithm, Step, without_warnings
+from ..base import Algorithm, Step, direct_passes, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
@@ -22,7 +23,6 @@ from .primal_active_set import PrimalActiveSet
 
 BoolVector = NDArray[np.bool_]
 
-SMALL = 600  # rows up to which a sweep costs less than one change of an active set
 SWEEPS_AT_ONCE = (20, 5)  # small or not
 MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
@@ -34,8 +34,7 @@ MOST_ITERATIONS = 150
 POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
 MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
-DENSE_UP_TO = 1000  # rows of a sparse symmetric M that is treated as a dense one, unless fewer entries than this share
-SPARSE_BELOW = 0.01
+SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
@@ -75,6 +74,10 @@ class InteriorPoint(Algorithm):
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of a direct answer."""
+        return direct_passes(problem)
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""
         z = np.clip(z0, problem.lower, problem.upper)
@@ -104,7 +107,7 @@ class _Search:
         if r is not None:
             M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
             q = r * q
-        if sp.issparse(M) and q.size <= DENSE_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
+        if sp.issparse(M) and q.size <= DENSE_NEWTON_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
             dense = M.toarray()
             self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric_to_rounding(dense)
             M = dense if self.is_symmetric else M
@@ -168,7 +171,7 @@ class _Search:
         M = np.ascontiguousarray(self.M).view()
         M.flags.writeable = False
         y = y.copy()
-        sweeps, at_once = 0, SWEEPS_AT_ONCE[n > SMALL]
+        sweeps, at_once = 0, SWEEPS_AT_ONCE[n > SWEEPS_FIRST_UP_TO]
         inside, changes = np.zeros(n, dtype=bool), n
         w = M @ y + self.q
         while sweeps < MOST_SWEEPS and changes > SETTLED * n:
@@ -177,7 +180,7 @@ class _Search:
             before, inside = inside, (self.lower < y) & (y < self.upper)
             changes = int(np.count_nonzero(before != inside))
         primal.start(y, inside)
-        if n > SMALL:
+        if n > SWEEPS_FIRST_UP_TO:
             yield self.step(y, sweeps * self.entries)
         else:  # a step of its own would cost more than it tells
             primal.work += sweeps * self.entries

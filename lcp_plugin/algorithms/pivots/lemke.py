@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from ...certificates.residuals import Certificate
 from ...checks import FloatVector
+from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
 from ..base import Algorithm, Step, without_warnings
 from .canonical_box import CanonicalBox, canonical_box
 
-LARGEST = 6000  # of the canonical problem: its inverse fills 0.3 GB
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
 ARBITRARY_STARTS = (10, 200)  # at least and at most
 START_SIZES = 20_000  # n times the number of arbitrary starts, between those
@@ -208,9 +208,9 @@ def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
     """Return the connected parts, or raise where one is too large for a dense inverse."""
     parts = connected_parts(problem)
     size = max((rows.size for rows in parts), default=0)
-    if size > LARGEST:
+    if size > PIVOTED_UP_TO:
         raise UnsuitableProblem(
-            f"lemke keeps a dense inverse and takes connected parts up to n = {LARGEST}, got one of {size}; "
+            f"lemke keeps a dense inverse and takes connected parts up to n = {PIVOTED_UP_TO}, got one of {size}; "
             'try algorithm="newton" or "interior_point"'
         )
     return parts

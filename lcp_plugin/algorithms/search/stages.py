@@ -11,6 +11,7 @@ import numpy as np
 from ...certificates.infeasibility import decide_feasibility
 from ...certificates.no_solution import find_forced_contradiction
 from ...checks import FloatVector
+from ...crossovers import LINEAR_PROGRAM_UP_TO
 from ...errors import UnsuitableProblem
 from ...exact.simplex import QUANTUM
 from ...problem.lcp import LCP
@@ -21,7 +22,6 @@ from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore
 CASES_A_STEP = 50
 MOST_CASES = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
-LARGEST_PROGRAM = 5000  # rows of a linear program; beyond, single rows and forced bounds are looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class FeasibilityCheck(Algorithm):
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        effort = None if problem.n <= LARGEST_PROGRAM else 0
+        effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
         # Where one contradiction is too small for the caller's measure and tolerance, another one may be large enough.
         for measure in MEASURES:
             proof = decide_feasibility(problem, effort_limit=effort, measure=measure).proof

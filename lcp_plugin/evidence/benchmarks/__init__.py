@@ -12,6 +12,7 @@ BENCHMARKS = {
     "small": "a warm solve of Example 1 with n = 100",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
+    "crossovers": "each constant of lcp_plugin.crossovers beside what this machine says of it",
     "modeling": "the cost of stating a problem in cvxpy, against cvxpy's own compilation",
 }
 

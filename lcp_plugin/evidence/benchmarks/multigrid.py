@@ -13,22 +13,25 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...algorithms import REGISTRY
+from ...certificates.residuals import Certificate
 from ...checks import FloatVector
 from ...errors import InvalidProblem, LCPError
 from ...problem.lcp import LCP
 from ...solving.batch import prepare
 from ...solving.driver import solve
 from ...solving.result import Result
+from ..contestants import fresh
 from ..gallery import Scene, build, parse
+from . import timing
+from .rivals import RIVALS, Answer, Case
+from .timing import quickest
 
 TOLERANCE = 1e-8
 TRUE_ERROR = 1e-6
@@ -36,6 +39,7 @@ TIME_LIMIT = 60.0
 ACTIVE_SET_STEPS = 30
 GROWTH_RUNS = 6
 TICK = 0.01  # seconds that the operating system counts in
+timed = partial(timing.timed, clock=time.process_time)
 PRESETS = ("psor", "pgs", "paor", "npsor", "mgs")
 
 
@@ -90,27 +94,6 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)
 
 
-@dataclass(frozen=True)
-class Timed:
-    """What one call gave, and its processor seconds."""
-
-    answer: Any
-    seconds: float
-
-
-def timed(call: Callable[[], Any]) -> Timed:
-    """Return the answer of the call and its processor seconds."""
-    began = time.process_time()
-    answer = call()
-    return Timed(answer, time.process_time() - began)
-
-
-def rounds(calls: dict[str, Callable[[], Any]], repeats: int = 2) -> dict[str, Timed]:
-    """Return the quickest of some runs of each call, all treated alike and in turn."""
-    runs = [{name: timed(call) for name, call in calls.items()} for _ in range(repeats)]
-    return {name: min((run[name] for run in runs), key=lambda one: one.seconds) for name in calls}
-
-
 def product_seconds(problem: LCP) -> float:
     """Return the median processor seconds of one scipy product with M."""
     M, x = problem.csr, np.random.default_rng(0).random(problem.n)
@@ -126,8 +109,7 @@ def product_seconds(problem: LCP) -> float:
 
 def from_scratch(problem: LCP, algorithm: str = "multigrid", **options: Any) -> Result:
     """Return the result for a problem stated anew, so that nothing computed before is used."""
-    fresh = LCP(problem.csr, problem.q, lower=problem.lower, upper=problem.upper)
-    return solve(fresh, algorithm, tolerance=TOLERANCE, **options)
+    return solve(fresh(problem), algorithm, tolerance=TOLERANCE, **options)
 
 
 def _line(row: Row, quick: bool) -> str:
@@ -141,7 +123,7 @@ def _line(row: Row, quick: bool) -> str:
     }
     if row.linear:
         calls["linear"] = partial(linear_solve, scene)
-    best = rounds(calls)
+    best = quickest(calls)
     ours, theirs, linear = best["pgs"], best["npsor"], best.get("linear")
     seconds, product = ours.seconds, statistics.median((product, product_seconds(problem)))
     result: Result = ours.answer
@@ -208,7 +190,7 @@ def growth(sizes: tuple[int, ...]) -> Iterator[str]:
     """
     for name in ("obstacle_2d", "obstacle_bumps"):
         problems = [build(name, size=size).problem for size in sizes]
-        best = rounds({str(p.n): partial(_user_seconds, p) for p in problems}, repeats=GROWTH_RUNS)
+        best = quickest({str(p.n): partial(_user_seconds, p) for p in problems}, repeats=GROWTH_RUNS)
         yield f"growth {name}: n = {', '.join(best)}, cycles {[one.answer[0] for one in best.values()]}"
         for what, seconds in (
             ("all", [one.seconds for one in best.values()]), ("the program's", [one.answer[1] for one in best.values()])
@@ -252,7 +234,7 @@ def sweeping(n: int) -> Iterator[str]:
     for text, target in ((f"random_h_plus:n={n}", "≤ 60 work"), (f"paper_example_1:n={n},delta=4", "")):
         problem = parse(text).problem
         names = ("auto", *PRESETS, "multigrid")
-        best = rounds({name: partial(from_scratch, problem, name) for name in names}, repeats=5)
+        best = quickest({name: partial(from_scratch, problem, name) for name in names}, repeats=5)
         least = min(best[name].seconds for name in names if name != "auto")
         wanted = "" if target else "   target ≤ 1.1"
         yield f"{text:<32} auto ÷ the best named: {best['auto'].seconds / least:.2f}{wanted}"
@@ -267,18 +249,19 @@ def sweeping(n: int) -> Iterator[str]:
 def others(scene: Scene, limit: float) -> Iterator[str]:
     """Yield what plain sweeps and convex solvers need for the obstacle problem, each within `limit` seconds."""
     problem = scene.problem
+    case = Case(f"sphere n = {problem.n}", problem.csr, problem.q, problem.lower, problem.upper)
     calls: dict[str, Callable[[], str]] = {
         name: partial(_status, problem, name, limit) for name in ("multigrid", "psor", "npgs")
     }
-    calls["OSQP"] = partial(_osqp, problem, limit)
-    calls["PIQP"] = partial(_piqp, problem)
+    calls["OSQP"] = partial(_judged, problem, lambda: RIVALS["OSQP"].answer(case, TOLERANCE, limit))
+    calls["PIQP"] = partial(_judged, problem, lambda: RIVALS["PIQP sparse"].answer(case, 0.1 * TOLERANCE, limit))
     for name, call in calls.items():
         try:
             one = timed(call)
         except ImportError:
-            yield f"sphere n = {problem.n}: {name} is not installed"
+            yield f"{case.name}: {name} is not installed"
             continue
-        yield f"sphere n = {problem.n}: {name:<10} {one.seconds:8.3f} s   {one.answer}"
+        yield f"{case.name}: {name:<10} {one.seconds:8.3f} s   {one.answer}"
 
 
 def _status(problem: LCP, name: str, limit: float) -> str:
@@ -286,35 +269,6 @@ def _status(problem: LCP, name: str, limit: float) -> str:
     return f"{result.status.name}, {result.iterations} iterations, residual {result.residual:.1e}"
 
 
-def _judged(problem: LCP, status: object, x: Any) -> str:
-    from ...certificates.residuals import Certificate
-
-    z = np.clip(np.asarray(x, dtype=np.float64), problem.lower, problem.upper)
+def _judged(problem: LCP, solver: Callable[[], Answer]) -> str:
+    z, status = solver()
     return f"{status}, relative residual {Certificate.of(problem, z).relative_residual:.1e}"
-
-
-def _osqp(problem: LCP, limit: float) -> str:
-    import scipy.sparse as sp
-
-    osqp = import_module("osqp")
-    solver = osqp.OSQP()
-    solver.setup(
-        sp.csc_matrix(sp.triu(problem.csr)), problem.q.copy(), sp.csc_matrix(sp.eye(problem.n)),
-        problem.lower.copy(), problem.upper.copy(), verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=1_000_000,
-        time_limit=limit,
-    )
-    answer = solver.solve(raise_error=False)
-    return _judged(problem, answer.info.status, answer.x)
-
-
-def _piqp(problem: LCP) -> str:
-    import scipy.sparse as sp
-
-    piqp = import_module("piqp")
-    solver = piqp.SparseSolver()
-    solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
-    solver.setup(
-        sp.csc_matrix(problem.csr), problem.q.copy(), x_l=problem.lower.copy(), x_u=problem.upper.copy()
-    )
-    status = solver.solve()
-    return _judged(problem, str(status).rpartition(".")[2], solver.result.x)

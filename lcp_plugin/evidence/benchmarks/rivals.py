@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -19,7 +20,8 @@ from ...algorithms.interior_points.interior_point import InteriorPoint
 from ...checks import FloatVector
 from ...problem.lcp import LCP
 from ...solving.driver import solve
-from .timing import medians
+from ..gallery.stencil import stencil_matrix
+from .timing import Timed, medians, timed
 
 TARGET_RESIDUAL = 1e-8
 PRECISIONS = (1e-6, 1e-8, 1e-10, 1e-12)
@@ -33,15 +35,46 @@ SEED = 5
 
 @dataclass(frozen=True)
 class Case:
-    """A problem with known answer: M and q as its user has them, M dense unless it is sparse by nature."""
+    """A problem as its user has it, M dense unless it is sparse by nature; bounds where they are not 0 and ∞."""
 
     name: str
     M: Any
     q: FloatVector
+    lower: Any = 0.0
+    upper: Any = np.inf
+
+    @property
+    def bounds(self) -> tuple[FloatVector, FloatVector]:
+        """Lower and upper bounds, shape (n,) each."""
+        return np.broadcast_to(self.lower, self.q.shape).copy(), np.broadcast_to(self.upper, self.q.shape).copy()
+
+    @property
+    def dense(self) -> FloatVector:
+        """M as an array, where it is small enough."""
+        if sp.issparse(self.M) and self.q.size > LARGEST_DENSE:
+            raise MemoryError
+        M: FloatVector = self.M.toarray() if sp.issparse(self.M) else self.M
+        return M
 
     def residual(self, z: FloatVector) -> float:
-        """‖min(z, M z + q)‖∞."""
-        return float(np.max(np.abs(np.minimum(z, self.M @ z + self.q))))
+        """‖z − mid(lower, upper, z − w)‖∞."""
+        return float(np.max(np.abs(z - np.clip(z - (self.M @ z + self.q), self.lower, self.upper))))
+
+
+Answer = tuple[FloatVector, str]  # z within its bounds, and a note
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Who is asked: the package behind it, and what it makes of a case, a precision and a limit in seconds."""
+
+    package: str
+    ask: Callable[[Case, float, float], tuple[Any, str]]
+
+    def answer(self, case: Case, precision: float, limit: float = 20.0) -> Answer:
+        """Return z, clipped to the bounds, and a note."""
+        x, note = self.ask(case, precision, limit)
+        return np.clip(np.asarray(x, dtype=np.float64), case.lower, case.upper), note
 
 
 def spectrum(n: int, condition: float, active: float, seed: int = SEED) -> Case:
@@ -76,9 +109,7 @@ def obstacle(n: int) -> Case:
     """Return a sparse H₊ problem: the five-point matrix with 4.5 on its diagonal, half of z* at its bound."""
     rng = np.random.default_rng(SEED)
     side = round(n**0.5)
-    line = sp.diags_array([-1.0, -1.0], offsets=[-1, 1], shape=(side, side))
-    grid = sp.kron(sp.eye_array(side), line) + sp.kron(line, sp.eye_array(side)) + 4.5 * sp.eye_array(side * side)
-    M = sp.csr_array(grid)
+    M = stencil_matrix((side, side), 4.5, (-1.0, -1.0), (-1.0, -1.0))
     return Case(f"sparse H₊ n = {side * side}", M, _offset(M, 0.5, rng))
 
 
@@ -107,13 +138,12 @@ def run(*, quick: bool = False) -> Iterator[str]:
     if not quick and any(os.environ.get(name) != "1" for name in ONE_THREAD):
         yield from _alone()
         return
-    rivals = dict(installed())
-    for name in RIVALS:
-        if name not in rivals:
-            yield f"{name} is not installed and left out"
+    solvers = {name: solver for name, solver in (OURS | RIVALS).items() if find_spec(solver.package) is not None}
+    for name in RIVALS.keys() - solvers.keys():
+        yield f"{name} is not installed and left out"
     first, behind, count = 0, 1.0, 0
     for case in cases(quick=quick):
-        seconds, notes = _measured(case, rivals, repeats=2 if quick else REPEATS)
+        seconds, notes = _measured(case, solvers, repeats=2 if quick else REPEATS)
         yield f"{case.name}: everything from (M, q) to the checked answer, 1 thread, median of {REPEATS}"
         own = seconds.get("auto", np.inf)
         for name, note in notes.items():
@@ -137,138 +167,120 @@ def _alone() -> Iterator[str]:
             yield line.rstrip("\n")
 
 
-def _measured(
-    case: Case, rivals: dict[str, Callable[..., Any]], repeats: int
-) -> tuple[dict[str, float], dict[str, str]]:
+def _measured(case: Case, solvers: dict[str, Solver], repeats: int) -> tuple[dict[str, float], dict[str, str]]:
     """Return the median seconds of those that reach the residual, and a note on every solver."""
     calls: dict[str, Callable[[], object]] = {}
     notes: dict[str, str] = {}
     once: dict[str, float] = {}
-    for name, solver in (OURS | rivals).items():
+    for name, solver in solvers.items():
         for precision in PRECISIONS:
-            call = _checked(case, solver, precision)
-            began = time.perf_counter()
+            call = partial(_checked, case, solver, precision)
             try:
-                residual, note = call()
+                one: Timed = timed(call)
             except Exception as error:  # a rival's own error, of whatever class, is a result
                 notes[name] = f"fails: {type(error).__name__}"
                 break
-            took = time.perf_counter() - began
+            residual, note = one.answer
             if residual <= TARGET_RESIDUAL:
                 notes[name] = f"residual {residual:.0e} at precision {precision:.0e} {note}"
-                if took > LONG:
-                    once[name] = took
+                if one.seconds > LONG:
+                    once[name] = one.seconds
                     notes[name] += " (measured once)"
                 else:
                     calls[name] = call
                 break
             notes[name] = f"not in reach: residual {residual:.0e} at precision {precision:.0e}"
-            if took > TOO_SLOW:
+            if one.seconds > TOO_SLOW:
                 break
     return once | medians(calls, repeats), notes
 
 
-def _checked(case: Case, solver: Callable[..., Any], precision: float) -> Callable[[], tuple[float, str]]:
-    def call() -> tuple[float, str]:
-        z, note = solver(case.M, case.q, precision)
-        return case.residual(np.asarray(z)), note
-
-    return call
+def _checked(case: Case, solver: Solver, precision: float) -> tuple[float, str]:
+    z, note = solver.answer(case, precision, TOO_SLOW)
+    return case.residual(z), note
 
 
-def _auto(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
-    result = solve(LCP(M, q), tolerance=precision)
+def _auto(case: Case, precision: float, limit: float) -> Answer:
+    result = solve(LCP(case.M, case.q), tolerance=precision)
     return result.z, f"({result.algorithm})"
 
 
-def _interior_point(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
-    return solve(LCP(M, q), InteriorPoint(), tolerance=precision).z, ""
+def _interior_point(case: Case, precision: float, limit: float) -> Answer:
+    return solve(LCP(case.M, case.q), InteriorPoint(), tolerance=precision).z, ""
 
 
-def _dense(M: Any) -> FloatVector:
-    if sp.issparse(M) and M.shape[0] > LARGEST_DENSE:
-        raise MemoryError
-    dense: FloatVector = M.toarray() if sp.issparse(M) else M
-    return dense
-
-
-def _piqp(M: Any, q: FloatVector, precision: float, *, is_dense: bool) -> tuple[FloatVector, str]:
+def _piqp(case: Case, precision: float, limit: float, *, is_dense: bool) -> tuple[Any, str]:
     piqp: Any = import_module("piqp")
 
     solver = piqp.DenseSolver() if is_dense else piqp.SparseSolver()
     settings = solver.settings
     settings.eps_abs = settings.eps_rel = settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = precision
-    P = np.asfortranarray(_dense(M)) if is_dense else sp.csc_matrix(M)
-    solver.setup(P=P, c=q, x_l=np.zeros(q.size))
-    solver.solve()
-    return np.maximum(solver.result.x, 0.0), ""
+    P = np.asfortranarray(case.dense) if is_dense else sp.csc_matrix(case.M)
+    lower, upper = case.bounds
+    solver.setup(P=P, c=case.q, x_l=lower, x_u=upper)
+    status = solver.solve()
+    return solver.result.x, str(status).rpartition(".")[2]
 
 
-def _piqp_dense(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
-    return _piqp(M, q, precision, is_dense=True)
-
-
-def _piqp_sparse(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
-    return _piqp(M, q, precision, is_dense=False)
-
-
-def _osqp(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
+def _osqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     osqp: Any = import_module("osqp")
 
     solver = osqp.OSQP()
-    n = q.size
+    lower, upper = case.bounds
     solver.setup(
-        P=sp.triu(sp.csc_matrix(M), format="csc"), q=q, A=sp.eye(n, format="csc"), l=np.zeros(n), u=np.full(n, np.inf),
-        verbose=False, eps_abs=precision, eps_rel=precision, max_iter=200_000, polishing=True, time_limit=TOO_SLOW,
+        P=sp.triu(sp.csc_matrix(case.M), format="csc"), q=case.q, A=sp.eye(case.q.size, format="csc"), l=lower, u=upper,
+        verbose=False, eps_abs=precision, eps_rel=precision, max_iter=200_000, polishing=True, time_limit=limit,
     )
-    return np.maximum(solver.solve(raise_error=False).x, 0.0), ""
+    answer = solver.solve(raise_error=False)
+    return answer.x, answer.info.status
 
 
-def _proxqp(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
+def _proxqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     proxqp: Any = import_module("proxsuite").proxqp
 
-    n = q.size
-    solver = proxqp.dense.QP(n, 0, 0, True)
+    solver = proxqp.dense.QP(case.q.size, 0, 0, True)
     solver.settings.eps_abs, solver.settings.eps_rel = precision, 0.0
-    solver.init(_dense(M), q, None, None, None, None, None, np.zeros(n), np.full(n, 1e20))
+    lower, upper = case.bounds
+    solver.init(case.dense, case.q, None, None, None, None, None, lower, np.minimum(upper, 1e20))
     solver.solve()
-    return np.maximum(solver.results.x, 0.0), ""
+    return solver.results.x, ""
 
 
-def _clarabel(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
+def _clarabel(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     clarabel: Any = import_module("clarabel")
 
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = precision
-    n = q.size
+    n = case.q.size
     solver = clarabel.DefaultSolver(
-        sp.triu(sp.csc_matrix(M), format="csc"), q, -sp.eye(n, format="csc"), np.zeros(n),
+        sp.triu(sp.csc_matrix(case.M), format="csc"), case.q, -sp.eye(n, format="csc"), -case.bounds[0],
         [clarabel.NonnegativeConeT(n)], settings,
     )
-    return np.maximum(np.array(solver.solve().x), 0.0), ""
+    return solver.solve().x, ""
 
 
-def _daqp(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
+def _daqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     daqp: Any = import_module("daqp")
 
-    n = q.size
+    n = case.q.size
+    lower, upper = case.bounds
     x, *_ = daqp.solve(
-        np.ascontiguousarray(_dense(M)), q, np.zeros((0, n)), np.full(n, 1e30), np.zeros(n),
+        np.ascontiguousarray(case.dense), case.q, np.zeros((0, n)), np.minimum(upper, 1e30), lower,
         np.zeros(n, dtype=np.int32), primal_tol=precision, dual_tol=precision, iter_limit=100_000,
     )
-    return np.maximum(x, 0.0), ""
+    return x, ""
 
 
-def _psor(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
+def _psor(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     """Plain projected Gauss–Seidel, compiled, its residual looked at every ten sweeps."""
     from ...kernels import splitting_sweeps as kernels
 
-    problem = LCP(M, q)
+    problem = LCP(case.M, case.q)
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-    csr, split, z = problem.csr, kernels.row_splits(problem.csr, backward=False), np.zeros(q.size)
+    csr, split, z = problem.csr, kernels.row_splits(problem.csr, backward=False), np.zeros(problem.n)
     began = time.perf_counter()
-    while time.perf_counter() - began < TOO_SLOW:
+    while time.perf_counter() - began < limit:
         for _ in range(10):
             change, _ = kernels.relaxation_sweep(csr.indptr, split, csr.indices, csr.data, rows, 1.0, False, z)
         if change <= precision:
@@ -276,20 +288,13 @@ def _psor(M: Any, q: FloatVector, precision: float) -> tuple[FloatVector, str]:
     return z, ""
 
 
-OURS: dict[str, Callable[..., Any]] = {"auto": _auto, "interior_point": _interior_point}
-RIVALS: dict[str, tuple[str, Callable[..., Any]]] = {
-    "PIQP dense": ("piqp", _piqp_dense),
-    "PIQP sparse": ("piqp", _piqp_sparse),
-    "ProxQP": ("proxsuite", _proxqp),
-    "DAQP": ("daqp", _daqp),
-    "Clarabel": ("clarabel", _clarabel),
-    "OSQP": ("osqp", _osqp),
-    "compiled PGS": ("numba", _psor),
+OURS = {"auto": Solver("numba", _auto), "interior_point": Solver("numba", _interior_point)}
+RIVALS = {
+    "PIQP dense": Solver("piqp", partial(_piqp, is_dense=True)),
+    "PIQP sparse": Solver("piqp", partial(_piqp, is_dense=False)),
+    "ProxQP": Solver("proxsuite", _proxqp),
+    "DAQP": Solver("daqp", _daqp),
+    "Clarabel": Solver("clarabel", _clarabel),
+    "OSQP": Solver("osqp", _osqp),
+    "compiled PGS": Solver("numba", _psor),
 }
-
-
-def installed() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Yield the rivals whose package is there."""
-    for name, (package, solver) in RIVALS.items():
-        if find_spec(package) is not None:
-            yield name, solver

@@ -5,16 +5,41 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+Calls = Mapping[str, Callable[[], Any]]
 
 
-def medians(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Return the median seconds of each call over `repeats` rounds of all of them in turn, after one warm-up round."""
-    seconds: dict[str, list[float]] = {name: [] for name in calls}
-    for call in calls.values():
-        call()
-    for _ in range(repeats):
-        for name, call in calls.items():
-            began = time.perf_counter()
-            call()
-            seconds[name].append(time.perf_counter() - began)
-    return {name: statistics.median(values) for name, values in seconds.items()}
+@dataclass(frozen=True)
+class Timed:
+    """What one call gave, and its seconds."""
+
+    answer: Any
+    seconds: float
+
+
+def timed(call: Callable[[], Any], clock: Callable[[], float] = time.perf_counter) -> Timed:
+    """Return the answer of the call and its seconds on the clock."""
+    began = clock()
+    answer = call()
+    return Timed(answer, clock() - began)
+
+
+def rounds(calls: Calls, repeats: int, clock: Callable[[], float] = time.perf_counter) -> dict[str, list[Timed]]:
+    """Return all runs of each call, in rounds of all of them in turn."""
+    runs = [{name: timed(call, clock) for name, call in calls.items()} for _ in range(repeats)]
+    return {name: [run[name] for run in runs] for name in calls}
+
+
+def medians(calls: Calls, repeats: int) -> dict[str, float]:
+    """Return the median seconds of each call over some rounds of all of them, after one warm-up round."""
+    rounds(calls, 1)
+    every = rounds(calls, repeats)
+    return {name: statistics.median(one.seconds for one in runs) for name, runs in every.items()}
+
+
+def quickest(calls: Calls, repeats: int = 2) -> dict[str, Timed]:
+    """Return the quickest of some runs of each call, in processor seconds, all treated alike and in turn."""
+    every = rounds(calls, repeats, time.process_time)
+    return {name: min(runs, key=lambda one: one.seconds) for name, runs in every.items()}

@@ -6,8 +6,7 @@ import numpy as np
 
 from ...problem.lcp import LCP
 from .parameters import Count, Positive, Seed
-from .registry import scene_builder
-from .scene import Scene
+from .scene import Scene, scene_builder
 
 
 @scene_builder
@@ -49,7 +48,6 @@ def diode_bridge(*, current: float = 3.0, leak: Positive = 0.125, load: Positive
     return Scene(
         problem=LCP(M, np.array([-current, current, 0, 0, 0, 0, 0, 0]), lower=lower),
         exact=exact,
-        active_share=float(np.mean(exact == lower)),
     )
 
 
@@ -86,5 +84,4 @@ def relay_control(*, n: Count = 20, seed: Seed = 0) -> Scene:
         exact=exact,
         is_symmetric=not above.any(),
         is_h_plus=not above.any(),
-        active_share=float(np.mean(np.abs(exact) == 1.0)),
     )

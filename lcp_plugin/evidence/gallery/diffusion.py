@@ -1,4 +1,4 @@
-"""Membranes of uneven stuff over the unit square: coefficient jumps, a fibre direction, a drift."""
+"""Membranes of uneven stuff and drifting diffusions: coefficient jumps, a fibre direction, a wind, when to stop."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import scipy.sparse as sp
 from ...checks import FloatVector
 from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Positive, Seed, at_least
-from .registry import scene_builder
-from .scene import Scene
-from .stencil import Field, nodes, stencil_matrix
+from .scene import Scene, scene_builder
+from .stencil import Field, balanced_matrix, dirichlet_terms, interior, nodes, stiff_cells, upwind
 
 BLOCKS = 10
 PULL = 10.0
@@ -41,10 +40,7 @@ def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(
     stiffness = 10.0 ** (np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast))
     block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
     cells = stiffness[np.ix_(block, block)]
-    across = (cells[:, :-1] + cells[:, 1:]) / 2.0  # edges along the first axis, shape (size + 1, size)
-    along = (cells[:-1, :] + cells[1:, :]) / 2.0
-    below, above = [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
-    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    M = balanced_matrix((size, size), stiff_cells(cells))
     return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=True)
 
 
@@ -97,10 +93,8 @@ def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wi
     """
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
-    wind = (h * math.cos(wind_angle), h * math.sin(wind_angle))
-    below = [-scale * (diffusion + max(b, 0.0)) for b in wind]
-    above = [-scale * (diffusion + max(-b, 0.0)) for b in wind]
-    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix((size, size), ([scale * leg for leg in below], [scale * leg for leg in above]))
     return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
 
 
@@ -113,7 +107,6 @@ def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plu
         problem=LCP(M, q),
         is_symmetric=is_symmetric,
         is_h_plus=is_h_plus,
-        grid=(size, size),
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
         unknown="height",
@@ -131,3 +124,64 @@ def _narrow(M: sp.csr_array) -> sp.csr_array:
     if M.nnz >= 2**31:
         return M
     return sp.csr_array((M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape)
+
+
+@scene_builder
+def optimal_stopping(
+    *,
+    size: Count = 100,
+    diffusion: Positive = 1e-2,
+    wind_x: float = 1.0,
+    wind_y: float = 0.5,
+    swirl: float = 0.0,
+    discount: NonNegative = 1.0,
+    gain: float = 0.0,
+) -> Scene:
+    """Optimal stopping of a drifting diffusion on the unit square: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    diffusion
+        ε > 0, length²/time; small values give sharp layers and a strongly nonsymmetric matrix.
+    wind_x, wind_y, swirl
+        b(x, y) = (wind_x − swirl·(y − ½), wind_y + swirl·(x − ½)), length/time. The process drifts with −b.
+    discount
+        Rate r ≥ 0, 1/time.
+    gain
+        Running gain f per unit of time until the process is stopped.
+
+    Notes
+    -----
+    The value u is the largest expected discounted gain plus reward ψ at the moment of stopping, leaving the
+    square included: −ε Δu + b·∇u + r u ≥ f, u ≥ ψ, complementary, u = ψ on the boundary. ψ is a hill and a
+    lower one. First-order upwind differences keep every off-diagonal entry ≤ 0 at any ratio of b to ε, so M
+    is an M-matrix. Rows are scaled by h². With all of the wind zero M is symmetric.
+
+    References
+    ----------
+    Kushner, Dupuis, *Numerical Methods for Stochastic Control Problems in Continuous Time*, Springer 2001,
+    doi:10.1007/978-1-4613-0007-6.
+    """
+    axis = nodes(0.0, 1.0, size)
+    x, y = np.ix_(axis, axis)
+    reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
+    h = 1.0 / (size + 1)
+    wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
+    legs = upwind(diffusion, [h * b for b in wind])
+    M = balanced_matrix((size, size), legs, h**2 * discount)
+    q = dirichlet_terms(reward, *legs) - h**2 * gain
+    return Scene(
+        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
+        is_symmetric=wind_x == wind_y == swirl == 0.0,
+        is_h_plus=True,
+        coordinates=(axis[1:-1], axis[1:-1]),
+        axis_labels=("x", "y"),
+        unknown="value",
+        active_means="stop at once",
+    )
+
+
+def _hill(x: Field, y: Field, at_x: float, at_y: float, width: float) -> Field:
+    return np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2.0 * width**2))

@@ -10,8 +10,7 @@ import scipy.sparse as sp
 from ...checks import FloatVector
 from ...problem.lcp import LCP
 from .parameters import Count, Seed, Share, at_least, between, one_of
-from .registry import scene_builder
-from .scene import Scene
+from .scene import Scene, scene_builder
 
 Exponent = Annotated[int, between(0, 100)]
 
@@ -63,7 +62,6 @@ def random_h_plus(
         problem=LCP(A, q),
         exact=z / column_power,
         is_h_plus=True,
-        active_share=float(np.mean(z == 0.0)),
     )
 
 
@@ -130,7 +128,6 @@ def murty(
         exact=exact,
         is_symmetric=n == 1,
         is_h_plus=True,
-        active_share=(n - 1) / n,
     )
 
 
@@ -150,5 +147,4 @@ def scaling_trap() -> Scene:
         exact=np.array([1.0, 1.0, 0.0]),
         start=np.array([1.0, 1.0, 0.001]),
         is_h_plus=True,
-        active_share=1 / 3,
     )

@@ -8,8 +8,7 @@ import numpy as np
 
 from ...problem.lcp import LCP
 from .parameters import Count, Seed
-from .registry import scene_builder
-from .scene import Scene
+from .scene import Scene, scene_builder
 from .stencil import Field, dirichlet_terms, interior, nodes, stencil_matrix
 
 CONTACT_RADIUS = {2: 0.6979651482233735, 3: 0.7892441190408083}
@@ -101,7 +100,6 @@ def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
         is_symmetric=True,
         is_h_plus=True,
         active_share=float(np.mean(r[inside] < CONTACT_RADIUS[dimension])),
-        grid=shape,
         coordinates=(axis[1:-1],) * dimension,
         axis_labels=("x", "y", "z")[:dimension],
         unknown="height",
@@ -146,7 +144,6 @@ def obstacle_bumps(*, size: Count = 100, bumps: Count = 8, load: float = -5.0, s
         problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
         is_symmetric=True,
         is_h_plus=True,
-        grid=(size, size),
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
         unknown="height",

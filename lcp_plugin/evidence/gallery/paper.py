@@ -9,8 +9,7 @@ import numpy as np
 from ...checks import FloatVector
 from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Square
-from .registry import scene_builder
-from .scene import Scene
+from .scene import Scene, scene_builder
 from .stencil import stencil_matrix
 
 
@@ -71,7 +70,6 @@ def _paper_scene(n: int, delta: float, lower: tuple[float, float], upper: tuple[
         start=_alternating(n, 1.0, 0.0),
         is_symmetric=lower == upper,
         is_h_plus=True,
-        active_share=0.0,
         grid=(side, side),
         axis_labels=("row", "column"),
     )
@@ -114,7 +112,6 @@ def half_active(
         exact=exact,
         is_symmetric=True,
         is_h_plus=True,
-        active_share=float(np.mean(is_active)),
         grid=(side, side),
         axis_labels=("row", "column"),
     )

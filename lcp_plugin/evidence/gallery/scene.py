@@ -1,17 +1,20 @@
-"""A scene: a problem together with everything its source knows about it."""
+"""A scene: a problem together with everything its source knows about it; and the list of all scenes."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...checks import FloatVector
-from ...errors import InvalidProblem
+from ...errors import InvalidOption, InvalidProblem, did_you_mean
 from ...problem.lcp import LCP
+from .parameters import Parameter, parameters_of
 
 _VECTORS = ("exact", "continuum", "start")
 
@@ -39,9 +42,9 @@ class Scene:
     is_declared : bool
         False where nobody has said what M is, as of anybody's own problem; what counts is then found out.
     active_share : float, optional
-        Share of components at a bound, in [0, 1]: of `exact`, or of `continuum` where that is all we know.
+        Share of components at a bound, in [0, 1]: of `exact`, where it is known, or of `continuum`.
     grid : optional
-        Shape in which z is a picture, C order.
+        Shape in which z is a picture, C order; that of the coordinates where there are any.
     coordinates : optional
         One array of node positions per axis of `grid`, shapes (grid[0],), (grid[1],), ….
     axis_labels
@@ -93,6 +96,11 @@ class Scene:
             values = getattr(self, fact)
             if values is not None:
                 object.__setattr__(self, fact, _read_only(values, fact, self.problem.n))
+        if self.exact is not None and self.active_share is None and self.n:
+            at_bound = (self.exact == self.problem.lower) | (self.exact == self.problem.upper)
+            object.__setattr__(self, "active_share", float(np.mean(at_bound)))
+        if self.grid is None and self.coordinates is not None:
+            object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
         if self.grid is not None:
             self._check_picture(self.grid)
         if self.steps > 1 and self.advance is None:
@@ -146,3 +154,151 @@ def _read_only(values: FloatVector, fact: str, n: int) -> FloatVector:
     view = values.view()
     view.flags.writeable = False
     return view
+
+
+# --- The list -------------------------------------------------------------------------------------------------
+
+
+Builder = Callable[..., Scene]
+
+
+class Description(NamedTuple):
+    """A scene's name, its one-line description, and its parameters with their defaults."""
+
+    name: str
+    summary: str
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    build: Builder
+    summary: str
+    parameters: dict[str, Parameter]
+
+
+_SCENES: dict[str, _Entry] = {}
+
+
+def scene_builder(builder: Builder) -> Builder:
+    """Register a builder under its own name.
+
+    The signature declares the parameters (keyword only, each with a default and, where it needs one, a range
+    from :mod:`.parameters`); the first docstring line is the description. The returned function checks every
+    value before the builder sees it, then completes the scene with name, description and parameters.
+
+    Parameters
+    ----------
+    builder : callable
+        Returns a :class:`Scene`.
+    """
+    name = builder.__name__
+    parameters = parameters_of(builder)
+    summary = inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
+
+    @functools.wraps(builder)
+    def checked(**given: Any) -> Scene:
+        for word in given:
+            _parameter(name, word)
+        values = {key: p.check(given.get(key, p.default)) for key, p in parameters.items()}
+        return replace(builder(**values), name=name, description=summary, parameters=values)
+
+    _SCENES[name] = _Entry(checked, summary, parameters)
+    return checked
+
+
+def names() -> list[str]:
+    """Return the names of all scenes, sorted."""
+    return sorted(_SCENES)
+
+
+def describe() -> list[Description]:
+    """Return name, one-line description and parameters with defaults of every scene, sorted by name.
+
+    Examples
+    --------
+    >>> describe()[0].parameters["strike"]
+    100.0
+    """
+    entries = sorted(_SCENES.items())
+    return [
+        Description(name, entry.summary, {key: p.default for key, p in entry.parameters.items()})
+        for name, entry in entries
+    ]
+
+
+def build(name: str, /, **parameters: Any) -> Scene:
+    """Return the scene of that name.
+
+    Parameters
+    ----------
+    name
+        One of :func:`names`.
+    **parameters
+        The scene's own parameters; those not given take their defaults.
+
+    Raises
+    ------
+    InvalidOption
+        Where the scene or a parameter does not exist, or a value has the wrong type or range.
+
+    Examples
+    --------
+    >>> build("murty", n=3).exact
+    array([0., 0., 1.])
+    """
+    return _entry(name).build(**parameters)
+
+
+def parse(text: str) -> Scene:
+    """Return the scene written as ``name`` or ``name:parameter=value,parameter=value``.
+
+    Parameters
+    ----------
+    text : str
+        Each value is read as the kind its parameter has: integer, number, word, or true/false.
+
+    Raises
+    ------
+    InvalidOption
+        As :func:`build`, and where the text has another form.
+
+    Examples
+    --------
+    >>> parse("obstacle_2d:size=20,shifted=true")
+    Scene(obstacle_2d: size=20, shifted=True)
+    """
+    if not isinstance(text, str):
+        raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
+    name, _, settings = text.strip().partition(":")
+    name = name.strip()
+    _entry(name)
+    values: dict[str, Any] = {}
+    for setting in filter(None, map(str.strip, settings.split(","))):
+        key, equals, value = (part.strip() for part in setting.partition("="))
+        if not equals or key in values:
+            fault = "repeats a parameter" if equals else "has no '='"
+            raise InvalidOption(
+                f"{setting!r} in {text!r} {fault}; write scene:parameter=value,parameter=value"
+            )
+        values[key] = _parameter(name, key).read(value)
+    return build(name, **values)
+
+
+def builder_of(name: str) -> Builder:
+    """Return the function that builds the scene of that name."""
+    return _entry(name).build
+
+
+def _entry(name: str) -> _Entry:
+    if not isinstance(name, str) or name not in _SCENES:
+        raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES)}")
+    return _SCENES[name]
+
+
+def _parameter(scene: str, name: str) -> Parameter:
+    parameters = _SCENES[scene].parameters
+    if name not in parameters:
+        hint = did_you_mean(name, parameters) if parameters else "; it takes none"
+        raise InvalidOption(f"scene {scene!r} has no parameter {name!r}{hint}")
+    return parameters[name]

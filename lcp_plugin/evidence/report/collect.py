@@ -5,50 +5,25 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
+import platform
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from ..curves import write_text
-from .machine import machine
-from .plan import Part
+from ..exporting import write_text
+from .section import Collected, Part
 
-Contents = dict[tuple[str, str], dict[str, Any]]
+PACKAGES = ("lcp_plugin", "numpy", "scipy", "numba", "pyamg", "cvxpy", "osqp", "clarabel", "scs", "matplotlib")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Progress = Callable[[int, int, str], object]
-
-
-@dataclass
-class Collected:
-    """What the parts of a report hold.
-
-    Attributes
-    ----------
-    contents : dict
-        The content of each part by (kind, name), in the order of the plan.
-    found : int
-        How many of them were found on disk, from a former run.
-    missing : list of str
-        The names of parts that are not there yet.
-    """
-
-    contents: Contents = field(default_factory=dict)
-    found: int = 0
-    missing: list[str] = field(default_factory=list)
-
-    @property
-    def is_complete(self) -> bool:
-        """True where no part is missing."""
-        return not self.missing
-
-    def of(self, kind: str) -> list[dict[str, Any]]:
-        """Return the contents of one kind."""
-        return [content for (its_kind, _), content in self.contents.items() if its_kind == kind]
 
 
 def collect(parts: Sequence[Part], folder: Path, progress: Progress | None = None) -> Collected:
@@ -115,6 +90,35 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def _key(part: Part, program: str) -> str:
     return hashlib.sha256(f"{part.settings}{program}".encode()).hexdigest()[:16]
+
+
+def machine() -> dict[str, str]:
+    """Return what is measured on, by name, in the order in which it is shown: no name of a computer or a user."""
+    from ... import __version__
+
+    facts = {
+        "measured": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.release()}",
+        "Python": platform.python_version(),
+        "threads": ", ".join(f"{name}={os.environ[name]}" for name in THREADS if name in os.environ) or "not limited",
+    }
+    for name in PACKAGES:
+        try:
+            facts[name] = __version__ if name == "lcp_plugin" else version(name)
+        except PackageNotFoundError:
+            continue
+    return facts
+
+
+def _processor() -> str:
+    cpu = Path("/proc/cpuinfo")
+    if cpu.exists():
+        for line in cpu.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def fingerprint() -> str:

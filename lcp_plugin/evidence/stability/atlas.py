@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
-from os import PathLike
-from typing import Any
+from itertools import product
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from ...algorithms import REGISTRY
 from ...errors import (
     ConvergenceWarning,
     InvalidOption,
+    LCPError,
     UnknownAlgorithm,
     UnsuitableMatrix,
     UnsuitableProblem,
@@ -26,11 +25,10 @@ from ...errors import (
 from ...solving.driver import solve
 from ...solving.result import Result
 from ..contestants import checked_names
-from ..curves import write_text
-from .case import Case
+from ..exporting import Exported
 from .exact_answers import relative_error
 from .honesty import lie_in
-from .stresses import FAMILIES
+from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
 
@@ -90,7 +88,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Exported):
     """How each algorithm fared under each stress.
 
     Attributes
@@ -100,6 +98,8 @@ class Atlas:
     skipped : tuple of (str, str)
         What was left out, and why.
     """
+
+    columns: ClassVar = tuple(field.name for field in fields(Cell))
 
     cells: tuple[Cell, ...]
     skipped: tuple[tuple[str, str], ...] = ()
@@ -161,13 +161,9 @@ class Atlas:
         cells = tuple(_cell_of(cell) for cell in content["cells"])
         return cls(cells, tuple((what, reason) for what, reason in content["skipped"]))
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one row a cell; the file appears whole or not at all (UnreadableFile where it cannot)."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, [field.name for field in fields(Cell)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(cell) for cell in self.cells)
-        write_text(path, text.getvalue())
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row a cell, in the columns of the CSV."""
+        return [tuple(asdict(cell).values()) for cell in self.cells]
 
     def __add__(self, other: Atlas) -> Atlas:
         return Atlas(self.cells + other.cells, self.skipped + other.skipped)
@@ -216,12 +212,13 @@ def stability_atlas(
     """
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
-    names, families = _checked_algorithms(algorithms), _checked_families(stresses)
+    names = _checked(algorithms, "algorithms", "algorithm", ["auto", *REGISTRY], UnknownAlgorithm)
+    families = _checked(stresses, "stresses", "stress", list(FAMILIES), InvalidOption)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
     cells: list[Cell] = []
     skipped: list[tuple[str, str]] = []
     total = len(cases) * len(names)
-    for done, (family, case, name) in enumerate(_runs(cases, names), start=1):
+    for done, ((family, case), name) in enumerate(product(cases, names), start=1):
         found = _cell(family, case, name, quick)
         if isinstance(found, Cell):
             cells.append(found)
@@ -232,25 +229,15 @@ def stability_atlas(
     return Atlas(tuple(cells), tuple(skipped))
 
 
-def _runs(cases: list[tuple[str, Case]], names: list[str]) -> Iterator[tuple[str, Case, str]]:
-    return ((family, case, name) for family, case in cases for name in names)
-
-
-def _checked_algorithms(algorithms: Iterable[str] | None) -> list[str]:
-    known = ["auto", *REGISTRY]
-    names = known if algorithms is None else checked_names(algorithms, "algorithms")
-    for name in names:
+def _checked(
+    names: Iterable[str] | None, option: str, noun: str, known: list[str], error: type[LCPError]
+) -> list[str]:
+    """Return the names, all that are known by default, or raise the error where one is not among them."""
+    chosen = known if names is None else checked_names(names, option)
+    for name in chosen:
         if name not in known:
-            raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, known)}")
-    return names
-
-
-def _checked_families(stresses: Iterable[str] | None) -> list[str]:
-    names = list(FAMILIES) if stresses is None else checked_names(stresses, "stresses")
-    for name in names:
-        if name not in FAMILIES:
-            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
-    return names
+            raise error(f"unknown {noun} {name!r}{did_you_mean(name, known)}")
+    return chosen
 
 
 def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:

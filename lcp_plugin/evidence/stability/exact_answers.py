@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ...checks import FloatVector
 from ...errors import UnsuitableProblem
 from ...exact.linear_systems import solve_exactly
-from ...exact.rational import power_of_two
+from ...exact.rational import power_of_two, rational_rows
 from ...matrix.equilibration import evened, scaled
 from ...problem.exactly import exact_slack, is_exact_solution
 from ...problem.lcp import LCP
@@ -73,13 +73,13 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     free = [i for i, state in enumerate(states) if state == FREE]
     right = exact_slack(problem, z)
     column = evened(problem.csr, ALIKE).column
-    whole, integers = [], []
+    rows, whole, integers = rational_rows(problem.csr), [], []
     for i in free:
-        row = _row(problem, i)
-        scaled = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
+        row = rows[i]
+        entries = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
         # Of powers of two, the largest denominator is a multiple of all others.
-        denominator = max([value.denominator for value in scaled] + [right[i].denominator])
-        whole.append([int(value * denominator) for value in scaled])
+        denominator = max([value.denominator for value in entries] + [right[i].denominator])
+        whole.append([int(value * denominator) for value in entries])
         integers.append(int(-right[i] * denominator))
     inner = solve_exactly(whole, integers)
     if inner is None:
@@ -87,12 +87,6 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     for j, value in zip(free, inner, strict=True):
         z[j] = value * power_of_two(int(column[j]))
     return z
-
-
-def _row(problem: LCP, i: int) -> dict[int, Fraction]:
-    M = problem.csr
-    entries = range(M.indptr[i], M.indptr[i + 1])
-    return {int(M.indices[k]): Fraction(float(M.data[k])) for k in entries}
 
 
 def _exchanged(problem: LCP, states: States, z: list[Fraction]) -> States:
@@ -155,12 +149,12 @@ def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float
 
 def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
     rows = np.flatnonzero(free)
-    exponents = evened(problem.csr, ALIKE)
-    row, column = exponents
+    exponents = row, column = evened(problem.csr, ALIKE)
+    sizes = problem.csr.copy()
+    sizes.data = _ulps(sizes.data)
     M = scaled(problem.csr, exponents)
     z = np.array([abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)])
-    ulps = sp.csr_array((_ulps(problem.csr.data), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
-    size = scaled(ulps, exponents) @ z + np.ldexp(_ulps(problem.q), row)
+    size = scaled(sizes, exponents) @ z + np.ldexp(_ulps(problem.q), row)
     block = M[rows][:, rows]
     inverse_times_size = _absolute_inverse_product(block, size[rows])
     with np.errstate(all="ignore"):

@@ -1,0 +1,249 @@
+"""The constraints of a quadratic program as one list of rows; the units of its data; rows that are only bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..checks import FloatVector
+from ..exact.rounding import compensated_product
+from .presolve import like
+
+if TYPE_CHECKING:
+    from .program import QuadraticProgram
+
+Indices = NDArray[np.intp]
+
+CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
+SHARE = 0.1  # of a larger tolerance
+OWN = -1  # the variable's own bound, not a row's
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """Rows C x ≤ d, equations among them: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; a limit of ∞ says nothing.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (m + p + 2n, n)
+    limit : ndarray
+        d.
+    is_equality : ndarray of bool
+    sizes : tuple of int
+        m, p, n, n: how many rows are of G, of A, and of each kind of bound.
+    """
+
+    matrix: sp.csr_array
+    limit: FloatVector
+    is_equality: NDArray[np.bool_]
+    sizes: tuple[int, int, int, int]
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> Constraints:
+        """Return the constraints of a program."""
+        identity, sizes = sp.eye_array(program.n, format="csr"), (program.h.size, program.b.size, program.n, program.n)
+        matrix = sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A), -identity, identity], format="csr")
+        limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
+        return cls(sp.csr_array(matrix), limit, np.repeat([False, True, False, False], sizes), sizes)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of G and A."""
+        return self.sizes[0] + self.sizes[1]
+
+    @property
+    def finite(self) -> Indices:
+        """The rows that say something."""
+        return np.flatnonzero(np.isfinite(self.limit))
+
+    def split(self, values: Any) -> list[Any]:
+        """Return the parts of one value a row: of G, of A, of the lower and of the upper bounds."""
+        ends = np.cumsum(self.sizes).tolist()
+        return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
+
+    @cached_property
+    def transposed(self) -> sp.csr_array:
+        """Cᵀ."""
+        return sp.csr_array(self.matrix.T)
+
+    @cached_property
+    def unit(self) -> FloatVector:
+        """What the residual of each row is relative to: sizes of its data, the same for every x.
+
+        The largest coefficient (1 where the row is empty) times 1 + the right-hand side ÷ that coefficient: the row's
+        own, so that no large number elsewhere excuses it. Where multipliers y contradict by c, every x violates some
+        row by (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
+        """
+        coefficient = _or_one(largest_entries(self.matrix, 1))
+        with np.errstate(over="ignore"):
+            right = np.abs(self.limit / coefficient)
+            return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
+
+    def excess(self, x: FloatVector) -> FloatVector:
+        """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
+        excess = np.full(self.limit.size, -np.inf)
+        finite = self.finite
+        matrix = self.matrix if finite.size == excess.size else self.matrix[finite]
+        excess[finite] = enclosed_sum(matrix, x, -self.limit[finite])
+        return np.where(self.is_equality, np.abs(excess), excess)
+
+
+def dual_unit(program: QuadraticProgram) -> FloatVector:
+    """Return what each component of a program's dual residual is relative to: sizes of its data.
+
+    The largest entry of each column of P, G and A (1 where there is none) times 1 + the largest |c_j| ÷ that; where
+    there is a P, the largest |b_i| ÷ coefficient of an equation, and of an inequality that x = 0 violates, if that is
+    larger. Along a direction d of descent some component of the dual residual is at least
+    (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
+    """
+    columns = [largest_entries(matrix, 0) for matrix in (program.P, program.G, program.A)]
+    column = _or_one(np.max(columns, axis=0))
+    rows, equations = (_or_one(largest_entries(matrix, 1)) for matrix in (program.G, program.A))
+    with np.errstate(over="ignore"):
+        violated, right = (-program.h / rows).max(initial=0.0), np.abs(program.b / equations).max(initial=0.0)
+        slope = float(np.abs(program.c / column).max(initial=0.0))
+        return np.asarray(column * (1.0 + (max(slope, right, violated) if columns[0].any() else slope)))
+
+
+def constraint_tolerance(tolerance: float) -> float:
+    """Return the primal residual that is called optimal where the other conditions hold to a tolerance.
+
+    A tenth of the tolerance, but no less than 1e-7 where the tolerance is no less: a program whose constraints
+    contradict by 1e-6 is infeasible, not nearly feasible.
+
+    Examples
+    --------
+    >>> constraint_tolerance(1e-6), constraint_tolerance(1e-12), constraint_tolerance(1e-3)
+    (1e-07, 1e-12, 0.0001)
+    """
+    return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
+
+
+def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> FloatVector:
+    """Return the end of a proved enclosure of matrix · vector + offset that is farther from 0; NaN where one is NaN."""
+    with np.errstate(all="ignore"):
+        value, radius = compensated_product(sp.csr_array(matrix), vector, offset)
+        return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
+
+
+def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
+    m = matrix.shape[0]
+    at = np.repeat(np.arange(m), np.diff(matrix.indptr))
+    with np.errstate(all="ignore"):
+        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
+        lowest = np.bincount(at, weights=np.minimum(*ends), minlength=m)
+        highest = np.bincount(at, weights=np.maximum(*ends), minlength=m)
+    return lowest.astype(np.float64), highest.astype(np.float64)
+
+
+def largest_entries(matrix: Any, axis: int) -> FloatVector:
+    """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
+    if 0 in matrix.shape:
+        return np.zeros(matrix.shape[1 - axis])
+    largest = abs(matrix).max(axis=axis)
+    return np.asarray(largest.toarray() if sp.issparse(largest) else largest, dtype=np.float64).ravel()
+
+
+def _or_one(sizes: FloatVector) -> FloatVector:
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedRows:
+    """A program with its singleton rows folded into its bounds, and the way back for multipliers.
+
+    Attributes
+    ----------
+    program, folded : QuadraticProgram
+        Before and after; the same object where no row went.
+    left : ndarray of int
+        Rows of [G; A] that remain.
+    lower_row, upper_row : ndarray of int, shape (n,)
+        The row of [G; A] that gives the bound, or −1.
+    coefficient : ndarray, shape (rows of G + rows of A,)
+        The only entry of a singleton row; 1 elsewhere.
+    """
+
+    program: QuadraticProgram
+    folded: QuadraticProgram
+    left: Indices
+    lower_row: Indices
+    upper_row: Indices
+    coefficient: FloatVector
+
+    def contradict(self) -> bool:
+        """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
+        rows, count = self.folded.constraints, self.left.size
+        lowest, highest = activity(sp.csr_array(rows.matrix[:count]), self.folded.lower, self.folded.upper)
+        limit, clearly = rows.limit[:count], CONSTRAINTS * rows.unit[:count]
+        too_high, too_low = lowest - clearly > limit, highest + clearly < limit
+        return bool(np.any(too_high | too_low & rows.is_equality[:count]))
+
+    def unfold(self, multipliers: Any) -> Any:
+        """Return the multipliers of all constraints of the program, from those of the folded one.
+
+        What a bound has, its row gets. Of doubles, or of Fractions: these without rounding.
+        """
+        rows, lower, upper = np.split(multipliers, [self.left.size, self.left.size + self.program.n])
+        every = np.zeros(self.coefficient.size, dtype=multipliers.dtype)
+        every[self.left] = rows
+        own = []
+        for owner, share, sign in ((self.lower_row, lower, -1), (self.upper_row, upper, 1)):
+            moved = np.flatnonzero((owner != OWN) & (share != 0))
+            every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], multipliers)
+            own.append(np.where(owner == OWN, share, 0))
+        return np.concatenate([every, *own])
+
+
+def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
+    """Return the program's bounds and rows with singleton, empty and unlimited rows gone.
+
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
+    singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
+    """
+    stacked, m = sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)], format="csr"), program.h.size
+    right = np.concatenate([program.h, program.b])
+    is_equality, counts = np.arange(right.size) >= m, np.diff(stacked.indptr)
+    rows = np.flatnonzero(counts == 1)
+    coefficient = np.ones(right.size)
+    coefficient[rows] = stacked.data[stacked.indptr[rows]]
+    with np.errstate(over="ignore"):
+        limits = right / coefficient
+    rows = rows[np.isfinite(limits[rows])]
+    columns = stacked.indices[stacked.indptr[rows]]
+
+    above, below = (rows[is_equality[rows] | (sign * coefficient[rows] > 0.0)] for sign in (1.0, -1.0))
+    column = np.zeros(right.size, dtype=np.intp)
+    column[rows] = columns
+    upper, upper_row = _tightest(program.upper, limits[above], column[above], above)
+    negated, lower_row = _tightest(-program.lower, -limits[below], column[below], below)
+    lower = -negated + 0.0  # no negative zeros
+    contradicts = lower > upper
+    lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
+    lower_row[contradicts] = upper_row[contradicts] = OWN
+
+    stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & (counts == 0) | (right == np.inf))
+    stays[rows[~contradicts[columns]]] = False
+    left = np.flatnonzero(stays)
+    folded = program if left.size == right.size else program.with_rows(
+        stacked[left[left < m]], program.h[left[left < m]], stacked[left[left >= m]], right[left[left >= m]],
+        lower, upper,
+    )
+    return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
+
+
+def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:
+    """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
+    n = own.size
+    all_limits = np.concatenate([own, limits])
+    all_columns = np.concatenate([np.arange(n), columns])
+    all_rows = np.concatenate([np.full(n, OWN), rows])
+    order = np.lexsort((all_limits, all_columns))
+    first = order[np.searchsorted(all_columns[order], np.arange(n))]
+    return all_limits[first], all_rows[first]

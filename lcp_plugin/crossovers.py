@@ -1,0 +1,24 @@
+"""Where one way becomes cheaper than another on today's machines; ``lcp-plugin bench crossovers`` measures each anew.
+
+A number that a theorem or the precision of a double fixes stands beside its proof, not here.
+"""
+
+from __future__ import annotations
+
+# What an answer costs in passes over M, for the policy of ``auto``.
+DIRECT_PASSES = 20.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
+DIRECT_PASSES_DENSE = 5.0  # the same where M is an ndarray
+DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
+MULTIGRID_PASSES = 100.0
+PSOR_GAIN = 3.0  # sweeps of npsor by those of psor with automatic relaxation
+
+# Sizes that a policy never exceeds.
+SURE_FACTOR_UP_TO = 20_000  # rows of a sparse M beyond which psor is tried once more before a factor
+LINEAR_PROGRAM_UP_TO = 5000  # rows of a linear program, or of a factor whose fill nobody has estimated: some seconds
+PIVOTED_UP_TO = 6000  # rows whose inverse lemke keeps: 0.3 GB
+SEMIDEFINITENESS_UP_TO = 20_000  # rows of a symmetric part that is factorised for the question alone
+
+# Inside methods.
+SWEEPS_FIRST_UP_TO = 600  # rows of a dense M up to which a sweep costs less than one change of an active set
+DENSE_NEWTON_UP_TO = 1000  # rows of a sparse symmetric M that interior_point treats as a dense one
+SHARP_SAMPLES_UP_TO = 100_000  # unknowns with which a sharp error bound takes half a second

@@ -1,0 +1,208 @@
+"""What a part of the report is: one object that computes, draws and tells. All of them lie in the folder `sections`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import import_module, resources
+from pkgutil import iter_modules
+from typing import Any, ClassVar
+
+from ..curves import Report
+from ..drawing import svg
+from ..gallery.scene import Scene
+
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much a report spends: repeats, entries of M a run may touch, and the seconds of a run and a reference."""
+
+    repeats: int
+    entries: float
+    run_seconds: float
+    reference_seconds: float
+    is_quick: bool
+
+
+FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
+QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One piece of work: its kind, its name within the kind, how it is computed, and a hash of its own data."""
+
+    kind: str
+    name: str
+    compute: Callable[[Say], dict[str, Any]]
+    effort: Effort
+    data: str = ""
+
+    @property
+    def settings(self) -> str:
+        """Everything that the content depends on, as text."""
+        return json.dumps([self.kind, self.name, asdict(self.effort), self.data])
+
+
+@dataclass
+class Collected:
+    """What the parts of a report hold.
+
+    Attributes
+    ----------
+    contents : dict
+        The content of each part by (kind, name), in the order of the plan.
+    found : int
+        How many of them were found on disk, from a former run.
+    missing : list of str
+        The names of parts that are not there yet.
+    """
+
+    contents: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
+    found: int = 0
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def is_complete(self) -> bool:
+        """True where no part is missing."""
+        return not self.missing
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        """Return the contents of one kind."""
+        return [content for (its_kind, _), content in self.contents.items() if its_kind == kind]
+
+    def reports(self) -> list[Report]:
+        """Return the curves of every scene."""
+        return [Report.from_content(content["report"]) for content in self.of("scene")]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A heading of a few words and the sentence with the figures."""
+
+    heading: str
+    text: str
+
+
+class Section:
+    """A part of the report. A class below it, in a file of the folder `sections`, is all that a new one needs.
+
+    Attributes
+    ----------
+    place : int
+        Sections stand, are computed and speak in this order.
+    title, short : str
+        The heading, and what leads there from the head of the page.
+    template : str
+        What jinja makes the section's body of; by default the file beside the module, with its name.
+    """
+
+    place: ClassVar[int]
+    title: ClassVar[str]
+    short: ClassVar[str]
+    template: ClassVar[str] = ""
+
+    @property
+    def anchor(self) -> str:
+        """The name of the module, by which the page is linked to."""
+        return type(self).__module__.rpartition(".")[2]
+
+    def markup(self) -> str:
+        """Return the template."""
+        beside = resources.files(f"{__package__}.sections").joinpath(f"{self.anchor}.html")
+        return self.template or beside.read_text(encoding="utf-8")
+
+    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterable[Part]:
+        """Return what is to be computed, one by one, for the scenes asked for (none: for the whole report)."""
+        return ()
+
+    def tell(self, collected: Collected) -> Iterable[Claim]:
+        """Return what the measurements say, in sentences that can come out either way; nothing without data."""
+        return ()
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return what the template shows, figures included; nothing where the section is not to be on the page."""
+        return {}
+
+    def files(self, collected: Collected) -> dict[str, str]:
+        """Return the CSV files that lie beside the page, text by name."""
+        return {}
+
+    def content(self, collected: Collected) -> dict[str, Any]:
+        """Return what goes into the JSON file besides the parts."""
+        return {}
+
+
+def sections() -> list[Section]:
+    """Return all sections in their order."""
+    folder = import_module(f"{__package__}.sections")
+    for module in iter_modules(folder.__path__, f"{folder.__name__}."):
+        import_module(module.name)
+    return sorted((kind() for kind in Section.__subclasses__()), key=lambda section: section.place)
+
+
+def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Part]:
+    """Return the parts of a report.
+
+    Parameters
+    ----------
+    scenes : sequence of str and Scene
+        As on a command line, ``name:key=value``, or with a problem of one's own; by default the report's own choice.
+    quick : bool
+        Small sizes and few repeats: to see what it looks like.
+
+    Raises
+    ------
+    InvalidOption
+        Where a scene does not exist.
+    """
+    chosen = {scene if isinstance(scene, str) else scene.name: scene for scene in scenes}
+    effort = QUICK if quick else FULL
+    return [part for section in sections() for part in section.parts(chosen, effort)]
+
+
+def claims(collected: Collected) -> list[Claim]:
+    """Return what the collected parts say, the paper's promise first; nothing is said where data are missing."""
+    return [claim for section in sections() for claim in section.tell(collected)]
+
+
+# --- What sections share --------------------------------------------------------------------------------------
+
+
+def figure(drawn: Any, name: str, description: str) -> Any:
+    """Return a matplotlib figure as the template takes it."""
+    from markupsafe import Markup
+
+    return Markup(svg(drawn, name, description))
+
+
+def many(count: int, noun: str) -> str:
+    """Return the count with its noun: 1 scene, 2 scenes."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def percent(share: float) -> str:
+    """Return a share in whole percent."""
+    return f"{100.0 * share:.0f} %"
+
+
+def brief(value: float | None) -> str:
+    """Return two digits of a number, a dash where there is none."""
+    return "–" if value is None or math.isnan(value) else f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+def count(value: float) -> str:
+    """Return a number of passes."""
+    return f"{value:.0f}" if value < 1e5 else brief(value)
+
+
+def seconds(value: float) -> str:
+    """Return a time with its unit, three digits."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value / 1e-6:.2g} µs"

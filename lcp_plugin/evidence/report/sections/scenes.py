@@ -1,0 +1,168 @@
+"""Scene by scene: error against time and work, a sketch of the answer, every figure, and what was left out."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...contestants import comparison
+from ...curves import Curve, Report
+from ...drawing import COLOURS
+from ...error_against_time import best_answer, error_against_time
+from ...exporting import csv_text
+from ...gallery import parse
+from ...gallery.scene import Scene
+from ...pictures import draw_sketch, sketch_of
+from ..section import Collected, Effort, Part, Say, Section, brief, count, figure, seconds
+
+SCENES = (
+    "paper_example_1:n=10000",
+    "paper_example_2:n=10000",
+    "paper_example_1:n=10000,delta=0",
+    "half_active:n=10000",
+    "half_active:n=10000,delta=0",
+    "obstacle_2d:size=100",
+    "obstacle_bumps:size=100",
+    "optimal_stopping:size=100",
+    "journal_bearing:size=100",
+    "elastic_plastic_torsion",
+    "american_put:size=2001",
+    "random_h_plus:n=2000",
+    "convection_diffusion:size=100",
+    "rotated_anisotropy:size=60",
+    "market_equilibrium",
+)
+QUICK_SCENES = (
+    "paper_example_1:n=2500",
+    "paper_example_1:n=1600,delta=0",
+    "half_active:n=2500",
+    "obstacle_2d:size=32",
+    "obstacle_bumps:size=32",
+    "optimal_stopping:size=40",
+    "journal_bearing:size=32",
+    "american_put:size=501",
+    "market_equilibrium",
+)
+REFERENCES = ("osqp", "clarabel")
+TRIAL = 0.25  # of the work a run may do: the limit of one trial of the tuning
+
+
+class Scenes(Section):
+    """Error against time and work on each scene."""
+
+    place = 2
+    title = "Scene by scene"
+    short = "Scenes"
+
+    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
+        """Yield one part a scene; a misspelt one is refused before anything runs."""
+        chosen = scenes or {text: text for text in (QUICK_SCENES if effort.is_quick else SCENES)}
+        for given in scenes.values():
+            if isinstance(given, str):
+                parse(given)
+        for name, given in chosen.items():
+            yield Part("scene", name, partial(measured, name, given, effort), effort, _hash(given))
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return an article a scene, and the colours of the families that occur."""
+        articles = [_article(content) for content in collected.of("scene")]
+        reports = [article["report"] for article in articles]
+        return {"scenes": articles, "families": _families(reports)} if articles else {}
+
+    def files(self, collected: Collected) -> dict[str, str]:
+        """Return every point of every curve, and what was left out."""
+        reports = collected.reports()
+        rows = [row for report in reports for row in report.rows()]
+        left_out = [(report.title, *entry) for report in reports for entry in report.left_out]
+        return {
+            "curves.csv": csv_text(Report.columns, rows),
+            "left_out.csv": csv_text(("scene", "what", "reason"), left_out),
+        }
+
+
+# --- What is computed -----------------------------------------------------------------------------------------
+
+
+def _hash(scene: str | Scene) -> str:
+    """Return a hash of the problem, as the content of a file may be another one next time; nothing of a text."""
+    if isinstance(scene, str):
+        return ""
+    problem = scene.problem
+    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
+def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[str, Any]:
+    """Return the curves of a scene, what its matrix has to spare, and a sketch of its answer."""
+    scene = parse(given) if isinstance(given, str) else given
+    max_work = effort.entries / max(scene.problem.nonzeros, 1)
+    say("tuning Ω and relaxations")
+    entrants = comparison(scene.problem, start=scene.start, tolerance=1e-8, max_work=TRIAL * max_work)
+    report = error_against_time(
+        scene, entrants, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
+        progress=say,
+    )
+    say("sketch")
+    answer = best_answer(scene)
+    return {
+        "text": name,
+        "report": report.to_content(),
+        "dominance": _dominance(scene.problem),
+        "sketch": None if answer is None else sketch_of(scene, answer),
+    }
+
+
+def _dominance(problem: Any) -> float:
+    """Return the median of (m_ii − Σ_{j≠i} |m_ij|) / |m_ii|: 0 where a Laplacian has no zeroth-order term."""
+    diagonal = problem.diagonal
+    others = np.asarray(abs(problem.csr).sum(axis=1)).ravel() - np.abs(diagonal)
+    usable = diagonal != 0.0
+    if not usable.any():
+        return -1.0
+    return float(np.median((diagonal[usable] - others[usable]) / np.abs(diagonal[usable])))
+
+
+# --- What is shown --------------------------------------------------------------------------------------------
+
+
+def _article(content: dict[str, Any]) -> dict[str, Any]:
+    report, name = Report.from_content(content["report"]), re.sub(r"\W+", "-", content["text"])
+    ranking = sorted(report.curves, key=lambda curve: (not curve.is_solved, curve.seconds))
+    sketch = content["sketch"]
+    return {
+        "name": name, "text": content["text"], "report": report,
+        "sketch": None if sketch is None else figure(
+            draw_sketch(sketch), f"{name}-sketch", f"{sketch['unknown']} of {content['text']}"
+        ),
+        "seconds": figure(
+            report.plot(), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
+        ),
+        "work": figure(
+            report.plot(against="work"), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
+        ),
+        "rows": [_row(curve) for curve in ranking],
+        "notes": [(curve.label, curve.note) for curve in report.curves if curve.note],
+        "references": [(one.label, seconds(one.seconds), brief(one.error), one.note) for one in report.references],
+    }
+
+
+def _row(curve: Curve) -> dict[str, str]:
+    return {
+        "label": curve.label, "colour": COLOURS.get(curve.family, COLOURS["other"]), "note": curve.note,
+        "status": "" if curve.is_solved else curve.status.replace("_", " ").lower(),
+        "work": count(curve.work), "iterations": str(curve.iterations), "seconds": seconds(curve.seconds),
+        "setup": seconds(curve.setup_seconds), "error": brief(curve.points[-1].error),
+        "spread": f"{seconds(curve.points[-1].seconds_low)} to {seconds(curve.points[-1].seconds_high)}",
+    }
+
+
+def _families(reports: Sequence[Report]) -> list[tuple[str, str]]:
+    """Return the families that occur, each with its colour."""
+    present = {curve.family for report in reports for curve in report.curves}
+    present |= {"reference"} if any(report.references for report in reports) else set()
+    return [(family, colour) for family, colour in COLOURS.items() if family in present]

@@ -1,0 +1,286 @@
+"""What the equations of a model say of the unknowns that no pair holds: definitions, ranges, and which goes with which.
+
+Free unknowns that an equation defines, as in w == M @ x + q, are taken out of the model and put back. The bounds of an
+unknown that only equations determine are inequalities without a partner: nothing says what gives way at them. Where a
+complementarity or the equation itself keeps them anyway, as in w == M @ x + q with w nonneg and
+complements(x >= 0, w >= 0), they say nothing new and may go. The equations left are matched with the unknowns left: the
+diagonal that a splitting method divides by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
+
+from ..checks import FloatVector
+from ..conversions.constraints import activity
+from ..conversions.substitution import put_in
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
+MOST_FILL = 4  # times the entries there were
+MOST_DEFINITIONS = 500
+ROUNDING = 4.0 * 2.0**-52
+SAME = 1e-9
+
+
+@dataclass(eq=False)
+class Affine:
+    """Rows matrix · (all unknowns) + offset; `owner` says which constraint each row comes from."""
+
+    matrix: sp.csr_array
+    offset: FloatVector
+    owner: Indices
+
+    def replaced(self, substitution: sp.csr_array, shift: FloatVector) -> Affine:
+        """Return the rows where the unknowns are substitution · unknowns + shift."""
+        return Affine(sp.csr_array(self.matrix @ substitution), self.offset + self.matrix @ shift, self.owner)
+
+
+@dataclass(eq=False)
+class Elimination:
+    """z = expansion · (unknowns left) + offset; every unknown, the defined ones included.
+
+    Attributes
+    ----------
+    kept : ndarray of int
+        The unknowns that are left.
+    expansion : CSR array, shape (all unknowns, unknowns left), or None
+        None where nothing is defined: all unknowns are left.
+    offset : ndarray, shape (all unknowns,)
+    rows, columns : ndarray of int
+        Rows of the equations, and the unknown that each of them defined.
+    """
+
+    kept: Indices
+    expansion: sp.csr_array | None
+    offset: FloatVector
+    rows: Indices
+    columns: Indices
+
+    def expand(self, z: FloatVector) -> FloatVector:
+        """Return all unknowns."""
+        return z if self.expansion is None else self.expansion @ z + self.offset
+
+    def expand_slack(self, w: FloatVector) -> FloatVector:
+        """Return w with 0 for the unknowns that belong to an equation."""
+        whole = np.zeros(self.offset.size)
+        whole[self.kept] = w
+        return whole
+
+
+def is_definition(block: sp.csr_array) -> bool:
+    """Return whether each row of a variable's block has one entry, in a column of its own."""
+    is_single = bool((np.diff(block.indptr) == 1).all())
+    return is_single and int(np.bincount(block.indices, minlength=1).max()) <= 1
+
+
+def eliminate_definitions(
+    equations: Affine, functions: Affine, is_free: Mask, variable_of: Indices
+) -> tuple[Elimination, Affine, Affine]:
+    """Return the elimination of all unknowns that are only defined, the equations left and the functions.
+
+    Parameters
+    ----------
+    equations, functions : Affine
+        Rows that are to be 0, and rows that belong to pairs; over all unknowns. What returns is over those left.
+    is_free : array of bool
+        Unknowns that no pair holds and that have no bounds.
+    variable_of : array of int
+        The variable that each unknown is an entry of.
+
+    Notes
+    -----
+    One constraint after the other: its rows in which one variable has a single entry, distinct free unknowns that its
+    other rows do not hold, define these unknowns; they are put in everywhere else, so that chains of definitions need
+    no order. A definition whose substitution would fill the matrices is left an equation.
+    """
+    n = is_free.size
+    back: sp.csr_array | None = None
+    offset, is_open, left = np.zeros(n), is_free.copy(), np.ones(equations.offset.size, dtype=bool)
+    limit = MOST_FILL * (equations.matrix.nnz + functions.matrix.nnz) + 10 * n
+    used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
+    for owner in range(min(int(equations.owner.max(initial=-1)) + 1, MOST_DEFINITIONS)):
+        rows, columns = _pivots(equations, np.flatnonzero(equations.owner == owner), is_open, variable_of)
+        if not rows.size:
+            continue
+        substitution, shift = put_in(equations.matrix[rows], equations.offset[rows], columns)
+        changed = [part.replaced(substitution, shift) for part in (equations, functions)]
+        if sum(part.matrix.nnz for part in changed) > limit:
+            continue
+        equations, functions = changed
+        offset = offset + (shift if back is None else back @ shift)
+        back = substitution if back is None else sp.csr_array(back @ substitution)
+        left[rows] = is_open[columns] = False
+        used.append((rows, columns))
+    defining, defined = (np.concatenate(part) for part in zip(*used, strict=True))
+    kept = np.delete(np.arange(n), defined)
+    if back is None:
+        return Elimination(kept, None, offset, defining, defined), equations, functions
+    equations = Affine(sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left])
+    functions = Affine(sp.csr_array(functions.matrix[:, kept]), functions.offset, functions.owner)
+    return Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined), equations, functions
+
+
+def _pivots(
+    equations: Affine, rows: Indices, is_open: Mask, variable_of: Indices
+) -> tuple[Indices, Indices]:
+    """Return rows of one constraint and the unknown that each defines: those of the variable with most of them."""
+    part = sp.csr_array(equations.matrix[rows])
+    part.eliminate_zeros()
+    place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
+    largest = np.zeros(rows.size)
+    np.maximum.at(largest, place, np.abs(part.data))
+    variables = variable_of[part.indices]
+    _, pair, count = np.unique(place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True)
+    times = np.bincount(part.indices, minlength=is_open.size)
+    fits = is_open[part.indices] & (times[part.indices] == 1) & (np.abs(part.data) >= SMALLEST_PIVOT * largest[place])
+    fits &= count[pair] == 1
+    if not fits.any():
+        return rows[:0], rows[:0]
+    counts = np.bincount(variables[fits])
+    fits &= variables == np.argmax(counts)
+    return rows[place[fits]], part.indices[fits].astype(np.int64)
+
+
+class KnownRanges:
+    """Where each unknown must lie, its own bounds aside; every number up to rounding of the caller's data."""
+
+    def __init__(self, count: int) -> None:
+        self.low, self.high = np.full(count, -np.inf), np.full(count, np.inf)
+        self.rounding = np.zeros(count)
+
+    def narrow(self, columns: Indices, low: FloatVector, high: FloatVector, size: FloatVector) -> None:
+        """Take in that the unknowns in `columns` lie in [low, high], from numbers of that size."""
+        np.maximum.at(self.low, columns, low)
+        np.minimum.at(self.high, columns, high)
+        np.maximum.at(self.rounding, columns, ROUNDING * size)
+
+    def of_signed(self, columns: Indices, weights: FloatVector, offset: FloatVector, sign: FloatVector) -> None:
+        """Take in that weights · u + offset is ≥ 0 where `sign` is 1, ≤ 0 where it is −1; nothing where it is 0."""
+        edge, towards = -offset / weights, sign * weights
+        self.narrow(
+            columns, np.where(towards > 0.0, edge, -np.inf), np.where(towards < 0.0, edge, np.inf), np.abs(edge)
+        )
+
+    def of_equations(
+        self, matrix: sp.csr_array, offset: FloatVector, lower: FloatVector, upper: FloatVector, is_paired: Mask
+    ) -> None:
+        """Take in what follows from matrix · (all unknowns) + offset = 0 where all but one of a row belong to pairs.
+
+        Those stay within `lower` and `upper`; the bounds of the others are not believed.
+        """
+        rows, count = np.repeat(np.arange(offset.size), np.diff(matrix.indptr)), offset.size
+        is_open = ~is_paired[matrix.indices] & (matrix.data != 0.0)
+        known = matrix.copy()
+        known.data[is_open] = 0.0
+        known.eliminate_zeros()
+        least, most = activity(known, lower, upper)
+        farthest = np.max([np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)], axis=0)
+        size = abs(known) @ farthest + np.abs(offset)
+        alone = np.flatnonzero(is_open & (np.bincount(rows[is_open], minlength=count)[rows] == 1))
+        pivot, row = matrix.data[alone], rows[alone]
+        low, high = -(most + offset)[row] / pivot, -(least + offset)[row] / pivot
+        self.narrow(matrix.indices[alone], np.minimum(low, high), np.maximum(low, high), size[row] / np.abs(pivot))
+
+    def imply(self, lower: FloatVector, upper: FloatVector) -> Mask:
+        """Return for which unknowns lower ≤ z ≤ upper says nothing new."""
+        implied: Mask = (self.low >= lower - self.rounding) & (self.high <= upper + self.rounding)
+        return implied
+
+    def contradict(self, lower: FloatVector, upper: FloatVector) -> Mask:
+        """Return for which unknowns lower ≤ z ≤ upper cannot be met."""
+        wrong: Mask = (self.low > upper + self.rounding) | (self.high < lower - self.rounding)
+        return wrong
+
+
+def matching(block: sp.csr_array) -> Indices:
+    """Return for each equation the unknown it goes with: large entries on the diagonal where that is possible."""
+    size = block.shape[0]
+    rows = np.repeat(np.arange(size), np.diff(block.indptr))
+    magnitude = np.abs(block.data)
+    largest = np.zeros(size)
+    np.maximum.at(largest, rows, magnitude)
+    # Costs must be positive; a hint of the distance from the diagonal settles ties in natural order.
+    cost = 1.0 + np.log(largest[rows] / magnitude) + 1e-9 * np.abs(rows - block.indices)
+    index, pointer = block.indices.astype(np.int32), block.indptr.astype(np.int32)
+    pattern = sp.csr_matrix((cost, index, pointer), shape=block.shape)
+    try:
+        return np.asarray(min_weight_full_bipartite_matching(pattern)[1], dtype=np.int64)
+    except ValueError:  # no full matching: the diagonal will have gaps
+        matched = np.asarray(maximum_bipartite_matching(pattern, perm_type="column"), dtype=np.int64)
+        missing = np.flatnonzero(matched < 0)
+        matched[missing] = np.setdiff1d(np.arange(size), matched[matched >= 0])
+        return matched
+
+
+def matched_for_monotony(
+    equations: sp.csr_array, pairs: sp.csr_array, paired: Indices, free: Indices
+) -> tuple[Indices, FloatVector]:
+    """Return for each equation the place in `free` of the unknown it goes with, and the sign of its row.
+
+    Parameters
+    ----------
+    equations, pairs : CSR array
+        Over all unknowns; the rows of pairs with their signs.
+    paired, free : array of int
+        The unknown of each row of pairs, and those that are left for the equations.
+
+    Notes
+    -----
+    Optimality conditions are monotone, and good to solve, only if stationarity in x goes with x and feasibility with
+    its multiplier. Their row and column then hold the same numbers up to signs: that is what is looked for, first
+    against the pairs, then against what is matched already. If it does not settle all, large diagonal entries decide.
+    """
+    order = _mirrored(equations, pairs, paired, free)
+    if order is None:
+        order = matching(sp.csr_array(equations[:, free]))
+    rows = np.arange(order.size)
+    signs = np.sign(np.asarray(equations[rows, free[order]]).ravel()) if order.size else np.zeros(0)
+    column = free[order]
+    # A zero on the diagonal asks for a row that is minus the column.
+    across = _row_dots(sp.csr_array(equations[:, paired]), sp.csr_array(pairs[:, column].T))
+    signs = np.where(signs == 0.0, -np.sign(across), signs)
+    block = sp.csr_array(equations[:, column])
+    across = _row_dots(block, sp.csr_array(sp.diags_array(signs) @ block).T.tocsr())
+    signs = np.where(signs == 0.0, -np.sign(across), signs)
+    return order, np.where(signs == 0.0, 1.0, signs)
+
+
+def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
+    """Return the products of the rows of one with the same rows of the other."""
+    return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
+
+
+def _mirrored(
+    equations: sp.csr_array, pairs: sp.csr_array, paired: Indices, free: Indices
+) -> Indices | None:
+    """Return the matching of rows and columns with equal absolute values; None where it does not settle all."""
+    size = free.size
+    weights = np.random.default_rng(0).random(paired.size + size) + 1.0
+    row_sums = abs(equations[:, paired]) @ weights[: paired.size]
+    column_sums = abs(sp.csr_array(pairs[:, free])).T @ weights[: paired.size]
+    block = abs(sp.csr_array(equations[:, free]))
+    order = np.full(size, -1, dtype=np.int64)
+    while (order < 0).any():
+        open_rows = np.flatnonzero((order < 0) & (row_sums > 0.0))
+        is_taken = np.zeros(size, dtype=bool)
+        is_taken[order[order >= 0]] = True
+        open_columns = np.flatnonzero(~is_taken & (column_sums > 0.0))
+        if not open_rows.size or open_rows.size != open_columns.size:
+            return None
+        new_rows = open_rows[np.argsort(row_sums[open_rows], kind="stable")]
+        new_columns = open_columns[np.argsort(column_sums[open_columns], kind="stable")]
+        if not np.allclose(row_sums[new_rows], column_sums[new_columns], rtol=SAME, atol=0.0):
+            return None
+        order[new_rows] = new_columns
+        weight = weights[paired.size + new_rows]
+        row_sums = row_sums + block[:, new_columns] @ weight
+        column_sums = column_sums + block[new_rows].T @ weight
+    return order

@@ -1,0 +1,120 @@
+"""What a run keeps: its clock, its incumbent, its ledger."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ..algorithms import Step
+from ..checks import FloatVector
+from ..peers.alone import Peers
+from ..policy.stages import Stage
+from .result import Sample, StageRecord
+
+
+class Clock:
+    """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
+
+    On several ranks those of the slowest one, and where Ctrl-C is heard on one of them.
+
+    Attributes
+    ----------
+    elapsed : float
+        Seconds that count against the limit, up to the last reading.
+    hears : callable
+        Tells whether this rank was asked to end by Ctrl-C.
+    is_interrupted : bool
+        Whether one of them was, before the last reading.
+    """
+
+    def __init__(self, peers: Peers) -> None:
+        self._began = time.perf_counter()
+        self._paused = self._compiling = self.elapsed = 0.0
+        self._peers, self.is_interrupted = peers, False
+        self.hears: Callable[[], bool] = bool
+
+    def read(self) -> float:
+        """Return the seconds of the run up to now."""
+        wall = time.perf_counter() - self._began
+        read = wall - self._paused, wall - self._compiling, self.hears()
+        seconds, self.elapsed, wishes = self._peers.all_largest(*read)
+        self.is_interrupted = bool(wishes)
+        return seconds
+
+    @contextmanager
+    def paused(self, *, to_compile: bool = False) -> Iterator[None]:
+        """Take off what happens inside a ``with`` statement: the algorithm did not need it."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - began
+            self._paused += seconds
+            self._compiling += seconds if to_compile else 0.0
+
+
+class Incumbent:
+    """The best iterate whose residual was measured, and the latest one that was not."""
+
+    def __init__(self) -> None:
+        self.z: FloatVector | None = None
+        self.residual = math.inf
+        self.unmeasured: FloatVector | None = None
+
+    def offer(self, z: FloatVector, residual: float) -> None:
+        """Keep a copy of z where its residual is smaller than the best; NaN counts as ∞."""
+        self.unmeasured = None
+        if self.z is None:
+            self.z = z.copy()
+            self.residual = math.inf if math.isnan(residual) else residual
+        elif residual < self.residual:
+            np.copyto(self.z, z)
+            self.residual = residual
+
+
+class Ledger:
+    """What was done so far: stages, iterations, work, seconds, samples."""
+
+    def __init__(self) -> None:
+        self.stages: list[Stage] = []
+        self.samples: list[Sample] = []
+        self.iteration, self.work = -1, 0.0
+        self.seconds = self.setup_seconds = 0.0
+        self._is_first = True  # step of its stage
+
+    def open(self, stage: Stage) -> None:
+        """Begin a stage."""
+        self.stages.append(stage)
+        self._is_first = True
+
+    def enter(self, step: Step, seconds: float) -> bool:
+        """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
+        stage, is_first = self.stages[-1], self._is_first
+        self._is_first = False
+        self.seconds = seconds
+        self.work += step.work
+        stage.work += step.work
+        stage.remark = step.remark or stage.remark
+        if not is_first:
+            stage.iterations += 1
+        if not is_first or len(self.stages) == 1:
+            self.iteration += 1
+        if self.iteration == 0:
+            self.setup_seconds = seconds
+        return is_first
+
+    def name(self, policy: str) -> str:
+        """Return what ran: the policy, and the chain of what it chose where that says more."""
+        chain = [stage.algorithm.name for stage in self.stages]
+        return policy if "".join(chain) in ("", policy) else f"{policy}: {', '.join(chain)}"
+
+    def records(self) -> tuple[StageRecord, ...]:
+        """Return the stages as a result shows them."""
+        return tuple(
+            StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work, stage.remark)
+            for stage in self.stages
+        )

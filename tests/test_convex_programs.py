@@ -458,6 +458,17 @@ def test_rounding_does_not_make_a_program_nonconvex() -> None:
         solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
 
 
+def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
+    monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
+    program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
+    result, _ = solve_quadratic_program(program)
+    reasons = [stage.because.partition(";")[0] for stage in result.stages]
+    assert reasons.count("a smaller tolerance") == 2
+    assert "the KKT form of the program as it stands" in reasons
+    assert "the KKT form of the program as it stands" in result.explain()
+
+
 # --- Optimality conditions written by hand ----------------------------------------------------------------------
 
 

@@ -28,7 +28,7 @@ ELSEWHERE = {
     "evidence.report.page": "write_report",
     "evidence.report.section": "Collected Section plan",
     "evidence.stability": "Atlas Cell",
-    "modeling.constraint": "Box Complements",
+    "modeling.constraint": "Complements Side",
     "modeling.registration": "solve_model",
     "algorithms.search": "Solution",
 }

@@ -62,8 +62,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `is_compiled` asks the driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual
-    are legal, and that the iterator ends by itself where nothing more can be done.
+    `is_compiled` asks the driver for a rehearsal off the clock; `runs_on_ranks` says that it takes rows that are spread
+    over the ranks of an MPI job, asking `problem.peers` for what other ranks know; `is_monotone` False says that rises
+    of the residual are legal, and that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -72,6 +73,7 @@ class Algorithm(ABC):
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     is_compiled: ClassVar[bool] = False
+    runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 
     @abstractmethod
@@ -186,11 +188,16 @@ def direct_passes(problem: LCP) -> float:
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
-    if not usable.all():
-        i = int(np.flatnonzero(~usable)[0])
-        raise UnsuitableMatrix(
-            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
-        )
+
+    def check() -> None:
+        if not usable.all():
+            i = int(np.flatnonzero(~usable)[0])
+            row = problem.first + i
+            raise UnsuitableMatrix(
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
+            )
+
+    problem.peers.together(check)
     return diagonal
 
 

@@ -40,12 +40,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.rounding import TINY
+from ..kernels.floats import EPSILON, TINY
 from ..matrix.row_sums import inverse_residual_scale, longest_row, row_blocks, triangle_sums
 from ..problem.lcp import LCP
 
 ALL = slice(None)
-EPSILON = 2.0**-52
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
 Weights = FloatVector | float
 PROJECTED_TYPE = "projected type"

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
 from .convergence import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts, numbers
 from .theorems import CRYER
@@ -117,7 +118,7 @@ def radius_above_one(pivot: Any, numerator: Any, magnitude: Any = None) -> float
             Y = np.linalg.inv(P @ X)
         except (np.linalg.LinAlgError, ValueError):  # singular, or eigenvectors that overflow
             return None
-        unit = COMPLEX_ROUNDING * (n + 16) * 2.0**-52
+        unit = COMPLEX_ROUNDING * (n + 16) * EPSILON
         Z = P @ X
         size = np.abs(P) + np.abs(N) if magnitude is None else magnitude
         around = unit * (size @ np.abs(X)) + n * UNDERFLOW  # of Z and of N X

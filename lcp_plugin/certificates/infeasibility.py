@@ -13,11 +13,12 @@ from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..exact.rational import Rational
 from ..exact.rounding import compensated_product, lower_end, upper_end
+from ..kernels.floats import EPSILON, TINY
 from ..matrix.structure import row_numbers
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
-from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
+from .residuals import reference_residual
 
 if TYPE_CHECKING:
     from .farkas_program import FarkasAnswer, FarkasProgram
@@ -253,7 +254,7 @@ def margin_with_rounding(problem: LCP, y: FloatVector) -> float:
         ]
         terms = np.concatenate([np.maximum.reduce(corners), problem.q * y])
         size = float(np.abs(terms).sum())
-        rounding = (terms.size + 8) * MACHINE_EPSILON * size + (terms.size + 8) * SMALLEST
+        rounding = (terms.size + 8) * EPSILON * size + (terms.size + 8) * TINY
         margin = float(terms.sum()) + 2.0 * rounding
     return margin if np.isfinite(size) else np.inf
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.rounding import TINY
+from ..kernels.floats import EPSILON, TINY
 from ..problem.lcp import LCP
 from .convergence import (
     MODULUS,
@@ -29,7 +29,7 @@ BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
 GUARANTEED, NOT_COVERED, CAN_DIVERGE = "guaranteed", "not covered", "can diverge"
 POWER_STEPS = 60
-ULPS = 4.0 * 2.0**-52  # s = 1/d is rounded, also where it is subnormal
+ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also where it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -204,7 +204,7 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
     if not (np.isfinite(M).all() and np.isfinite(splitting).all()):
         return None
     identity, D = np.eye(n), np.diag(np.diag(M))
-    unit = (n + 16) * 2.0**-52
+    unit = (n + 16) * EPSILON
     with np.errstate(all="ignore"):
         P = splitting + 2.0 * identity + D
         try:
@@ -212,7 +212,7 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
         except np.linalg.LinAlgError:
             return None
         sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
-        right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * 2.0**-52 * sizes + 8.0 * TINY
+        right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * EPSILON * sizes + 8.0 * TINY
         uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
         error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
         spread = float(error.sum(axis=1).max(initial=0.0))
@@ -224,7 +224,7 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
             v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
         bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (1.0 + 4.0 * unit)
         rate = float(np.max(bounded / v, initial=0.0))
-    return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - 2.0**-52 else None
+    return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - EPSILON else None
 
 
 def _inverse_bound(size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: FloatVector) -> FloatVector:

@@ -67,6 +67,11 @@ class Constraints:
         return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
     @cached_property
+    def transposed(self) -> sp.csr_array:
+        """Cᵀ."""
+        return sp.csr_array(self.matrix.T)
+
+    @cached_property
     def unit(self) -> FloatVector:
         """What the residual of each row is relative to: sizes of its data, the same for every x.
 
@@ -83,7 +88,8 @@ class Constraints:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
         excess = np.full(self.limit.size, -np.inf)
         finite = self.finite
-        excess[finite] = enclosed_sum(self.matrix[finite], x, -self.limit[finite])
+        matrix = self.matrix if finite.size == excess.size else self.matrix[finite]
+        excess[finite] = enclosed_sum(matrix, x, -self.limit[finite])
         return np.where(self.is_equality, np.abs(excess), excess)
 
 

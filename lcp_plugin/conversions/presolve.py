@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..exact.rounding import compensated_product
+from ..kernels.floats import EPSILON
 from ..matrix.matrix import NEGLIGIBLE_DIAGONAL
 from ..problem.lcp import LCP
 
@@ -21,7 +22,6 @@ Indices = NDArray[np.int64]
 MOST_ROUNDS = 8  # passes over M; what they leave is left
 SMALL_GAIN = 0.01  # share of the rows that a round must take out for another one, where there are many
 MOST_LEVELS = 2000
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Presolved:
     fixed: int = 0
     decided: int = 0
     separate: int = 0
-    steps: tuple[_Fixed | _Separate, ...] = field(default=(), repr=False)
+    steps: tuple[_Removed, ...] = field(default=(), repr=False)
 
     def restore(self, z: Any) -> Any:
         """Return the z of the original that belongs to a z of the smaller problem.
@@ -124,16 +124,7 @@ def presolve(problem: LCP) -> Presolved:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fixed:
-    indices: Indices
-    values: FloatVector
-
-    def put_back(self, z: Any) -> None:
-        z[self.indices] = like(self.values, z)
-
-
-@dataclass(frozen=True, eq=False)
-class _Separate:
+class _Removed:
     """Rows whose z nothing else depends on: each a problem in one unknown once the others are known."""
 
     indices: Indices
@@ -162,7 +153,7 @@ class _Reduction:
     def __init__(self, problem: LCP) -> None:
         self.given = problem
         self.q, self.alive = problem.q, np.ones(problem.n, dtype=bool)
-        self.steps: list[_Fixed | _Separate] = []
+        self.steps: list[_Removed] = []
         self.counts = {"fixed": 0, "decided": 0, "separate": 0}
         self.stays = np.zeros(problem.n, dtype=bool)  # known, but not exact to take out
         self.meets = np.zeros(0, dtype=np.int64)  # other rows that have each z in them
@@ -250,7 +241,9 @@ class _Reduction:
             exact = self._moved_into_q(indices, values)
             self.stays[indices[~exact]] = True
             indices, values = indices[exact], values[exact]
-        self.steps.append(_Fixed(indices, values))
+        nothing = np.zeros(0, dtype=np.int64)  # w = 1 between two equal bounds
+        zero, one = np.zeros(indices.size), np.ones(indices.size)
+        self.steps.append(_Removed(indices, nothing, nothing, zero[:0], one, zero, values, values))
         self._remove(indices, self._entries_of(indices)[1], reason)
 
     def _remove(self, indices: Indices, columns: Indices, reason: str) -> Indices:
@@ -288,7 +281,7 @@ class _Reduction:
             beside = self.alive[column] & (column != empty[row])
             row, column, entry = row[beside], column[beside], entry[beside]
             given = (self.q, self.given.diagonal, self.given.lower, self.given.upper)
-            self.steps.append(_Separate(empty, row, column, entry, *(values[empty] for values in given)))
+            self.steps.append(_Removed(empty, row, column, entry, *(values[empty] for values in given)))
             empty = self._remove(empty, column, "separate")
 
     def _is_solvable_alone(self, indices: Indices) -> NDArray[np.bool_]:

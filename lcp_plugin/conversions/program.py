@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
 from ..errors import InvalidProblem, UnsupportedModel
-from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
+from ..kernels.floats import EPSILON
+from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.symmetry import mismatch
-from .constraints import Constraints
+from .constraints import Constraints, dual_unit, largest_entries
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -170,6 +171,11 @@ class QuadraticProgram:
         """All constraints as rows of one matrix, with the units in which they are judged."""
         return Constraints.of(self)
 
+    @cached_property
+    def dual_unit(self) -> FloatVector:
+        """What each component of the dual residual is relative to."""
+        return dual_unit(self)
+
     def with_rows(
         self, G: Any, h: FloatVector, A: Any, b: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> QuadraticProgram:
@@ -284,7 +290,4 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if M.shape[0] == 0:
-        return 0.0, None
-    largest = abs(M).max(axis=1)
-    return mismatch(M, np.asarray(largest.toarray() if sp.issparse(largest) else largest).ravel(), SYMMETRIC_TO)
+    return mismatch(M, largest_entries(M, 1), SYMMETRIC_TO)

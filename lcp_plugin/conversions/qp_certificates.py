@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..exact.linear_systems import solved_nearby
 from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
+from ..kernels.floats import EPSILON
 from .constraints import FoldedRows, activity, fold_simple_rows, largest_entries
-from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
+from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -191,10 +192,7 @@ def _repaired_multipliers(
     rows, columns = rational_rows(stacked), rational_rows(sp.csr_array(stacked.T)[np.flatnonzero(must_vanish)])
     plain = np.abs(y).max(initial=0.0)
     best: QPInfeasibility | None = None
-    for guess in (few_digits(y / plain), short(y), short(y, 1 << 60)) if plain else ():
-        exact = solved_nearby(columns, [ZERO] * len(columns), guess, [bool(entry) for entry in guess])
-        if exact is None:
-            continue
+    for exact in _near(columns, [few_digits(y / plain), short(y), short(y, 1 << 60)] if plain else []):
         proof = _with_bounds(program, exact, transposed_product(rows, exact, program.n))
         if proof.margin > (0.0 if best is None else best.margin):
             best = proof
@@ -238,9 +236,8 @@ def _directions(program: QuadraticProgram, exact_rows: list[Row]) -> Iterator[Ve
     def exactly(near: FloatVector) -> Iterator[Vector]:
         near = np.where(np.abs(near) > NEGLIGIBLE, near, 0.0)
         system = [*flat, *(exact_rows[i] for i in finite[np.abs(rows @ near) <= TIGHT].tolist())]
-        for guess in (few_digits(near), short(near, 1 << 60)):
-            exact = solved_nearby(system, [ZERO] * len(system), guess, [bool(entry) for entry in guess])
-            if exact is not None and any(exact) and is_recession(constraints, exact_rows, exact):
+        for exact in _near(system, [few_digits(near), short(near, 1 << 60)]):
+            if any(exact) and is_recession(constraints, exact_rows, exact):
                 yield exact
 
     yield from exactly(d)
@@ -265,6 +262,14 @@ def _independent_rows(P: sp.csr_array) -> list[int]:
     diagonal = np.abs(np.diag(R))
     rank = int(np.count_nonzero(diagonal > P.shape[0] * 8 * EPSILON * diagonal.max(initial=0.0)))
     return [int(i) for i in order[:rank]]
+
+
+def _near(system: list[Row], guesses: list[Vector]) -> Iterator[Vector]:
+    """Yield exact solutions of system · x = 0 near the guesses; what is zero stays so."""
+    for guess in guesses:
+        exact = solved_nearby(system, [ZERO] * len(system), guess, [bool(entry) for entry in guess])
+        if exact is not None:
+            yield exact
 
 
 def few_digits(values: FloatVector) -> Vector:

@@ -119,13 +119,11 @@ class KKTForm(QPOrigin):
 
     def _matrix(self) -> Any:
         """Return M, an ndarray where it is small and full."""
-        P, n, rows = self.program.P, self.program.n, self.rows.left.size
+        rows = self.rows.left.size
         C = self.rows.folded.constraints.matrix[:rows]
-        nonzeros = (P.nnz if sp.issparse(P) else np.count_nonzero(P)) + 2 * C.nnz
-        if n + rows > DENSE_UP_TO_SIZE or nonzeros <= DENSE_ABOVE_DENSITY * (n + rows) ** 2:
-            return sp.block_array([[sp.csr_array(P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr")
-        dense = C.toarray()
-        return np.block([[P.toarray() if sp.issparse(P) else P, dense.T], [-dense, np.zeros((rows, rows))]])
+        return _kept_as_suits(sp.block_array(
+            [[sp.csr_array(self.program.P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr"
+        ))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         n = self.program.n

@@ -12,12 +12,11 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
-from .constraints import Constraints, constraint_tolerance, dual_unit
+from ..kernels.floats import EPSILON
+from .constraints import Constraints, constraint_tolerance
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
-
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +116,7 @@ class QPUnboundedness:
             return 0.0
         if not self._is_rounding:
             return np.inf
-        return _quotient(max(-self._slope, ZERO), self.direction, dual_unit(self.program))
+        return _quotient(max(-self._slope, ZERO), self.direction, self.program.dual_unit)
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance."""

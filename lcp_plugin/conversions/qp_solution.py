@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .constraints import constraint_tolerance, dual_unit, enclosed_sum
+from .constraints import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -85,10 +85,10 @@ class QPSolution:
         Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
         """
         program, rows, y = self.program, self.program.constraints, self.multipliers
-        stacked = sp.hstack([sp.csr_array(program.P), rows.matrix.T], format="csr")
+        stacked = sp.hstack([sp.csr_array(program.P), rows.transposed], format="csr")
         right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
         left = enclosed_sum(stacked, np.concatenate([self.x, right]), program.c)
-        return _largest(np.abs(left) / dual_unit(program)) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
+        return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
 
     @cached_property
     def complementarity(self) -> float:
@@ -123,8 +123,8 @@ class QPSolution:
         # A limit that holds is no term of a violation, as above.
         errors = [violated / (1.0 + np.where(violated > 0.0, size, 0.0))]
         errors += [error[~rows.is_equality] for error in (np.abs(y * gap) / (1.0 + y_size), wrong)]
-        left = np.abs(program.P @ self.x + program.c + rows.matrix.T @ y)
-        terms = [_largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(rows.matrix.T, y)]
+        left = np.abs(program.P @ self.x + program.c + rows.transposed @ y)
+        terms = [_largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(rows.transposed, y)]
         return _largest(np.concatenate([*errors, left / (1.0 + np.max(terms, axis=0))]))
 
     @property
@@ -206,8 +206,9 @@ def _largest(values: FloatVector) -> float:
 
 def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
     """Return max_j |a_ij v_j| of each row."""
-    if not sp.issparse(matrix):
-        dense: FloatVector = (np.abs(matrix) * np.abs(vector)).max(axis=1, initial=0.0)
-        return dense
-    products = abs(sp.csr_array(matrix)) @ sp.diags_array(np.abs(vector))
-    return np.asarray(products.max(axis=1).toarray()).ravel() if products.shape[1] else np.zeros(matrix.shape[0])
+    rows = sp.csr_array(matrix)
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    largest = np.zeros(rows.shape[0])
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(np.abs(rows.data * vector[rows.indices]), rows.indptr[filled])
+    return largest

@@ -20,7 +20,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ..algorithms import module_of
-from ..certificates.residuals import Certificate, scaled_residual
+from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError
 from ..problem.lcp import LCP

@@ -25,9 +25,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
+from ..certificates.residuals import Certificate, reference_residual
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
+from ..kernels.floats import EPSILON
 from ..matrix.definiteness import factorised, symmetric_part
 from ..matrix.factors import factorise
 from ..matrix.symmetry import mismatch
@@ -148,7 +150,7 @@ class Formulation:
         """Return the formulation that symmetry and a factorisation of the symmetric part allow."""
         scaled = Equilibrated.of(problem)
         largest = np.ravel(abs(scaled.A).max(axis=1).toarray() if sp.issparse(scaled.A) else abs(scaled.A).max(axis=1))
-        _, place = mismatch(scaled.A, np.maximum(largest, 1.0), ROUNDING_UNITS * MACHINE_EPSILON)
+        _, place = mismatch(scaled.A, np.maximum(largest, 1.0), ROUNDING_UNITS * EPSILON)
         if place is None:
             matrix = "M is symmetric"
         else:
@@ -159,7 +161,7 @@ class Formulation:
             i = int(negative[0])
             return cls(None, f"{matrix} indefinite: M[{i}, {i}] = {problem.diagonal[i]:g}", scaled)
         # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
-        shift = 4.0 * (problem.n + 2) * MACHINE_EPSILON * max(1.0, float(abs(scaled.A).max()))
+        shift = 4.0 * (problem.n + 2) * EPSILON * max(1.0, float(abs(scaled.A).max()))
         factor = factorised(symmetric_part(scaled.A), shift)
         if factor is None:
             return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)

@@ -24,6 +24,7 @@ from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pi
 from ..exact.rational import rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .comparison import DIRECT_LIMIT, ComparisonMatrix, shared_comparison
+from .h_on_ranks import positive_product
 from .matrix import Matrix, fact
 from .structure import block_rows, strong_blocks
 
@@ -95,6 +96,10 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 @fact
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
+    if not matrix.peers.is_alone:
+        found = positive_product(matrix)
+        certificate = None if found is None else HCertificate(*found)
+        return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), certificate)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
 
 

@@ -24,28 +24,29 @@ def inverse_residual_scale(matrix: Matrix) -> FloatVector:
 
 @fact
 def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
+    """Return where the diagonal is positive and not too small to invert, shape (own,)."""
     with np.errstate(over="ignore", divide="ignore"):
         return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
 
 @fact
 def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (n,)."""
+    """Return the row splits of a sweep direction, shape (own,)."""
     from ..kernels import splitting_sweeps as kernels
 
-    return kernels.row_splits(matrix.csr, backward=backward)
+    return kernels.row_splits(matrix.csr_rows, backward=backward)
 
 
 def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
-    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,); one pass over M.
+    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
 
-    With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
+    On several ranks v has shape (width,), and what others hold is part of U: no sweep has updated it. With a CSR array
+    `part`, shape (n, n), of its triangles instead of those of M.
     """
     from ..kernels.rows import triangle_sums as compiled
 
-    lower, upper = np.empty(matrix.n), np.empty(matrix.n)
-    M = matrix.csr if part is None else part
+    lower, upper = np.empty(matrix.own), np.empty(matrix.own)
+    M = matrix.csr_rows if part is None else part
     compiled(*read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v), lower, upper)
     return lower, upper
 
@@ -53,7 +54,7 @@ def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[Flo
 @fact
 def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     """Return the triangle sums of v = 1."""
-    return triangle_sums(matrix, np.ones(matrix.n))
+    return triangle_sums(matrix, np.ones(matrix.width))
 
 
 @fact

@@ -112,8 +112,6 @@ class Builder:
         self.pairs: list[tuple[NDArray[np.int64], _Function, FloatVector]] = []
         self.equations: list[_Function] = []
         self.reports: list[Report] = []
-        #: Sides that are one unknown each and whose sign the pair knows: columns, weights, offset, sign.
-        self.signed: list[tuple[NDArray[np.int64], FloatVector, FloatVector, FloatVector]] = []
         #: Variables that are paired as if they had bounds, and have none.
         self.unbounded: list[Side] = []
 
@@ -193,12 +191,8 @@ class Builder:
         if other.kind == "zero" and (np.isfinite(low) | np.isfinite(high)).any():
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         self.is_paired[columns] = True
-        has_low, has_high = np.isfinite(low), np.isfinite(high)
-        opposite = _single_columns(function)
-        if opposite is not None:
-            known = np.where(has_low & ~has_high, sign, np.where(has_high & ~has_low, -sign, 0.0))
-            self.signed.append((*opposite, function.offset, known))
-        if side.kind == other.kind == "value" and not (has_low | has_high).any() and not _states_bounds(side):
+        is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
+        if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
             self.unbounded.append(side)
         self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset))
 
@@ -311,8 +305,10 @@ class Builder:
             return
         known = KnownRanges(self.count)
         with np.errstate(all="ignore"):
-            for signed in self.signed:
-                known.of_signed(*signed)
+            for columns, function, sign in self.pairs:
+                if (single := _single_columns(function)) is not None:
+                    has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
+                    known.of_signed(*single, function.offset, sign * (has_low.astype(float) - has_high))
             known.of_equations(equations.matrix, equations.offset, self.lower, self.upper, self.is_paired)
         wrong = bounded[known.contradict(self.lower, self.upper)[bounded]]
         if wrong.size:
@@ -352,10 +348,8 @@ class Builder:
 def _single_columns(function: _Function) -> Single | None:
     """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
     matrix = function.matrix
-    is_single = (np.diff(matrix.indptr) == 1).all() and (matrix.data != 0.0).all()
-    if not is_single or np.bincount(matrix.indices, minlength=1).max() > 1:
-        return None
-    return matrix.indices.astype(np.int64), matrix.data
+    is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
+    return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
 
 
 def _states_bounds(side: Side) -> bool:

@@ -22,8 +22,17 @@ REMEDY = 'solve it with problem.solve(method="LCP")'
 class Side:
     """One side of a complementarity: an expression and what the other side has to do with it.
 
-    `kind` is "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or
-    "value" (an expression whose bounds, if any, are those of its variable).
+    Attributes
+    ----------
+    expression : cvxpy expression
+        In the form "box" a variable, or a part of one.
+    kind : str
+        "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
+        expression whose bounds, if any, are those of its variable).
+    constraint : cvxpy constraint or None
+        The inequality or equality that states the side.
+    lower, upper : scalar, array or parameter
+        Bounds of a box, of the shape of the expression, or scalars; ±∞ for none.
     """
 
     expression: Any
@@ -58,23 +67,7 @@ class Side:
         return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
 
 
-@dataclass(frozen=True, eq=False)
-class Box:
-    """lower ≤ expression ≤ upper, as one side of :func:`complements`.
-
-    Attributes
-    ----------
-    expression : cvxpy expression
-    lower, upper : scalar, array or parameter
-        Bounds of the shape of the expression, or scalars; ±∞ for none.
-    """
-
-    expression: Any
-    lower: Any
-    upper: Any
-
-
-def box(expression: Any, lower: Any, upper: Any) -> Box:
+def box(expression: Any, lower: Any, upper: Any) -> Side:
     """Return the side lower ≤ expression ≤ upper of a complementarity.
 
     Parameters
@@ -90,7 +83,7 @@ def box(expression: Any, lower: Any, upper: Any) -> Box:
     >>> x = cp.Variable(2)
     >>> pair = complements(box(x, -1, 1), x - 3)
     """
-    return Box(_expression(expression, "the expression of box"), lower, upper)
+    return Side(_expression(expression, "the expression of box"), "box", None, lower, upper)
 
 
 def complements(first: Any, second: Any) -> Complements:
@@ -143,8 +136,8 @@ def _side(given: Any, which: str) -> Side:
         raise UnsupportedModel(f"the {which} side of complements is None; it must be an inequality or an expression")
     if isinstance(given, Complements):
         raise UnsupportedModel(f"the {which} side of complements is {given!r}, which is a constraint itself")
-    if isinstance(given, Box):
-        return Side(given.expression, "box", None, given.lower, given.upper)
+    if isinstance(given, Side):
+        return given
     if isinstance(given, Inequality):
         return Side(given.args[1] - given.args[0], "nonnegative", given)
     if isinstance(given, NonNeg):

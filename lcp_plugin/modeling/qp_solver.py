@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -229,51 +229,64 @@ def solve_quadratic_program(
         Where the program is not convex, or the named algorithm cannot run on a merely convex one.
     """
     refuse_nonconvex(program)
+    runs = list(_runs(program, algorithm, tolerance, guess, options))
+    best = min(runs, key=lambda run: _error(run.solution))
+    return replace(best.result, stages=_stages(runs, best)), best.solution
+
+
+class _Run(NamedTuple):
+    """A run on one form of a program, what it says of the program, and why it was made."""
+
+    result: Result
+    solution: QPSolution
+    because: str
+
+
+def _runs(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
+) -> Iterator[_Run]:
+    """Yield runs until one has the program's own residuals small enough, the caller ends them, or a proof does."""
     goal, own_callback = kkt_goal(tolerance), options.pop("callback", None)
-    best: tuple[Result, QPSolution] | None = None
-    stages: tuple[StageRecord, ...] = ()
-    refusal: Exception | None = None
+    has_run, refusal = False, None
 
     def callback(sample: Sample, z: FloatVector) -> bool:
         is_told = own_callback is not None and bool(own_callback(sample, z))
         return is_told or (sample.label == PROVES_ITSELF and program.refutation(goal) is not None)
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
-        problem = attempt.problem
-        for factor in (1.0, TIGHTER):
-            start = {"z0": guess} if guess is not None and guess.size == problem.n else {}
+        for factor, because in ((1.0, attempt.because), (TIGHTER, "a smaller tolerance")):
+            start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
             try:
                 result = solve_lcp(
-                    problem, algorithm, tolerance=factor * tolerance, callback=callback, **{**start, **options}
+                    attempt.problem, algorithm, tolerance=factor * tolerance, callback=callback, **{**start, **options}
                 )
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
                 break
-            stages = _chained(stages, result.stages, attempt.because)
-            solution = attempt.recover(result)
-            if best is None or _error(solution) < _error(best[1]):
-                best = replace(result, stages=stages), solution
+            solution, has_run = attempt.recover(result), True
+            yield _Run(result, solution, because)
             if solution.is_stationary(goal) or ended_by_caller(result, options):
-                return best
+                return
             guess = result.z
             options.pop("z0", None)
             if not result.is_solved:  # a smaller tolerance would change nothing
                 if program.refutation(goal) is not None:
-                    return best
+                    return
                 break
-    if best is None:
+    if not has_run:
         raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
-    return best
 
 
-def _chained(
-    before: tuple[StageRecord, ...], stages: tuple[StageRecord, ...], because: str
-) -> tuple[StageRecord, ...]:
-    """Return the stages of all attempts so far; what is asked of a later one, its first stage says."""
-    if not before or not stages:
-        return before + stages
-    first = stages[0]._replace(because=f"{because}; {stages[0].because}" if stages[0].because else because)
-    return (*(stage._replace(remark="") for stage in before), first, *stages[1:])
+def _stages(runs: list[_Run], best: _Run) -> tuple[StageRecord, ...]:
+    """Return the stages of all runs, as of one: why another run was made, its first stage says."""
+    stages: list[StageRecord] = []
+    for run in runs:
+        first = len(stages)
+        stages += [stage if run is best else stage._replace(remark="") for stage in run.result.stages]
+        if 0 < first < len(stages):
+            reasons = [reason for reason in (run.because, stages[first].because) if reason]
+            stages[first] = stages[first]._replace(because="; ".join(reasons))
+    return tuple(stages)
 
 
 def kkt_goal(tolerance: float) -> float:

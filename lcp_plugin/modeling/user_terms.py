@@ -18,7 +18,7 @@ replaced in a problem that was compiled for QPSolver, until it is compiled for a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -111,37 +111,45 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
 
 def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
     """Look for a point where the Lagrangian is below the claimed minimum."""
-    claimed, duals = _sign(problem) * float(claim.solution.opt_val), claim.solution.dual_vars or {}
-    if any(constraint.id not in duals for constraint in problem.constraints):
-        return None
-    for values in _trials(problem, values_of(problem), before):
-        with valued(problem, values):
-            goal = _goal(problem)
-            least, size = _combined(problem, duals)
-        if goal + least < claimed - claim.tolerance * (1.0 + abs(goal) + abs(claimed) + size):
+    claimed = _sign(problem) * float(claim.solution.opt_val)
+    for value, size in _weighed(problem, claim.solution, values_of(problem), before, _goal):
+        if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
             return (
-                f"its Lagrangian is {goal + least:.9g} at another point, below {claimed:.9g}, which is said to be the "
-                "minimum"
+                f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
             )
     return None
 
 
 def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, before: Values) -> str | None:
     """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
-    if any(constraint.id not in duals.dual_vars for constraint in problem.constraints):
-        return None
     if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
         return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-    for values in _trials(problem, zero, before):
-        with valued(problem, values):
-            least, size = _combined(problem, duals.dual_vars)
-        if least < contradiction - ROUNDING * (contradiction + size):
+    for value, size in _weighed(problem, duals, zero, before, lambda _: 0.0):
+        if value < contradiction - ROUNDING * (contradiction + size):
             return (
                 f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
-                f"{least:.3g} at a point"
+                f"{value:.3g} at a point"
             )
     return None
+
+
+def _weighed(
+    problem: Any, solution: Solution, base: Values, before: Values, goal: Callable[[Any], float]
+) -> Iterator[tuple[float, float]]:
+    """Yield goal + Σ λ g and |goal| + Σ |λ g| at the trial points; nothing where a multiplier λ is missing."""
+    duals = solution.dual_vars or {}
+    if any(constraint.id not in duals for constraint in problem.constraints):
+        return
+    for values in _trials(problem, base, before):
+        with valued(problem, values):
+            first = goal(problem)
+            terms = [np.zeros(0)] + [
+                np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
+                for constraint in problem.constraints
+            ]
+        products = np.concatenate(terms)
+        yield first + float(products.sum()), abs(first) + float(np.abs(products).sum())
 
 
 def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
@@ -237,15 +245,6 @@ def _violation(constraint: Any) -> NDArray[np.float64]:
         return np.atleast_1d(_dense(constraint.violation()))
     slack = _slack(constraint)
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
-
-
-def _combined(problem: Any, duals: Values) -> tuple[float, float]:
-    """Return Σ λ g and Σ |λ g| over all constraints."""
-    total = size = 0.0
-    for constraint in problem.constraints:
-        products = np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
-        total, size = total + float(products.sum()), size + float(np.abs(products).sum())
-    return total, size
 
 
 def _size(expression: Any) -> float:

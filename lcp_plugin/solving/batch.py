@@ -46,7 +46,7 @@ def prepare(problem: LCP) -> LCP:
     inverse_residual_scale(problem.matrix)
     for backward in (False, True):
         row_splits(problem.matrix, backward)
-    if has_positive_diagonal(problem.matrix).all():
+    if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
         hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 

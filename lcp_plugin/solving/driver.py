@@ -52,7 +52,8 @@ def solve(
     Parameters
     ----------
     problem : LCP
-        Never modified. A DistributedLCP is solved on all its ranks.
+        Never modified. Where its rows are spread over ranks (:meth:`LCP.from_rows`), all of them call with the same
+        arguments; z0, z and w are the own parts then, and everything else is the same on every rank.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), optional
@@ -98,19 +99,18 @@ def solve(
     >>> result.status.name, result.z.round(6)
     ('SOLVED', array([0.75, 0.  ]))
     """
-    if hasattr(problem, "solve_with"):  # its rows are not all here
-        return problem.solve_with(  # type: ignore[no-any-return]
-            algorithm=algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, measure=measure, record=record,
-            max_iterations=max_iterations, max_seconds=max_seconds, callback=callback, error_bound=error_bound,
-            **options,
-        )
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
-    clock = Clock()
-    with np.errstate():  # Ctrl-C that hits one further down while it ends leaves its settings behind
-        policy = policy_for(algorithm, options)
-        settings = Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound)
-        own, start = checked_callback(callback), checked_start(problem, z0)
+    peers, clock = problem.peers, Clock(problem.peers)
+    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
+    with np.errstate(), peers.interruptions() as clock.hears:
+        policy, settings, own, start = peers.together(lambda: (
+            policy_for(algorithm, options, on_ranks=problem.is_distributed),
+            Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound),
+            checked_callback(callback), checked_start(problem, z0),
+        ))
+        asked = policy.chosen, settings
+        peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         run: _Run | None = None
         try:
             with clock.paused(to_compile=True):
@@ -123,6 +123,8 @@ def solve(
                 reason = run.drive(start)
             return run.judged(start, reason)
         except KeyboardInterrupt:
+            if problem.is_distributed:
+                raise  # the second one: the other ranks have not heard of it
             run = run or _Run(problem, policy, settings, own, clock)
             return run.judged(start, Status.INTERRUPTED)
 
@@ -137,6 +139,7 @@ class _Run:
         self.judge, self.incumbent, self.ledger = Judge(problem, settings), Incumbent(), Ledger()
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
+        self._is_watched = settings.record or not problem.peers.everywhere(callback is None)
         self._next_sample = 0
 
     @cached_property
@@ -171,7 +174,8 @@ class _Run:
                     return Status.STALLED, following
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             is_the_callers = self.callback is not None and error is self.callback.raised
-            if len(self.ledger.stages) == 1 or self.ledger.stages[-1].iterations > 0 or is_the_callers:
+            is_known_to_all = not (is_the_callers or self.problem.is_distributed)
+            if len(self.ledger.stages) == 1 or self.ledger.stages[-1].iterations > 0 or not is_known_to_all:
                 raise  # otherwise auto tried what does not take this problem
         reason = reason or Status.STALLED
         if reason not in (Status.STALLED, Status.DIVERGED):
@@ -201,7 +205,9 @@ class _Run:
             if self.iteration == 0:
                 self.start_residual = residual
         reason = reason_to_end(self, step, residual, is_monotone=self.ledger.stages[-1].algorithm.is_monotone)
-        if (self.callback is not None or self.settings.record) and self._report(step, residual, reason is not None):
+        if reason is None and self.clock.is_interrupted:
+            reason = Status.INTERRUPTED
+        if self._is_watched and self._report(step, residual, reason is not None):
             reason = reason or Status.INTERRUPTED
         if step.proof is not None and reason is None and self.judge.counts(step.proof):
             return status_of(step.proof)
@@ -249,15 +255,20 @@ class _Run:
         ledger, name, wants_to_stop = self.ledger, self.ledger.stages[-1].algorithm.name, False
         is_due = self.settings.record and (is_last or self.iteration >= self._next_sample)
         with self.clock.paused():
-            if self.callback is not None:
-                sample = Sample(self.iteration, ledger.work, ledger.seconds, residual, name)
-                wants_to_stop = self.callback(sample, read_only(step.z))
+            sample = Sample(self.iteration, ledger.work, ledger.seconds, residual, name)
+            wants_to_stop = self._called_back(sample, step.z)
             if is_due or (self.settings.record and wants_to_stop):
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
                 residual = self.judge.measure(step.z) if residual is None else residual
                 bound = self.judge.bound_along_the_run(step.z, ledger.work)
                 ledger.samples.append(Sample(self.iteration, ledger.work, ledger.seconds, residual, name, bound))
         return wants_to_stop
+
+    def _called_back(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether a callback, of any rank, wants to stop."""
+        callback, peers = self.callback, self.problem.peers
+        wants_to_stop = peers.together(lambda: callback is not None and bool(callback(sample, read_only(z))))
+        return not peers.everywhere(not wants_to_stop)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
         """Return the result: finish, certify, and let the certificate name the status."""

@@ -92,6 +92,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     if not isinstance(problem, LCP):
         raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     policy = policy_for(algorithm, options)
+    problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing
         return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...exact.rounding import compensated_product
 from ...problem.exactly import exact_slack

@@ -22,10 +22,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from .algorithms.search import all_solutions as all_solutions
-    from .certificates.convergence import Guarantee as Guarantee
     from .certificates.error_bounds import ErrorBound as ErrorBound
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
+    from .certificates.theorems import Guarantee as Guarantee
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
@@ -53,7 +53,7 @@ _HOME = {
     "Certificate": "certificates.residuals",
     "ErrorBound": "certificates.error_bounds",
     "error_bound": "certificates.error_bounds",
-    "Guarantee": "certificates.convergence",
+    "Guarantee": "certificates.theorems",
     "convergence_guarantee": "solving.guarantees",
     "MatrixReport": "matrix",
     "analyze": "matrix",

@@ -18,9 +18,7 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.conversions.quadratic_program"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.registration"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files"),
-    ("lcp_plugin.distributed.problem", "lcp_plugin.distributed.files"),
-    ("lcp_plugin.distributed.problem", "lcp_plugin.distributed.solving"),
-    ("lcp_plugin.distributed.guarantees", "lcp_plugin.distributed.solving"),
+    ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
 }
 FLOORS = 14
 HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")

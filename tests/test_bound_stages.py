@@ -11,11 +11,12 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Certificate, InvalidOption, UnsuitableMatrix
 from lcp_plugin.certificates import definite_bounds, error_bounds, reference_point
 from lcp_plugin.certificates.definite_bounds import EigenvalueBound, smallest_eigenvalue_bound
-from lcp_plugin.certificates.error_bounds import error_bound, v_bound
+from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.certificates.residuals import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
-from lcp_plugin.exact.rounding import UNIT, gamma
+from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.kernels.floats import UNIT
 from lcp_plugin.matrix import comparison_certificate, factors
 from lcp_plugin.matrix.factors import positive_factor
 
@@ -148,7 +149,7 @@ def test_two_stages_are_sharp_where_the_signs_agree(monkeypatch) -> None:
     error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
     problem = LCP(M, np.zeros(n), lower=-np.inf)
     certificate = comparison_certificate(problem.matrix)
-    y = v_bound(problem, error, certificate)
+    y = error_bound(problem, error, sharp=False).componentwise
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, error)
         stages = error_bounds._two_stage(at, certificate, y)
@@ -303,7 +304,8 @@ def test_refinements_go_on_while_they_gain(monkeypatch) -> None:
 
 def two_stage(problem: LCP, z: np.ndarray) -> np.ndarray:
     certificate = comparison_certificate(problem.matrix)
-    return error_bounds._two_stage(RowInequality.at(problem, z), certificate, v_bound(problem, z, certificate))
+    y = error_bound(problem, z, sharp=False).componentwise
+    return error_bounds._two_stage(RowInequality.at(problem, z), certificate, y)
 
 
 @pytest.mark.parametrize("power", [0, -30, 30, -1000, 1000])

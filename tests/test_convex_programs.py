@@ -19,7 +19,7 @@ from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum, prove_in
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp
-from lcp_plugin.exact.rational import solved_nearby
+from lcp_plugin.exact.linear_systems import solved_nearby
 from lcp_plugin.modeling.qp_solver import solve_quadratic_program
 from lcp_plugin.modeling.registration import build
 

@@ -154,6 +154,7 @@ def test_every_builder_is_reachable() -> None:
         import_module(f"{gallery.__name__}.{module.name}")
     assert gallery.names() == known
     assert set(known) <= set(gallery.__all__)
+    assert all(isinstance(getattr(gallery, name)().problem, LCP) for name in known)
 
 
 def test_description_is_one_line_and_every_parameter_is_documented() -> None:

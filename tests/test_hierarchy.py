@@ -90,7 +90,7 @@ def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: flo
     arrays, p = (M.indptr, M.indices, M.data), (P.indptr, P.indices, P.data)
     r = galerkin.transposed(columns, *p)
     assert (as_scipy(Operator(*r), n) != P.T).nnz == 0
-    c = galerkin.galerkin_product(arrays, p, r)
+    c = galerkin.galerkin_product(arrays, p, r, r[0].size - 1)
     expected = (P.T @ M @ P).toarray()
     np.testing.assert_allclose(as_scipy(Operator(*c), columns).toarray(), expected, rtol=0, atol=1e-12 * (1 + n))
     assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ ((M != 0) @ (P != 0).sum(1))
@@ -102,7 +102,7 @@ def test_a_product_that_outgrows_its_room() -> None:
     M = sp.csr_array(sp.eye_array(n, format="csr"))
     P = sp.csr_array(np.random.default_rng(0).random((n, 200)))
     p = P.indptr, P.indices, P.data
-    c = galerkin.galerkin_product((M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p))
+    c = galerkin.galerkin_product((M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p), 200)
     np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
 
 

@@ -19,7 +19,15 @@ from campaigns.graded_matrices import run_case
 
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from lcp_plugin.matrix import analyze, comparison_certificate, comparison_solve, h_verdict, p_matrix, prove_m_matrix
+from lcp_plugin.matrix import (
+    analyze,
+    comparison_certificate,
+    comparison_solve,
+    h_verdict,
+    p_matrix,
+    prove_m_matrix,
+    verdicts,
+)
 from lcp_plugin.matrix.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.matrix.factors import factor_fits
 from lcp_plugin.matrix.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
@@ -455,9 +463,10 @@ def test_report_prints_and_survives_json() -> None:
 def test_nothing_is_computed_before_it_is_asked() -> None:
     """Making a report computes no verdict, and one verdict does not compute all."""
     report = analyze(laplacian(4))
-    assert not report._verdicts
+    decided = [verdicts.symmetric, verdicts.h_matrix, verdicts.positive_definite]
+    assert not any(verdict.is_known(report.matrix) for verdict in decided)
     assert report.is_symmetric
-    assert set(report._verdicts) == {"is_symmetric"}
+    assert [verdict.is_known(report.matrix) for verdict in decided] == [True, False, False]
 
 
 @pytest.mark.parametrize(("form", "M"), [
@@ -525,8 +534,8 @@ def test_a_library_without_room_is_no_missing_library(monkeypatch: pytest.Monkey
 
     report = analyze([[2.0, 1.0], [1.0, 2.0]])
     with monkeypatch.context() as patched:
-        patched.setattr(type(report).is_symmetric, "decide", no_room)
-        with pytest.raises(MemoryError, match="is_symmetric was to be decided: failed to map"):
+        patched.setattr(type(report).is_positive_definite, "decide", no_room)
+        with pytest.raises(MemoryError, match="is_positive_definite was to be decided: failed to map"):
             report.verdict("is_positive_definite")
     assert report.is_positive_definite is True
 

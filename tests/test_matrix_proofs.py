@@ -13,14 +13,15 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP
 from lcp_plugin.errors import InvalidProblem
-from lcp_plugin.exact.rounding import UNIT, comparison_product, exact_comparison_row, lower_end, upper_end
-from lcp_plugin.exact.small_matrices import (
+from lcp_plugin.exact.linear_systems import (
     exact_rows,
     has_nonnegative_pivots,
     has_positive_minors,
     has_positive_pivots,
 )
-from lcp_plugin.matrix import analyze, h_matrix, h_verdict, p_matrix
+from lcp_plugin.exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.kernels.floats import UNIT
+from lcp_plugin.matrix import analyze, h_matrix, h_verdict, p_matrix, verdicts
 from lcp_plugin.matrix.comparison import KRYLOV_STEPS, LinearSystem
 from lcp_plugin.matrix.definiteness import (
     condition_estimate,
@@ -33,6 +34,7 @@ from lcp_plugin.matrix.equilibration import scaled, scaling_exponents
 from lcp_plugin.matrix.factors import positive_factor, sparse_lu
 from lcp_plugin.matrix.h_matrix import _centred, _joined, is_nonpositive, positive_margin
 from lcp_plugin.matrix.hierarchy.krylov import KrylovCorrection
+from lcp_plugin.matrix.matrix import Matrix
 from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.matrix.structure import row_excess_signs, row_numbers, scale_spread
 from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
@@ -124,7 +126,7 @@ def test_signs_that_the_sums_hide_are_decided_exactly(sign: int, monkeypatch: py
     exact = exact_comparison_row(M, ones, 0)
     assert (exact > 0) - (exact < 0) == sign
     assert lower_end(value, radius)[0] < 0.0 < upper_end(value, radius)[0]
-    assert row_excess_signs(M).tolist() == [sign] + [1] * (ones.size - 1)
+    assert row_excess_signs(Matrix(M)).tolist() == [sign] + [1] * (ones.size - 1)
     margin = positive_margin(M, ones)
     assert (margin is not None) == (sign > 0)
     assert margin is None or 0 < Fraction(margin[0]) <= exact
@@ -347,9 +349,9 @@ def test_symmetry_to_rounding_is_its_definition(i: int, j: int) -> None:
 
 def test_asymmetry_of_an_entry() -> None:
     """The largest relative difference, over entries that are stored on one side only too."""
-    assert asymmetry(sp.csr_array([[1.0, 3.0], [3.0, 1.0]])) == 0.0
-    assert asymmetry(sp.csr_array([[1.0, 3.0, 0.0], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 0.25
-    assert asymmetry(sp.csr_array([[1.0, 3.0, 1e-9], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 1.0
+    assert asymmetry(Matrix([[1.0, 3.0], [3.0, 1.0]])) == 0.0
+    assert asymmetry(Matrix([[1.0, 3.0, 0.0], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 0.25
+    assert asymmetry(Matrix([[1.0, 3.0, 1e-9], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 1.0
     assert is_symmetric_entrywise(sp.csr_array([[1.0, 3.0], [3.0 * (1.0 + 1e-13), 1.0]]))
     assert not is_symmetric_entrywise(sp.csr_array([[1.0, 3.0], [3.0 * (1.0 + 1e-9), 1.0]]))
 
@@ -450,17 +452,17 @@ def test_evidence_names_the_row() -> None:
 
 
 def test_the_symmetric_part_is_shared_and_read_only() -> None:
-    """A report hands out one symmetric part, and nobody can write to it."""
-    report = analyze([[1.0, 2.0], [0.0, 1.0]])
-    assert report.sparse_symmetric_part is report.sparse_symmetric_part
-    np.testing.assert_array_equal(report.symmetric_part, [[1.0, 1.0], [1.0, 1.0]])
+    """There is one symmetric part, and nobody can write to it."""
+    matrix = Matrix([[1.0, 2.0], [0.0, 1.0]])
+    assert verdicts.sparse_symmetric_part(matrix) is verdicts.sparse_symmetric_part(matrix)
+    np.testing.assert_array_equal(verdicts.symmetric_part_of(matrix), [[1.0, 1.0], [1.0, 1.0]])
     with pytest.raises(ValueError, match="read-only"):
-        report.sparse_symmetric_part.data[0] = 5.0
+        verdicts.sparse_symmetric_part(matrix).data[0] = 5.0
 
 
 def test_scale_spread_is_of_entries_rows_columns_and_diagonal() -> None:
     """Decades between the largest and the smallest nonzero magnitude, each of its own kind."""
-    spread = scale_spread(sp.csr_array([[1e3, 0.0, 1e-2], [0.0, -1e1, 0.0], [0.0, 1e4, 0.0]]))
+    spread = scale_spread(Matrix([[1e3, 0.0, 1e-2], [0.0, -1e1, 0.0], [0.0, 1e4, 0.0]]))
     assert spread == pytest.approx({"entries": 6.0, "rows": 3.0, "columns": 6.0, "diagonal": 2.0})
 
 

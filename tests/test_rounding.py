@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from lcp_plugin.errors import InvalidProblem
 from lcp_plugin.exact.rounding import (
-    TINY,
-    UNIT,
     comparison_product,
     compensated_pair,
     compensated_product,
@@ -22,6 +20,7 @@ from lcp_plugin.exact.rounding import (
     lower_end,
     upper_end,
 )
+from lcp_plugin.kernels.floats import TINY, UNIT
 
 SUBNORMAL = 2.0**-1060
 NUMBERS = st.one_of(

@@ -28,10 +28,9 @@ from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.errors import UnsuitableProblem
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.stability import Atlas, Cell, atlas, exact_answers, honesty, stability_atlas
-from lcp_plugin.evidence.stability.case import Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exact_answer, relative_error
 from lcp_plugin.evidence.stability.honesty import lie_in
-from lcp_plugin.evidence.stability.stresses import FAMILIES
+from lcp_plugin.evidence.stability.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.problem.exactly import is_exact_solution
 from lcp_plugin.solving.error_watch import Bounded
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

@@ -9,14 +9,14 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..certificates.contraction import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414 - offered here
 from ..certificates.convergence import IterationFacts
-from ..checks import FloatVector, is_number, read_only
+from ..checks import FloatVector, is_number
 from ..crossovers import DIRECT_PASSES, DIRECT_PASSES_DENSE, DIRECT_UP_TO
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from ..matrix.matrix import Matrix, fact
+from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
+from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
+from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
 from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
@@ -62,8 +62,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `is_compiled` asks the driver for a rehearsal off the clock; `is_monotone` False says that rises of the residual
-    are legal, and that the iterator ends by itself where nothing more can be done.
+    `is_compiled` asks the driver for a rehearsal off the clock; `runs_on_ranks` says that it takes rows that are spread
+    over the ranks of an MPI job, asking `problem.peers` for what other ranks know; `is_monotone` False says that rises
+    of the residual are legal, and that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -72,6 +73,7 @@ class Algorithm(ABC):
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     is_compiled: ClassVar[bool] = False
+    runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 
     @abstractmethod
@@ -175,13 +177,6 @@ def require_step(name: str, step: Any) -> None:
         raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
 
 
-@fact
-def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
-    with np.errstate(over="ignore", divide="ignore"):
-        return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
-
-
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
     if problem.is_dense:
@@ -193,20 +188,17 @@ def direct_passes(problem: LCP) -> float:
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
-    if not usable.all():
-        i = int(np.flatnonzero(~usable)[0])
-        raise UnsuitableMatrix(
-            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="npsor"'
-        )
+
+    def check() -> None:
+        if not usable.all():
+            i = int(np.flatnonzero(~usable)[0])
+            row = problem.first + i
+            raise UnsuitableMatrix(
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
+            )
+
+    problem.peers.together(check)
     return diagonal
-
-
-@fact
-def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (n,)."""
-    from ..kernels import splitting_sweeps as kernels
-
-    return kernels.row_splits(matrix.csr, backward=backward)
 
 
 def directions(sweep: str) -> tuple[bool, ...]:

@@ -72,6 +72,7 @@ class Multigrid(Algorithm):
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
     )
     is_compiled: ClassVar[bool] = True
+    runs_on_ranks: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     smoother: str = "pgs"
@@ -97,7 +98,7 @@ class Multigrid(Algorithm):
         require_positive_diagonal(problem, self.name)
         from .multigrid_run import MultigridRun
 
-        yield from MultigridRun.of(self, problem).iterates(z0)
+        yield from MultigridRun(self, problem).iterates(z0)
 
     def rehearsal(self) -> Multigrid:
         """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import diags_array
 
 from ..checks import FloatVector
+from ..kernels import splitting_sweeps as kernels
 from ..matrix.hierarchy import sweeps
 from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
-from ..matrix.hierarchy.levels import Hierarchy, build_hierarchy
+from ..matrix.hierarchy.levels import Grid, Hierarchy, build_hierarchy
 from ..matrix.hierarchy.truncation import Truncation
 from ..matrix.matrix import Matrix, fact
-from ..matrix.symmetry import is_symmetric_entrywise
+from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step
-from .multigrid_problems import GridProblem, Stated
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
@@ -41,36 +42,81 @@ NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on 
 HALVINGS = 4
 
 
+class GridProblem:
+    """The complementarity problem of one grid, with its projected sweep."""
+
+    def __init__(
+        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> None:
+        self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
+        self.arrays = grid.matrix.arrays
+        self.entries = grid.matrix.data.size
+        self.rows = kernels.packed(q, lower, upper, grid.inverse)
+        # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
+        self.splits = {False: grid.split, True: _behind(grid.split)}
+        self.residual = np.zeros(grid.width)
+        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
+        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
+        self.peers = grid.peers
+        if self.is_projected_type:
+            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
+            self.new = np.empty(grid.width)
+
+    def sweep(self, z: FloatVector, backward: bool) -> None:
+        """Overwrite z by one projected sweep."""
+        if not self.is_projected_type:
+            self._relax(z, self.relaxation, backward)
+            return
+        indptr, indices, data = self.arrays
+        self.peers.fetch(z)
+        self.new[self.q.size:] = z[self.q.size:]
+        kernels.splitting_sweep(
+            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
+        )
+        np.copyto(z, self.new)
+
+    def gauss_seidel(self, z: FloatVector) -> float:
+        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
+        return self.peers.largest(self._relax(z, 1.0, backward=False))
+
+    def _relax(self, z: FloatVector, relaxation: float, backward: bool) -> float:
+        indptr, indices, data = self.arrays
+        self.peers.fetch(z)
+        largest, _ = kernels.relaxation_sweep(
+            indptr, self.splits[backward], indices, data, self.rows, relaxation, backward, z
+        )
+        return float(largest)
+
+
+def _behind(split: NDArray[Any]) -> NDArray[Any]:
+    after: NDArray[Any] = split + 1
+    after.flags.writeable = False
+    return after
+
+
 class MultigridRun:
     """The state of one run on one problem."""
 
-    def __init__(self, algorithm: Multigrid, problem: Stated, hierarchy: Hierarchy, *, is_symmetric: bool) -> None:
-        self.algorithm, self.problem, self.hierarchy = algorithm, problem, hierarchy
-        self.is_symmetric, self.work = is_symmetric, 0.0
+    def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
+        self.algorithm, self.problem = algorithm, problem
+        matrix, own_entries = problem.matrix, problem.matrix.csr_rows.nnz
+        self.work = 0.0 if has_symmetric_entries.is_known(matrix) else float(own_entries)
+        self.is_symmetric = has_symmetric_entries(matrix)
+        is_built = hierarchy_of.is_known(matrix, algorithm.coarsest)
+        self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
+        self.work += 0.0 if is_built else hierarchy.work
         finest = hierarchy.grids[0]
         self.peers = finest.peers
         # What snaps to a bound is measured before it does.
         is_measured = algorithm.smoother in ("pgs", "psor")
-        self.tells_residual = is_measured and self._all(np.array_equal(problem.residual_scale, problem.diagonal))
+        self.tells_residual = is_measured and self.peers.everywhere(
+            np.array_equal(problem.residual_scale, problem.diagonal)
+        )
         self.truncation = Truncation(hierarchy)
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
         self.size = self.peers.total(finest.n)
         self.entries = max(self.peers.total(finest.matrix.data.size), 1.0)
-
-    @classmethod
-    def of(cls, algorithm: Multigrid, problem: LCP) -> MultigridRun:
-        """Return the run on a problem of one process, with the hierarchy that its matrix may have already."""
-        work = 0.0 if has_symmetric_entries.is_known(problem.matrix) else float(problem.nonzeros)
-        is_symmetric = has_symmetric_entries(problem.matrix)
-        is_built = hierarchy_of.is_known(problem.matrix, algorithm.coarsest)
-        hierarchy = hierarchy_of(problem.matrix, algorithm.coarsest)
-        more = 0.0 if is_built else hierarchy.work
-        run = cls(algorithm, problem, hierarchy, is_symmetric=is_symmetric)
-        run.work = work + more
-        return run
-
-    def _all(self, is_so: bool) -> bool:
-        return self.peers.total(not is_so) == 0
 
     def iterates(self, start: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
@@ -79,7 +125,7 @@ class MultigridRun:
         if self.peers.foreign:
             z = np.zeros(self.hierarchy.grids[0].width)
             z[:n] = start
-        for step in self._whole_iterates(z, self._all(np.array_equal(start, self.problem.nearest_to_zero))):
+        for step in self._whole_iterates(z, self.peers.everywhere(np.array_equal(start, self.problem.nearest_to_zero))):
             yield step if z is start else replace(step, z=step.z[:n])
 
     def _whole_iterates(self, z: FloatVector, is_cold: bool) -> Iterator[Step]:
@@ -328,19 +374,14 @@ class MultigridRun:
 @fact
 def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
     """Return the hierarchy of M."""
-    return build_hierarchy(matrix.csr, coarsest, scales_rows=not has_symmetric_entries(matrix))
-
-
-@fact
-def has_symmetric_entries(matrix: Matrix) -> bool:
-    """Return whether M is symmetric up to rounding, entry by entry."""
-    return is_symmetric_entrywise(matrix.csr)
+    is_symmetric = has_symmetric_entries(matrix)
+    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=not is_symmetric, peers=matrix.peers)
 
 
 def rehearse(algorithm: Multigrid) -> None:
     """Run every kernel once, on a chain of 16 unknowns."""
     M = diags_array([-np.ones(15), np.full(16, 2.0), -np.ones(15)], offsets=[-1, 0, 1], format="csr")
-    run = MultigridRun.of(algorithm, LCP(M, -np.ones(16)))
+    run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
     steps = run.iterates(np.zeros(16))
     for _ in range(3):
         next(steps)

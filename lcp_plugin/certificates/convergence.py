@@ -17,40 +17,40 @@ exchanges L and U; a symmetric one is the product of both). The pivots p and the
 | modulus (of x, z = lower + max(x, 0)) | αΩ/d + 1 | – | α(ℓ + u) < min(α, 2 − α)/2 + α min(1, 2Ω/d − 1)/2 |
 
 The last line too is for 0 ≤ β ≤ α; where α ≤ 1 it says that min(Ω, D) − |B| is an M-matrix.
+
+A sweep that updates row after row multiplies the error e = z − z* by something nonnegative, row by row:
+
+    p_i |e⁺_i|  ≤  A_i |e_i| + b_i (|L||e|)_i + u_i (|U||e|)_i + f_i (|L||e⁺|)_i
+
+with L what the sweep has already updated. Where this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
+in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
+
+    c = max_i (A v + b |L|v + u |U|v)_i / (p v − f |L|v)_i  <  1:
+
+if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
+scale of the residual, so that no unit of a row can overflow them.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, real_vector
-from ..errors import InvalidOption
+from ..checks import FloatVector
+from ..kernels.floats import EPSILON, TINY
+from ..matrix.row_sums import inverse_residual_scale, longest_row, row_blocks, triangle_sums
 from ..problem.lcp import LCP
-from .contraction import (
-    Case,
-    RowBound,
-    gaps,
-    growth,
-    inverse_residual_scale,
-    longest_row,
-    rate_of,
-    row_blocks,
-    triangle_sums,
-    underflow,
-)
 
 ALL = slice(None)
+NEGLIGIBLE = 1e-280  # below, products may have underflowed
+Weights = FloatVector | float
 PROJECTED_TYPE = "projected type"
 PROJECTED_SPLITTING = "projected splitting"
 PROJECTED_RELAXATION = "projected relaxation"
 MODULUS = "modulus"
-
-GUARANTEED, NOT_COVERED, CAN_DIVERGE = "guaranteed", "not covered", "can diverge"
 
 Sums = tuple[FloatVector, FloatVector]
 
@@ -89,96 +89,28 @@ class IterationFacts:
     is_part_of_matrix: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Guarantee:
-    """What is proven about an algorithm on a matrix, whatever q and the bounds are.
+class Case(NamedTuple):
+    """One row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
+
+    free: Weights
+    lower: Weights
+    upper: Weights
+
+
+@dataclass(frozen=True)
+class RowBound:
+    """What one sweep does to an error; every case must hold, since a row may be in any of them.
 
     Attributes
     ----------
-    verdict : {"guaranteed", "not covered", "can diverge"}
-        Convergence from every start is proven; nothing is proven here; or with this M, some q and bounds there
-        are starts from which it does not converge.
-    theorem : str
-        The theorem and its source, or what stands in the way.
-    rate : float or None
-        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x where `speaks_of` is "x".
-    v : array, shape (n,), or None
-        The weights of that norm, positive.
-    remedy : str
-        What to do where it is not guaranteed.
-    paper : str
-        What the paper's Theorem 4.2 as stated says, for its methods without row scaling.
-    speaks_of : {"z", "x"}
-        The rate of a modulus method is one of its x, z = lower + max(x, 0):
-        ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
+    pivot, feedback : array, shape (n,), or float
+        p and f.
+    cases : tuple of Case
     """
 
-    verdict: str
-    theorem: str
-    rate: float | None = None
-    v: FloatVector | None = field(default=None, repr=False)
-    remedy: str = ""
-    paper: str = ""
-    speaks_of: str = "z"
-
-    @property
-    def is_guaranteed(self) -> bool:
-        """True where convergence is proven."""
-        return self.verdict == GUARANTEED
-
-    @property
-    def has_contraction_bound(self) -> bool:
-        """True where :meth:`contraction_bound` can be asked."""
-        return self.rate is not None and self.v is not None and self.speaks_of == "z"
-
-    def contraction_bound(self, z_new: ArrayLike, z_old: ArrayLike) -> FloatVector:
-        """Return c/(1 − c) ‖z_k − z_{k−1}‖_v v ≥ |z_k − z*| for two consecutive iterates, shape (n,).
-
-        It holds for iterates in exact arithmetic; those of a run carry rounding errors of their own.
-
-        Parameters
-        ----------
-        z_new, z_old : array, shape (n,)
-            z_k and z_{k−1}.
-
-        Raises
-        ------
-        InvalidOption
-            Where there is no rate of z.
-        """
-        if self.rate is None or self.v is None or self.speaks_of != "z":
-            raise InvalidOption(
-                f"a contraction bound needs a guarantee with a rate of z, got {self.verdict!r} with rate {self.rate} "
-                f"of {self.speaks_of}; use error_bound instead"
-            )
-        step = np.abs(real_vector(z_new, "z_new", self.v.size) - real_vector(z_old, "z_old", self.v.size))
-        with np.errstate(over="ignore"):
-            largest = float(np.max(step / self.v, initial=0.0))
-            factor = self.rate / (1.0 - self.rate) * (1.0 + 2.0**-48)
-            bound: FloatVector = factor * largest * self.v
-        return bound
-
-    def __str__(self) -> str:
-        speed = ""
-        if self.rate is not None:
-            speed = f"; an iteration contracts by {_rounded_up(self.rate)} in a weighted maximum norm"
-            speed += "" if self.speaks_of == "z" else f" of {self.speaks_of}"
-        lines = [f"{self.verdict}: {self.theorem}{speed}"]
-        lines += [f"what to do: {self.remedy}"] if self.remedy else []
-        return "\n".join(lines + ([self.paper] if self.paper else []))
-
-
-def _rounded_up(rate: float) -> str:
-    """Return the rate rounded up to three digits after the nines.
-
-    Examples
-    --------
-    >>> _rounded_up(0.81234), _rounded_up(0.999871234)
-    ('0.813', '0.999872')
-    """
-    places = 3 + max(0, -math.ceil(math.log10(1.0 - rate))) if rate < 1.0 else 17
-    text = f"{math.ceil(rate * 10.0**places) / 10.0**places:.{min(places, 17)}f}"
-    return text if float(text) < 1.0 else f"1 − {1.0 - rate:.1e}"
+    pivot: Weights
+    feedback: Weights
+    cases: tuple[Case, ...]
 
 
 # --- row bounds ------------------------------------------------------------------------------------------
@@ -240,7 +172,7 @@ def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
         return triangle_sums(problem.matrix, v)
     all_of_m = np.add(*triangle_sums(problem.matrix, v))
     taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
-    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem.matrix) * 2.0**-52)
+    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem.matrix) * EPSILON)
 
 
 def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
@@ -305,7 +237,7 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
     if facts.family not in (PROJECTED_TYPE, PROJECTED_SPLITTING):
         return False
     alpha, beta = numbers(facts)
-    slop = (longest_row(problem.matrix) + 32) * 2.0**-52
+    slop = (longest_row(problem.matrix) + 32) * EPSILON
     lost = underflow(v, longest_row(problem.matrix))
     for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
         theta, weight = scaled(facts, problem, rows)
@@ -327,3 +259,70 @@ def next_weights(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums
     grown = [growth(bound, v, order) for order in _directed(facts, sums)]
     largest: FloatVector = np.maximum.reduce(grown)
     return largest
+
+
+# --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
+
+
+def underflow(v: FloatVector, terms: int) -> float:
+    """Return what a difference of two triangle sums of v may have lost by underflow, `terms` entries a row."""
+    return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
+
+
+def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int) -> FloatVector:
+    """Return lower bounds of 1 − c_i, shape (n,), −∞ where nothing can be said.
+
+    Parameters
+    ----------
+    bound : RowBound
+    v : array, shape (n,)
+        Positive.
+    sums : pair of arrays, shape (n,)
+        Upper bounds of |L|v of what is already updated and |U|v of the rest but for the rounding of `terms`
+        additions; see :func:`underflow`.
+
+    Notes
+    -----
+    free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
+    what rounding may take from it is counted relative to p.
+    """
+    updated, rest = sums
+    slop = (terms + 32) * EPSILON
+    smallest = np.full(v.size, np.inf)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        size = bound.pivot * v
+        scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+        for case in bound.cases:
+            load = case.lower * updated + case.upper * rest
+            surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
+            np.minimum(smallest, surplus / scale, out=smallest)
+        usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
+        smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
+
+
+def growth(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector]) -> FloatVector:
+    """Return the bound of |e⁺| for |e| ≤ v with |e⁺| ≤ v counted in full, shape (n,): monotone and homogeneous in v.
+
+    Where it is at least v in every row, no other v gives a contraction.
+    """
+    updated, rest = sums
+    with np.errstate(all="ignore"):
+        worst = np.full(v.size, np.inf)
+        for case in bound.cases:
+            np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
+        grown: FloatVector = v - worst / bound.pivot
+    return grown
+
+
+def rate_of(smallest: float) -> float | None:
+    """Return an upper bound c < 1 of the contraction from the smallest gap, or None where that rounds to 1.
+
+    Examples
+    --------
+    >>> rate_of(0.5)
+    0.5000000000000001
+    """
+    rate = 1.0 - smallest
+    rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
+    return rate if rate < 1.0 else None

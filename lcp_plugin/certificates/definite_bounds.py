@@ -20,8 +20,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..exact.rounding import TINY, UNIT, compensated_product, gamma
+from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import product_above, quotient_above, sum_above
+from ..kernels.floats import TINY, UNIT
 from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import row_numbers

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
 from .convergence import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts, numbers
-from .spectral_radius import radius_above_one
 from .theorems import CRYER
 
 DENSE_LIMIT = 100
+UNDERFLOW = 2.0**-1060  # more than what a product of complex numbers loses
+COMPLEX_ROUNDING = 8.0  # a complex product or sum errs at most so many times as much as a real one
 
 
 def divergence(facts: IterationFacts, problem: LCP) -> str | None:
@@ -83,6 +85,53 @@ def _one_pass(facts: IterationFacts, M: Any, updated: Any) -> tuple[Any, Any, An
         parts = [*(scaling * part for part in (D, *inner)), 2.0 * np.eye(M.shape[0])]
     P = sum(parts)
     return P, P - drive, sum(np.abs(part) for part in parts) + np.abs(drive)
+
+
+def radius_above_one(pivot: Any, numerator: Any, magnitude: Any = None) -> float | None:
+    """Return a proven lower bound > 1 of the spectral radius of P⁻¹N, or None where none was found.
+
+    Parameters
+    ----------
+    pivot, numerator : arrays, shape (n, n)
+        P and N, dense.
+    magnitude : array, shape (n, n), optional
+        Each entry of P and N is right to 8 units in the last place of it; |P| + |N| by default.
+
+    Notes
+    -----
+    LAPACK proposes eigenvectors X and eigenvalues Λ of P⁻¹N. With Z = PX, Y ≈ Z⁻¹ and E = I − YZ,
+
+        X⁻¹(P⁻¹N)X = Λ + G,   |G| ≤ (I − |E|)⁻¹ |Y| |NX − ZΛ|,
+
+    bounded with rounding counted. The discs of radius r = ‖G‖∞ around the Λ_i hold the eigenvalues, each connected
+    group as many as it has discs (Gerschgorin); the group of the largest |Λ_i| reaches at most 2nr further in.
+    """
+    import scipy.linalg
+
+    P, N = np.asarray(pivot), np.asarray(numerator)
+    n = P.shape[0]
+    if n == 0 or not (np.isfinite(P).all() and np.isfinite(N).all()):
+        return None
+    with np.errstate(all="ignore"):
+        try:
+            values, X = scipy.linalg.eig(np.linalg.solve(P, N))
+            Y = np.linalg.inv(P @ X)
+        except (np.linalg.LinAlgError, ValueError):  # singular, or eigenvectors that overflow
+            return None
+        unit = COMPLEX_ROUNDING * (n + 16) * EPSILON
+        Z = P @ X
+        size = np.abs(P) + np.abs(N) if magnitude is None else magnitude
+        around = unit * (size @ np.abs(X)) + n * UNDERFLOW  # of Z and of N X
+        residual = np.abs(N @ X - Z * values) + unit * (np.abs(Z) + around) * np.abs(values)
+        residual += around * (1.0 + np.abs(values))
+        error = np.abs(np.eye(n) - Y @ Z) + unit * (np.abs(Y) @ np.abs(Z) + np.eye(n)) + np.abs(Y) @ around
+        spread = float(np.abs(error).sum(axis=1).max())
+        if not spread < 0.5:
+            return None
+        G = np.abs(Y) @ residual
+        disc = float(G.sum(axis=1).max()) / (1.0 - spread) * (1.0 + unit)
+        lower = float(np.abs(values).max()) * (1.0 - unit) - 2.0 * n * disc
+    return lower if lower > 1.0 else None
 
 
 def _rounded_down(value: float) -> str:

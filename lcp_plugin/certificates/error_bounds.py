@@ -8,11 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, real_vector
+from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..exact.rounding import comparison_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
@@ -20,8 +21,8 @@ from ..matrix import HCertificate, comparison_certificate, comparison_solve
 from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
-from .residuals import scaled_residual
 from .row_inequality import BoolVector, RowInequality
+from .row_residuals import scaled_residual
 
 SMALL = 1000  # up to here every stage is cheap
 REFINEMENTS = 5
@@ -31,6 +32,11 @@ SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5  # what is left to gain, rela
 TOLERANCE = 1e-2
 LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
 NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
+
+NO_PROOF_ON_RANKS = (
+    "on several ranks an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal), and M was not "
+    "proven to be one; use the residuals, or solve on one machine, where a positive definite M is bounded as well"
+)
 
 Judge = Callable[[RowInequality], FloatVector]
 
@@ -42,7 +48,8 @@ class ErrorBound:
     Attributes
     ----------
     componentwise : ndarray, shape (n,)
-        |z_i − z*_i| ≤ componentwise_i, in the unit of z.
+        |z_i − z*_i| ≤ componentwise_i, in the unit of z. On several ranks arrays are the own parts, and numbers speak
+        of all rows.
     infinity : float
         Their maximum, ‖z − z*‖∞ ≤ infinity.
     relative : float
@@ -54,6 +61,8 @@ class ErrorBound:
         "v-certificate", "two-stage", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
     proven_active, proven_inactive : ndarray of bool, shape (n,)
         z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0. Nothing is proven by an estimate.
+    n, active, inactive : int
+        How many rows there are, and how many of them are proven to be what.
     residual : float
         ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
     near : NearPoint or None
@@ -69,6 +78,9 @@ class ErrorBound:
     method: str
     proven_active: BoolVector = field(repr=False)
     proven_inactive: BoolVector = field(repr=False)
+    n: int
+    active: int
+    inactive: int
     residual: float = np.nan
     near: NearPoint | None = field(default=None, repr=False)
     seconds: float = field(default=0.0, repr=False)
@@ -93,19 +105,17 @@ class ErrorBound:
     @property
     def is_active_set_proven(self) -> bool:
         """True where every row is proven active or inactive: z* solves one known linear system."""
-        return bool(np.all(self.proven_active | self.proven_inactive))
+        return self.active + self.inactive == self.n
 
     def proves(self, tolerance: float) -> bool:
         """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven; an estimate proves nothing."""
         return self.kind == "rigorous" and self.relative <= tolerance
 
     def __str__(self) -> str:
-        n = self.componentwise.size
-        active, inactive = int(self.proven_active.sum()), int(self.proven_inactive.sum())
-        word = "≤" if self.kind == "rigorous" else "≲"
+        word, undecided = "≤" if self.kind == "rigorous" else "≲", self.n - self.active - self.inactive
         return (
             f"‖z − z*‖∞ {word} {self.infinity:.3e}, relative {self.relative:.3e} ({self.kind}, {self.method})\n"
-            f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
+            f"proven: {self.active} active, {self.inactive} inactive, {undecided} of {self.n} undecided"
         )
 
 
@@ -115,7 +125,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     Parameters
     ----------
     problem : LCP
-        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique.
+        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique. On several ranks, all
+        of which call, it must be an H₊-matrix, and the bound is that of the v-certificate.
     z : array, shape (n,)
         Any point, also outside the bounds. With NaN or infinite entries the bound is ∞.
     sharp : bool
@@ -151,39 +162,18 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(f"error_bound needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z = real_vector(z, "z", problem.n)
+    z, peers = problem.own_part(z), problem.peers
     began = time.perf_counter()
-    certificate = comparison_certificate(problem.matrix) if (problem.diagonal > 0.0).all() else None
+    is_positive = peers.everywhere(bool((problem.diagonal > 0.0).all()))
+    certificate = comparison_certificate(problem.matrix) if is_positive else None
+    if certificate is None and not peers.is_alone:
+        raise UnsuitableMatrix(NO_PROOF_ON_RANKS)
     with np.errstate(all="ignore"):
         if certificate is not None:
-            found = _h_plus_bound(problem, z, certificate, sharp)
+            found = _h_plus_bound(problem, z, certificate, sharp=sharp and peers.is_alone)
         else:
             found = _definite_bound(problem, z, sharp)
     return replace(found, seconds=time.perf_counter() - began)
-
-
-def v_bound(problem: LCP, z: FloatVector, certificate: HCertificate) -> FloatVector:
-    """Return y with |z − z*| ≤ y, shape (n,), from ⟨M⟩v ≥ margin > 0 alone; one pass over M, always rigorous.
-
-    Parameters
-    ----------
-    problem : LCP
-    z : array, shape (n,)
-        ∞ is returned where it is not finite.
-    certificate : HCertificate
-        Of this M.
-
-    Examples
-    --------
-    >>> from lcp_plugin.matrix import comparison_certificate
-    >>> problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    >>> v_bound(problem, np.array([2.5, 0.0]), comparison_certificate(problem.matrix)).tolist()
-    [0.0, 0.0]
-    """
-    if not np.isfinite(z).all():
-        return np.full(problem.n, np.inf)
-    with np.errstate(all="ignore"):
-        return _v_bound(RowInequality.at(problem, z), certificate)
 
 
 def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
@@ -213,7 +203,7 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
 
 
 def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp: bool) -> ErrorBound:
-    if not np.isfinite(z).all():
+    if not problem.peers.everywhere(bool(np.isfinite(z).all())):
         return _nothing_known(problem, "rigorous", "v-certificate")
     at = RowInequality.at(problem, z)
     found = _Found(z, at, _v_bound(at, certificate), "v-certificate")
@@ -287,11 +277,11 @@ class _Found:
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
         is_proof = kind == "rigorous"
-        infinity = float(y.max(initial=0.0))
-        return ErrorBound(
-            componentwise=y, infinity=infinity, relative=_relative(infinity, self.z), kind=kind, method=self.method,
-            proven_active=active & is_proof | (problem.lower == problem.upper),
-            proven_inactive=inactive & is_proof, residual=_residual(self.at),
+        sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, self.z, _residuals(self.at)))
+        infinity, size, residual = problem.peers.all_largest(*sizes)
+        return _counted(
+            problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
+            relative=_relative(infinity, size), kind=kind, method=self.method, residual=residual,
             near=NearPoint(self.near.high, self.near.low, self.near_y),
         )
 
@@ -344,24 +334,32 @@ def _is_worth_more(found: _Found) -> bool:
     return bool((found.y > 1.1 * error).any()) or not bool((active | inactive).all())
 
 
-def _residual(at: RowInequality) -> float:
-    """Return ‖r(z)‖∞, to rounding."""
-    return float(np.abs(scaled_residual(at.problem, at.high, 0.5 * (at.slack - at.negative_slack))).max(initial=0.0))
+def _residuals(at: RowInequality) -> FloatVector:
+    """Return r(z), to rounding."""
+    return scaled_residual(at.problem, at.high, 0.5 * (at.slack - at.negative_slack))
 
 
-def _relative(infinity: float, z: FloatVector) -> float:
-    size = float(np.abs(z).max(initial=0.0))
+def _relative(infinity: float, size: float) -> float:
     if infinity == 0.0:
         return 0.0
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
 
 
 def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
-    n = problem.n
+    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    return _counted(
+        problem, np.full(problem.own, np.inf), problem.lower == problem.upper, is_free, infinity=np.inf,
+        relative=np.inf, kind=kind, method=method,
+    )
+
+
+def _counted(
+    problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
+) -> ErrorBound:
+    counts = [int(problem.peers.total(float(np.count_nonzero(rows)))) for rows in (active, inactive)]
     return ErrorBound(
-        componentwise=np.full(n, np.inf), infinity=np.inf, relative=np.inf, kind=kind, method=method,
-        proven_active=problem.lower == problem.upper,
-        proven_inactive=(problem.lower == -np.inf) & (problem.upper == np.inf),
+        componentwise=componentwise, proven_active=active, proven_inactive=inactive, n=problem.n, active=counts[0],
+        inactive=counts[1], **known,
     )
 
 

@@ -14,9 +14,9 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..deadline import seconds_left
-from ..exact.integers import Rational
-from ..exact.linear_systems import rank_profile, solve_exactly
-from ..problem.exactly import integer_matrix, slack_bounds
+from ..exact.linear_systems import solved_nearby
+from ..exact.rational import ZERO, Rational, rational_rows, short
+from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
 from .residuals import reference_residual
 
@@ -186,36 +186,16 @@ class FarkasProgram:
     def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
         """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
         y = y / np.abs(y).max()
-        support = np.flatnonzero(np.abs(y) > tight)
-        support = support[np.argsort(-np.abs(y[support]), kind="stable")].tolist()
+        support = np.flatnonzero(np.abs(y) > tight).tolist()
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.problem.lower) | np.isinf(self.problem.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
-        columns = {int(j): k for k, j in enumerate(np.flatnonzero(is_tight))}
-        if min(len(support), len(columns)) > LARGEST_REPAIR or len(support) * len(columns) > LARGEST_REPAIR**2 * 8:
+        if min(len(support), int(is_tight.sum())) > LARGEST_REPAIR:
             return None
-        block = [self._integer_row(i, columns) for i in support]
-        dependent, pivots = rank_profile(block) if columns else ([], [])
-        free = sorted(set(range(len(support))) - set(dependent))
-        if not free or len(dependent) > LARGEST_REPAIR:
-            return None
+        columns = rational_rows(self.matrix.T.tocsr()[np.flatnonzero(is_tight)][:, support])
         # Any nearby value will do: short ones keep the exact solve short.
-        given = [int(value) for value in np.rint(y[support][free] * 2.0**50)]
-        right = [-sum(block[k][j] * value for k, value in zip(free, given, strict=True)) for j in pivots]
-        found = solve_exactly([[block[k][j] for k in dependent] for j in pivots], right)
-        if found is None:
-            return None
-        entries = {support[k]: value for k, value in zip(dependent, found, strict=True)}
-        return entries | {support[k]: Fraction(value) for k, value in zip(free, given, strict=True)}
-
-    def _integer_row(self, i: int, columns: dict[int, int]) -> list[int]:
-        """Return those columns of row i in integers that are proportional to its row in the scale of the program."""
-        shift = int(np.frexp(self.rows[i])[1]) - int(np.frexp(self.rows.min())[1])
-        row = [0] * len(columns)
-        for j, entry in integer_matrix(self.problem.matrix).row(i):
-            if j in columns:
-                row[columns[j]] = entry << shift
-        return row
+        exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * len(support))
+        return None if exact is None else dict(zip(support, exact, strict=True))
 
 
 @dataclass(frozen=True)

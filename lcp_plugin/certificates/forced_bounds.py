@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..kernels.floats import EPSILON, TINY
+from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .refutation import Closing, Refutation
-from .residuals import MACHINE_EPSILON, SMALLEST
 
 MOST_PASSES = 50
 
@@ -96,7 +97,7 @@ def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
 def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
     csr = problem.csr
-    rows = np.repeat(np.arange(problem.n), np.diff(csr.indptr))
+    rows = row_numbers(csr)
     with np.errstate(all="ignore"):
         bounds = lower[csr.indices], upper[csr.indices]
         ends = [csr.data * bound for bound in bounds]
@@ -105,7 +106,7 @@ def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[F
         sizes = np.maximum(*(np.where(np.isinf(x), 0.0, np.abs(end)) for x, end in zip(bounds, ends, strict=True)))
         size = _row_sums(sizes, rows, problem.n) + np.abs(problem.q)
         terms = np.diff(csr.indptr) + 8
-        error = np.where(terms > 8, 2.0 * terms * (MACHINE_EPSILON * size + SMALLEST), 0.0)
+        error = np.where(terms > 8, 2.0 * terms * (EPSILON * size + TINY), 0.0)
         low, high = both[0] + problem.q - error, both[1] + problem.q + error
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 

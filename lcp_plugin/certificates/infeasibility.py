@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..exact.integers import Rational
+from ..exact.rational import Rational
+from ..exact.rounding import compensated_product, lower_end, upper_end
+from ..kernels.floats import EPSILON, TINY
+from ..matrix.structure import row_numbers
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
-from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
+from .residuals import reference_residual
 
 if TYPE_CHECKING:
     from .farkas_program import FarkasAnswer, FarkasProgram
@@ -107,33 +109,14 @@ class Feasibility:
     reason: str = ""
 
 
-def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
-    """Return a proof that the linear constraints of the problem contradict each other, or None.
-
-    Such a problem has no solution; a monotone one (M positive semidefinite) without such a proof has one. Of the
-    proofs, one with nearly the largest margin is looked for.
-
-    Parameters
-    ----------
-    effort_limit : int, optional
-        Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
-
-    Examples
-    --------
-    >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
-    >>> print(proof)
-    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
-    >>> proof.verify(), round(proof.margin, 9), find_infeasibility(LCP([[1]], [-1]))
-    (True, 1.0, None)
-    """
-    return decide_feasibility(problem, effort_limit=effort_limit).proof
-
-
 @np.errstate(all="ignore")
 def decide_feasibility(
     problem: LCP, *, effort_limit: int | None = None, measure: str = "relative"
 ) -> Feasibility:
     """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
+
+    Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
+    satisfy them has one. Of the proofs, one with nearly the largest margin is looked for.
 
     Parameters
     ----------
@@ -151,6 +134,11 @@ def decide_feasibility(
     --------
     >>> decide_feasibility(LCP([[0, 1], [-1, 0]], [-1, 2])).verdict
     'feasible'
+    >>> proof = decide_feasibility(LCP([[-1, 0], [0, 1]], [-1, 2])).proof
+    >>> print(proof)
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    >>> proof.verify(), round(proof.margin, 9)
+    (True, 1.0)
     """
     if effort_limit is None:
         effort_limit = DEFAULT_EFFORT // max(problem.n, 400)
@@ -211,28 +199,6 @@ def _contradiction(program: FarkasProgram, answer: FarkasAnswer, effort: int) ->
     return Feasibility("infeasible", proof, reason=f"linear constraints contradict ({proof.kind} proof)")
 
 
-def prove_infeasibility(problem: LCP, y: FloatVector) -> Infeasibility | None:
-    """Return the proof that lies near a Farkas vector in floating point, however it was found, or None.
-
-    Parameters
-    ----------
-    y : ndarray, shape (n,)
-        For instance a ray, or multipliers that grew without bound; finite, of any length.
-
-    Examples
-    --------
-    >>> print(prove_infeasibility(LCP([[-3.0]], [-1.0]), np.array([1e9])))
-    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
-    """
-    from .farkas_program import FarkasProgram
-
-    if not problem.n or not np.isfinite(y).all() or not np.any(y):
-        return None
-    program = FarkasProgram(problem)
-    scaled = y / np.abs(y).max() / program.rows
-    return _proven(program, scaled / np.abs(scaled).max(), 0.0)
-
-
 def _proven(program: FarkasProgram, y: FloatVector, wanted: float) -> Infeasibility | None:
     """Return the proof by a y in the scale of the program, or by one near it; the first of the margin wanted."""
     problem = program.problem
@@ -280,32 +246,17 @@ def margin_with_rounding(problem: LCP, y: FloatVector) -> float:
     if np.any((y < 0.0) & (slack_upper == np.inf)) or np.any((y > 0.0) & (slack_lower == -np.inf)):
         return np.inf
     with np.errstate(all="ignore"):
-        low, high = _enclosed_product(problem.csr, y)
+        product, radius = compensated_product(problem.matrix.transpose, y)
+        low, high = lower_end(product, radius), upper_end(product, radius)
         # Where one end of the product is 0 and the bound infinite, that end contributes nothing.
         corners = [
             np.where(end == 0.0, 0.0, end * bound) for end in (low, high) for bound in (problem.lower, problem.upper)
         ]
         terms = np.concatenate([np.maximum.reduce(corners), problem.q * y])
         size = float(np.abs(terms).sum())
-        rounding = (terms.size + 8) * MACHINE_EPSILON * size + (terms.size + 8) * SMALLEST
+        rounding = (terms.size + 8) * EPSILON * size + (terms.size + 8) * TINY
         margin = float(terms.sum()) + 2.0 * rounding
     return margin if np.isfinite(size) else np.inf
-
-
-def _enclosed_product(csr: sp.csr_array, y: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of Mᵀy that hold in spite of rounding, each of shape (n,)."""
-    product = csr.T @ y
-    size = abs(csr).T @ np.abs(y)
-    terms = np.bincount(csr.indices, minlength=csr.shape[1]) + 8
-    error = np.where(size > 0.0, 2.0 * terms * (MACHINE_EPSILON * size + SMALLEST), 0.0)
-    # Products of nonzeros that all underflow leave a size of 0.
-    touched = np.bincount(csr.indices, weights=(y != 0.0)[_rows_of(csr)], minlength=csr.shape[1]) > 0
-    error = np.where(touched & (size == 0.0), 2.0 * terms * SMALLEST, error)
-    return product - error, product + error
-
-
-def _rows_of(csr: sp.csr_array) -> Any:
-    return np.repeat(np.arange(csr.shape[0]), np.diff(csr.indptr))
 
 
 def contradictory_row(problem: LCP) -> Infeasibility | None:
@@ -323,7 +274,7 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     if not bound_rows.size:
         return None
     csr, q = problem.csr[bound_rows], problem.q[bound_rows]
-    rows = _rows_of(csr)
+    rows = row_numbers(csr)
     with np.errstate(all="ignore"):
         ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]
         highest = np.bincount(rows, weights=np.maximum(*ends), minlength=q.size) + q

@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ..exact.integers import Rational, common_denominator, power_of_two, rounded_down
+from ..exact.rational import Rational, common_denominator, power_of_two, rounded_down
+from ..kernels.floats import EPSILON, TINY
 from ..problem.exactly import exact_slack, farkas_margin, integer_matrix, slack_bounds
 from ..problem.lcp import LCP
-from .residuals import MACHINE_EPSILON, SMALLEST, reference_residual
+from .residuals import reference_residual
 
 LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 ROOT_BITS = 160
@@ -184,7 +185,7 @@ def sum_bound(terms: np.ndarray) -> Fraction | None:
         return None
     if not math.isfinite(total):
         return None
-    return Fraction(total) * (1 + Fraction(4 * MACHINE_EPSILON)) + terms.size * Fraction(SMALLEST)
+    return Fraction(total) * (1 + Fraction(4 * EPSILON)) + terms.size * Fraction(TINY)
 
 
 def _root(square: Fraction | None) -> Fraction | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -12,16 +13,21 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, read_only, real_vector
+from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
-from ..exact.rounding import compensated_product, gamma, lower_end, read_only_views, upper_end
+from ..exact.rounding import gamma
+from ..kernels.floats import EPSILON, TINY
+from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
+from .row_residuals import residual_ends_of, scaled_residual, sharp_residual_ends
 
-MACHINE_EPSILON = 2.0**-52
-SMALLEST = 2.0**-1074  # a product that underflows is wrong by up to this
 Ends = tuple[float, float]  # a lower and an upper bound
 MEASURES = ("relative", "euclidean")
-BLOCK = 2**14  # rows
+MEASURED = (
+    "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
+    "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
+    "is_at_rounding_level",
+)
 _references: WeakKeyDictionary[LCP, Ends] = WeakKeyDictionary()
 LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
 GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
@@ -37,9 +43,10 @@ class Certificate:
     Attributes
     ----------
     problem : LCP
-        The problem that z was judged on.
+        The problem that z was judged on. Where its rows are spread over ranks, all of them measure at once, and every
+        number is the same on each.
     z, w : ndarray, shape (n,)
-        The point and its slack M z + q in double precision.
+        The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
         ‖r(z)‖∞, the numerator of the relative residual, in the unit of z, measured.
     relative_residual : float
@@ -75,7 +82,7 @@ class Certificate:
 
     @classmethod
     def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
-        """Return the certificate of z, shape (n,), for the problem.
+        """Return the certificate of z, shape (n,), for the problem; on ranks of the own part, and all of them call.
 
         Raises
         ------
@@ -84,41 +91,64 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
-        if type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
-            return cls(problem, real_vector(z, "z", problem.n))
-        return cls(problem, read_only(z.copy()))
+        if problem.is_distributed or type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+            z = problem.own_part(z)
+        else:
+            z = read_only(z.copy())
+        certificate = cls(problem, z)
+        if problem.is_distributed:
+            certificate._measure_at_once()
+        return certificate
+
+    def _measure_at_once(self) -> None:
+        """Measure everything while all ranks are here: what one of them reads later, it reads alone."""
+        for name in MEASURED:
+            getattr(self, name)
+        for name in ("_whole", "_scaled_ends", "_natural", "_products"):
+            del self.__dict__[name]
+
+    @cached_property
+    def _whole(self) -> FloatVector:
+        """z, and behind it the values on other ranks that the own rows meet."""
+        return self.problem.matrix.whole(self.z)
 
     @cached_property
     def w(self) -> FloatVector:
         """The slack M z + q in double precision, shape (n,), read-only."""
         with np.errstate(all="ignore"):
-            return read_only(self.problem.slack(self.z))
+            w: FloatVector = self.problem.matrix.rows @ self._whole
+            w += self.problem.q
+        return read_only(w)
+
+    def _largest(self, values: FloatVector) -> float:
+        """Return the largest of all rows' values."""
+        return self.problem.peers.largest(_largest(values))
 
     @cached_property
-    def _worst(self) -> tuple[int, float]:
-        """The row of the largest scaled residual, and that residual."""
+    def _worst(self) -> tuple[float, int]:
+        """The largest scaled residual, and its row."""
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w))
         worst = int(np.argmax(residual)) if residual.size else -1  # argmax stops at the first NaN
-        return worst, float(residual[worst]) if residual.size else 0.0
+        return self.problem.peers.worst(float(residual[worst]) if residual.size else 0.0, worst)
 
     @property
     def worst_index(self) -> int:
         """The row of the largest scaled residual; −1 for an empty problem."""
-        return self._worst[0]
+        return self._worst[1]
 
     @property
     def scaled_residual(self) -> float:
         """‖r(z)‖∞, as measured in double precision."""
-        return self._worst[1]
+        return self._worst[0]
 
     @cached_property
     def relative_residual(self) -> float:
         """‖r(z)‖∞ / ‖r(z°)‖∞, rounded upwards; 0 for 0/0."""
         least, most = reference_ends(self.problem)
-        largest = _largest(self._scaled_ends[1])
+        largest = self._largest(self._scaled_ends[1])
         if least == 0.0 < largest < np.inf:  # only what is exactly 0 will do
-            largest = _largest(sharp_residual_ends(self.problem, self.z)[1])
+            largest = self._largest(sharp_residual_ends(self.problem, self.z)[1])
         return np.nan if most == np.inf else ratio_upwards(largest, least)
 
     @cached_property
@@ -128,7 +158,7 @@ class Certificate:
 
     def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
         problem = self.problem
-        return residual_ends_of(problem.M, self.z, problem, self.z, scale)
+        return residual_ends_of(problem.matrix.rows, self._whole, problem, self.z, scale)
 
     @cached_property
     def _natural(self) -> FloatVector:
@@ -138,13 +168,14 @@ class Certificate:
     @cached_property
     def natural_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖∞."""
-        return _largest(self._natural)
+        return self._largest(self._natural)
 
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        norm = euclidean_norm(self._natural)
-        return float(np.nextafter(norm * (1.0 + gamma(self._natural.size + 8)), np.inf)) if norm else norm
+        peers, terms = self.problem.peers, self.problem.n + 7 + self.problem.peers.size
+        norm = euclidean_norm(self._natural, peers)
+        return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
 
     @cached_property
     def backward_error(self) -> float:
@@ -152,8 +183,15 @@ class Certificate:
         problem = self.problem
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(problem, self.z, self.w))
-            size = np.abs(self.z) + _magnitude(problem, self.z) / problem.residual_scale
-            return _largest(np.where(residual == 0.0, 0.0, residual / size))
+            size = np.abs(self.z) + self._magnitude / problem.residual_scale
+            return self._largest(np.where(residual == 0.0, 0.0, residual / size))
+
+    @property
+    def _magnitude(self) -> FloatVector:
+        """|M||z| + |q|, shape (n,)."""
+        absolute: Any = abs(self.problem.matrix.rows)
+        magnitude: FloatVector = absolute @ np.abs(self._whole) + np.abs(self.problem.q)
+        return magnitude
 
     @cached_property
     def bound_violation(self) -> float:
@@ -161,7 +199,7 @@ class Certificate:
         problem = self.problem
         with np.errstate(all="ignore"):
             outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
-        return _largest(np.maximum(outside, 0.0))
+        return self._largest(np.maximum(outside, 0.0))
 
     @cached_property
     def slack_violation(self) -> float:
@@ -169,7 +207,7 @@ class Certificate:
         problem = self.problem
         positive = np.where(problem.lower == -np.inf, np.maximum(self.w, 0.0), 0.0)
         negative = np.where(problem.upper == np.inf, np.maximum(-self.w, 0.0), 0.0)
-        return _largest(np.maximum(positive, negative))
+        return self._largest(np.maximum(positive, negative))
 
     @cached_property
     def _products(self) -> FloatVector:
@@ -185,22 +223,22 @@ class Certificate:
     @cached_property
     def complementarity(self) -> float:
         """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
-        return _largest(self._products)
+        return self._largest(self._products)
 
     @cached_property
     def relative_complementarity(self) -> float:
         """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
-        return self._complementarity_over(reference_residual(self.problem))
-
-    def _complementarity_over(self, reference: float) -> float:
+        reference = reference_residual(self.problem)
         with np.errstate(all="ignore"):
-            return ratio(ratio(_largest(self._products / self.problem.residual_scale), reference), reference)
+            return ratio(ratio(self._largest(self._products / self.problem.residual_scale), reference), reference)
 
     @property
     def large_product(self) -> str:
         """Which (z_i − bound_i) w_i is large though the residual is small, in words; empty where none is."""
         if not is_large_product(self.relative_complementarity, self.relative_residual):
             return ""
+        if self.problem.is_distributed:
+            return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
         i = int(np.argmax(self._products / self.problem.residual_scale))
         bound = self.problem.lower[i] if self.w[i] > 0.0 else self.problem.upper[i]
         distance = abs(self.z[i] - bound)
@@ -213,25 +251,28 @@ class Certificate:
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
         problem = self.problem
-        terms = np.diff(problem.csr.indptr) + 2
+        terms = np.diff(problem.matrix.csr_rows.indptr) + 2
         with np.errstate(all="ignore"):
-            rounding = MACHINE_EPSILON * _magnitude(problem, self.z) + SMALLEST
+            rounding = EPSILON * self._magnitude + TINY
             floor: FloatVector = terms * rounding / problem.residual_scale
         return floor
 
-    @property
+    @cached_property
     def scale_spread(self) -> float:
         """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
         scale = self.problem.residual_scale
+        extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
+        most, minus_least = self.problem.peers.all_largest(*map(float, extremes))
         with np.errstate(over="ignore"):
-            return float(scale.max() / scale.min()) if scale.size else 1.0
+            return float(np.divide(most, -minus_least)) if self.problem.n else 1.0
 
-    @property
+    @cached_property
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
         with np.errstate(all="ignore"):
             floor = 4.0 * self.rounding_floor
-            return bool(np.all(self._scaled_ends[1] <= floor)) and bool(np.isfinite(floor).all())
+            is_below = bool(np.all(self._scaled_ends[1] <= floor)) and bool(np.isfinite(floor).all())
+        return self.problem.peers.everywhere(is_below)
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
@@ -257,83 +298,22 @@ def is_large_product(relative_complementarity: float, relative_residual: float) 
     return relative_complementarity > max(least, factor * relative_residual)
 
 
-def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite."""
-    return _mid_residual(problem, z, w, problem.residual_scale)
-
-
-def _mid_residual(problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None) -> FloatVector:
-    """Return z − mid(lower, upper, z − step) as mid(z − upper, z − lower, step), shape (n,), for step = w / scale.
-
-    The same number, but a small step is not lost beside a large z. A w that overflowed on the way could have
-    either sign, and says nothing.
-    """
-    residual = np.empty(z.size)
-    for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
-        rows = slice(first, first + BLOCK)
-        step = w[rows] if scale is None else w[rows] / scale[rows]
-        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
-        np.maximum(step, own, out=own)
-        np.minimum(own, z[rows] - problem.lower[rows], out=own)
-    if not np.isfinite(w.sum()):
-        residual[np.isinf(w)] = np.inf
-    return residual
-
-
-def residual_ends_of(
-    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector, *, q: FloatVector | None = None
-) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
-
-    Parameters
-    ----------
-    M : array or CSR array, shape (m, n)
-    x : array, shape (n,)
-        z, and whatever else the rows need.
-    rows : LCP
-        Its q, lower and upper, each of shape (m,).
-    z, scale : arrays, shape (m,)
-    q : array, shape (m,), optional
-        Instead of that of the rows.
-
-    Returns
-    -------
-    smallest, largest : arrays, shape (m,)
-    """
-    from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
-
-    if sp.issparse(M):
-        indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
-    else:
-        m, stride = M.shape
-        indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
-        data = np.ascontiguousarray(M).reshape(-1)
-    smallest, largest = np.empty(z.size), np.empty(z.size)
-    arrays = read_only_views(indptr, indices, data, x, rows.q if q is None else q, z, rows.lower, rows.upper, scale)
-    residual_ends(*arrays[:3], stride, *arrays[3:], smallest, largest)
-    return smallest, largest
-
-
-def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
-    value, radius = compensated_product(problem.csr, z, problem.q)
-    low, high = lower_end(value, radius), upper_end(value, radius)
-    nothing = sp.csr_array((problem.n, problem.n))
-    below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
-    smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
-    return smallest, np.maximum(below[1], above[1])
-
-
 def reference_ends(problem: LCP) -> Ends:
     """Return bounds of ‖r(z°)‖∞, the denominator of the relative residual; computed once a problem."""
     if problem not in _references:
-        z = problem.nearest_to_zero
-        M = problem.M if z.any() else sp.csr_array((problem.n, problem.n))
-        smallest, largest = residual_ends_of(M, z, problem, z, problem.residual_scale)
-        if not smallest.any() and largest.any():  # is z° the answer?
-            smallest, largest = sharp_residual_ends(problem, z)
-        _references[problem] = _largest(smallest), _largest(largest)
+        z, matrix = problem.nearest_to_zero, problem.matrix
+        whole = matrix.whole(z)
+        rows = matrix.rows if whole.any() else sp.csr_array((matrix.own, matrix.width))
+        least, most = _largest_ends(problem, residual_ends_of(rows, whole, problem, z, problem.residual_scale))
+        if least == 0.0 < most:  # is z° the answer?
+            least, most = _largest_ends(problem, sharp_residual_ends(problem, z))
+        _references[problem] = least, most
     return _references[problem]
+
+
+def _largest_ends(problem: LCP, ends: tuple[FloatVector, FloatVector]) -> Ends:
+    least, most = problem.peers.all_largest(*map(_largest, ends))
+    return least, most
 
 
 def reference_residual(problem: LCP) -> float:
@@ -364,19 +344,13 @@ def ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
 
 
-def euclidean_norm(vector: FloatVector) -> float:
-    """Return ‖vector‖₂ without overflow or underflow on the way."""
-    largest = _largest(np.abs(vector))
+def euclidean_norm(vector: FloatVector, peers: Peers = ALONE) -> float:
+    """Return ‖vector‖₂, of everybody's parts, without overflow or underflow on the way."""
+    largest = peers.largest(_largest(np.abs(vector)))
     if largest == 0.0 or not np.isfinite(largest):
         return largest
-    return largest * float(np.linalg.norm(vector / largest))
-
-
-def _magnitude(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return |M||z| + |q|, shape (n,)."""
-    absolute: Any = abs(problem.M)
-    magnitude: FloatVector = absolute @ np.abs(z) + np.abs(problem.q)
-    return magnitude
+    scaled = vector / largest
+    return largest * math.sqrt(peers.total(float(scaled @ scaled)))
 
 
 def _largest(values: FloatVector) -> float:

@@ -42,6 +42,8 @@ class Branches(NamedTuple):
 class RowInequality:
     """Φ of one point, the sum `high` + `low`; every number is an upper bound of what it stands for.
 
+    On several ranks all vectors are the own parts, and whatever multiplies by M or compares all rows is called by all.
+
     Attributes
     ----------
     above, below : ndarray, shape (n,)
@@ -66,9 +68,10 @@ class RowInequality:
     def at(cls, problem: LCP, high: FloatVector, low: FloatVector | None = None) -> RowInequality:
         """Return the inequality at the finite point high + low, each of shape (n,)."""
         if low is None:
-            value, radius = compensated_product(problem.csr, high, problem.q)
+            matrix = problem.matrix
+            value, radius = compensated_product(matrix.csr_rows, matrix.whole(high), problem.q)
             slack, negative = sum_above(value, radius), sum_above(-value, radius)
-            low = np.zeros(problem.n)
+            low = np.zeros(problem.own)
         else:
             slack, negative = _slack_of_pair(problem, high, low)
         return cls(
@@ -89,8 +92,8 @@ class RowInequality:
             largest = np.maximum(quotient_above(outside, v), within).max(initial=0.0)
             return np.inf if np.isnan(largest) else float(largest)
 
-        return max(
-            side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        return self.problem.peers.largest(
+            max(side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack))
         )
 
     def image(self, y: FloatVector) -> FloatVector:
@@ -156,7 +159,7 @@ def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> Float
 
 def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
     """Return an upper bound of −⟨M⟩y."""
-    value, radius = comparison_product(problem.csr, y)
+    value, radius = comparison_product(problem.matrix.csr_rows, problem.matrix.whole(y))
     return sum_above(-value, radius)
 
 

@@ -11,9 +11,11 @@ from contextlib import suppress
 from typing import Any
 
 from ..algorithms import REGISTRY, create, from_other_packages
-from ..certificates.convergence import Guarantee
-from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE
+from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
 from ..errors import LCPError
+from ..evidence.contestants import PAPER_MSOR
+from ..evidence.exporting import finite_content
+from ..evidence.paper_tables import paper_options
 from ..matrix import analyze
 from ..problem.lcp import LCP
 from ..solving.guarantees import convergence_guarantee
@@ -21,22 +23,17 @@ from ..solving.guarantees import convergence_guarantee
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 WIDEST = 100
 EVIDENCE = 41  # where the evidence begins in a line of the matrix report
-PAPER_VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("npj", {"scaling": None}),
-    ("npgs", {"scaling": None}),
-    ("npsor", {"scaling": None}),
-    ("npaor", {"scaling": None}),
-    ("npsplitting", {"scaling": None}),
-    ("mgs", {"omega": 0.5}),
-    ("msor", {"omega": 0.5 / 0.85**2}),
-)
+PAPER_VARIANTS: dict[str, dict[str, Any]] = {
+    **{name: paper_options(name, None) for name in ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")},
+    "msor": {"omega": paper_options("msor", PAPER_MSOR)["omega"]},
+}
 
 
 def guarantees(problem: LCP) -> Iterator[tuple[str, Guarantee]]:
     """Yield (title, guarantee) of auto, of every algorithm at its defaults, and of the paper's variants."""
     for name in ("auto", *REGISTRY, *_usable_from_outside()):
         yield name, convergence_guarantee(problem, name)
-    for name, options in PAPER_VARIANTS:
+    for name, options in PAPER_VARIANTS.items():
         shown = ", ".join(f"{option}={_short(value)}" for option, value in options.items())
         yield f"{name}, {shown}", convergence_guarantee(problem, name, **options)
 
@@ -81,7 +78,7 @@ def content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    told: dict[str, Any] = _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    told: dict[str, Any] = finite_content({"matrix": analyze(problem).to_content(), "convergence": rows})
     return told
 
 
@@ -113,11 +110,3 @@ def _rate(rate: float) -> str:
 
 def _short(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value).lower()
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -13,7 +13,7 @@ import typer
 
 from .. import __version__
 from ..errors import InvalidOption, LCPError, did_you_mean
-from .completion import algorithm_names, benchmark_names, scene_names
+from .target import algorithm_names, benchmark_names, scene_names
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -67,26 +67,32 @@ def run() -> None:
         app()
 
 
-def _speaks_plainly(command: F) -> F:
-    """Turn every expected failure into one line on stderr and exit code 2."""
+def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
+    """Register a command: False means exit code 1, and every expected failure is one line on stderr and code 2."""
 
-    @functools.wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> Any:
-        try:
-            return command(*args, **kwargs)
-        except LCPError as error:
-            message = str(error)
-        except MemoryError as error:
-            message = f"not enough memory ({error}); choose a smaller problem"
-        except BrokenPipeError:
-            sys.stderr.close()  # the reader has gone; nothing is left to tell
-            raise typer.Exit(EXIT_UNSOLVED) from None
-        except OSError as error:
-            message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
-        typer.echo(f"lcp-plugin: {message}", err=True)
-        raise typer.Exit(EXIT_BAD_INPUT)
+    def registered(command: F) -> F:
+        @functools.wraps(command)
+        def wrapped(*args: Any, **kwargs: Any) -> None:
+            try:
+                if command(*args, **kwargs) is False:
+                    raise typer.Exit(EXIT_UNSOLVED)
+                return
+            except LCPError as error:
+                message = str(error)
+            except MemoryError as error:
+                message = f"not enough memory ({error}); choose a smaller problem"
+            except BrokenPipeError:
+                sys.stderr.close()  # the reader has gone; nothing is left to tell
+                raise typer.Exit(EXIT_UNSOLVED) from None
+            except OSError as error:
+                message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+            typer.echo(f"lcp-plugin: {message}", err=True)
+            raise typer.Exit(EXIT_BAD_INPUT)
 
-    return wrapped  # type: ignore[return-value]
+        app.command(name, epilog=_ending(exit_codes, *examples))(wrapped)
+        return command
+
+    return registered
 
 
 @app.callback(invoke_without_command=True)
@@ -102,14 +108,12 @@ def main(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-@app.command(
-    epilog=_ending(
-        "0 solved, 1 ran but not solved, 2 bad input",
-        "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-        "solve folder_with_M_and_q/ --json", "solve obstacle-2d --size 500 --backend petsc --out answer",
-    )
+@_command(
+    "solve",
+    "0 solved, 1 ran but not solved, 2 bad input",
+    "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
+    "solve folder_with_M_and_q/ --json", "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
-@_speaks_plainly
 def solve(
     target: Target,
     algorithm: AlgorithmName = "auto",
@@ -134,7 +138,7 @@ def solve(
     backend: Annotated[
         str, typer.Option(help="serial, or petsc: the rows spread over the ranks of mpiexec.")
     ] = "serial",
-) -> None:
+) -> bool:
     """Solve a file or a scene; print status, residuals and counts."""
     from . import distributed, solving
 
@@ -145,52 +149,22 @@ def solve(
         max_iterations=max_iterations, max_seconds=max_seconds,
     )
     if backend == "petsc":
-        is_solved = distributed.solve(target, size, algorithm, options, settings, plot, out, as_json=json)
-    else:
-        settings |= {"algorithm": solving.chosen(algorithm, options), "record": plot is not None}
-        is_solved = _solve_here(target, size, settings, plot, out, as_json=json)
-    if not is_solved:
-        raise typer.Exit(EXIT_UNSOLVED)
+        return distributed.solve(target, size, algorithm, options, settings, plot, out, as_json=json)
+    settings |= {"algorithm": solving.chosen(algorithm, options), "record": plot is not None}
+    return solving.run(target, size, settings, plot, out, as_json=json)
 
 
-def _solve_here(
-    target: str, size: int | None, settings: dict[str, Any], plot: Path | None, out: Path | None, *, as_json: bool
-) -> bool:
-    """Solve in this process, print and save; return whether it is solved."""
-    from . import solving
-    from .target import read_target
-    from .terminal import RunLine
-
-    solving.check_outputs(target, plot, out)
-    problem, scene = read_target(target, size)
-    with RunLine() as progress:
-        results = solving.solve_all(problem, scene, settings, progress)
-    result = results[-1]
-    typer.echo(solving.as_json(results) if as_json else solving.story(results, scene))
-    if out is not None:
-        solving.save_answer(result, out)
-    if plot is not None:
-        from ..evidence.pictures import draw
-
-        draw(result, plot, scene, results)
-    for path in filter(None, (plot, out)):
-        typer.echo(f"saved {path}", err=as_json)
-    return result.is_solved
-
-
-@app.command(
-    epilog=_ending(
-        "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
-        "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
-    )
+@_command(
+    "check",
+    "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
+    "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
 )
-@_speaks_plainly
 def check(
     target: Target,
     algorithm: AlgorithmName = "auto",
     reference: Annotated[str, typer.Option(help="The convex solver to compare with, or auto.")] = "auto",
     max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each side.")] = 60.0,
-) -> None:
+) -> bool:
     """Compare our answer with that of a convex solver that shares no code with it."""
     from ..evidence.cross_check import cross_validate
     from .target import read_target
@@ -198,12 +172,10 @@ def check(
     problem, _ = read_target(target)
     outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
     typer.echo(str(outcome))
-    if not outcome.agrees:
-        raise typer.Exit(EXIT_UNSOLVED)
+    return outcome.agrees
 
 
-@app.command(epilog=_ending("0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json"))
-@_speaks_plainly
+@_command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
 def analyze(
     target: Target,
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
@@ -216,27 +188,23 @@ def analyze(
     typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
 
 
-@app.command("list", epilog=_ending("0 done", "list"))
-@_speaks_plainly
+@_command("list", "0 done", "list")
 def list_everything() -> None:
     """List the algorithms with what they need, and the scenes with their parameters."""
-    from .listing import list_everything as print_lists
+    from .listing import print_everything
 
-    print_lists()
+    print_everything()
 
 
-@app.command(epilog=_ending("0 every iteration count is the paper's, 1 one differs", "tables"))
-@_speaks_plainly
-def tables() -> None:
+@_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables")
+def tables() -> bool:
     """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
-    from .tables import print_tables
+    from .listing import print_paper_tables
 
-    if not print_tables():
-        raise typer.Exit(EXIT_UNSOLVED)
+    return print_paper_tables()
 
 
-@app.command(epilog=_ending("0 done, 2 bad input", "bench", "bench sweeps --quick"))
-@_speaks_plainly
+@_command("bench", "0 done, 2 bad input", "bench", "bench sweeps --quick")
 def bench(
     name: Annotated[
         str | None,
@@ -257,13 +225,11 @@ def bench(
         typer.echo(line)
 
 
-@app.command(
-    epilog=_ending(
-        "0 complete, 1 interrupted (the same command goes on), 2 bad input",
-        "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
-    )
+@_command(
+    "report",
+    "0 complete, 1 interrupted (the same command goes on), 2 bad input",
+    "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
 )
-@_speaks_plainly
 def report(
     scenes: Annotated[
         list[str] | None,
@@ -276,21 +242,19 @@ def report(
         Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
     ] = Path("report"),
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
-) -> None:
+) -> bool:
     """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
     from .report import make
 
     is_complete, story = make(scenes or [], out, quick=quick)
     typer.echo(story)
-    if not is_complete:
-        raise typer.Exit(EXIT_UNSOLVED)
+    return is_complete
 
 
-@app.command("warm-up", epilog=_ending("0 done", "warm-up"))
-@_speaks_plainly
+@_command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
     """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
-    from .warm_up import warm_up as compile_everything
+    from .solving import compile_everything
 
     typer.echo(compile_everything())
 

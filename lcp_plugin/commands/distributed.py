@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import typer
@@ -22,12 +22,10 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
 from ..problem.lcp import LCP
 from ..settings import Settings
+from ..solving import driver as solving
 from ..solving.result import Result
 from .target import require_file, scene_text
 from .terminal import RunLine
-
-if TYPE_CHECKING:
-    from ..distributed import DistributedLCP
 
 BACKENDS = ("serial", "petsc")
 LARGE_FOR_EACH_RANK = 100_000
@@ -42,7 +40,7 @@ T = TypeVar("T")
 class _Read:
     """A problem and what its source knows: a name, a start, and how far an own z is from what reference."""
 
-    problem: DistributedLCP
+    problem: LCP
     name: str = ""
     start: FloatVector | None = None
     distance: Callable[[FloatVector], float] | None = None
@@ -89,9 +87,10 @@ def solve(
             "np.load('FOLDER/z.npy')"
         )
     try:
-        from ..distributed import algorithms  # first: it says what is missing
+        from .. import distributed  # noqa: F401 - first: it says what is missing
         from ..peers.ranks.collective import as_mpi
         from ..peers.ranks.failures import ends_together
+        from ..policy.choice import policy_for
     except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library
         raise InvalidOption(
             f"--backend petsc needs mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]'"
@@ -99,14 +98,13 @@ def solve(
     comm = as_mpi(None)
     with ends_together(comm, speaker=SPEAKER):
         Settings(**settings, record=False)  # each rank sees a wrong one for itself, before anything is built
-        chosen = algorithms.chosen(algorithm, options)
-        settings = {**settings, "algorithm": "auto" if algorithm == "auto" else chosen}
+        settings = {**settings, "algorithm": policy_for(algorithm, options, on_ranks=True).chosen}
         _by_first(comm, lambda: _check_folder(target, out))
         read = _read(comm, target, size)
         _by_first(comm, lambda: _check_room(read.problem.n, out))
         with RunLine() as progress:
             callback = progress if comm.rank == 0 else None
-            result = read.problem.solve_with(z0=read.start, callback=callback, **settings)
+            result = solving.solve(read.problem, z0=read.start, callback=callback, **settings)
         content, story = _told(read, result)
         typer.echo(json.dumps(content, indent=2) if as_json else story)
         if out is not None:
@@ -119,17 +117,17 @@ def solve(
 
 
 def _read(comm: Any, target: str, size: int | None) -> _Read:
-    from ..distributed import DistributedLCP, scenes
     from ..evidence import gallery
+    from ..evidence.gallery import on_ranks as scenes
 
     text = scene_text(target, size)
     if text is None:
         kind = _by_first(comm, lambda: _kind(target))
         if kind == "parts":
-            return _Read(DistributedLCP.load(target, comm))
+            return _Read(LCP.load(target, comm))
         whole = LCP.load(target)
         _note_whole(comm, whole.n, "this file is read")
-        return _Read(DistributedLCP.from_problem(whole, comm))
+        return _Read(LCP.from_problem(whole, comm))
     by_rows = scenes.by_rows(text)
     if by_rows is not None:
         name, parameters = by_rows
@@ -143,7 +141,7 @@ def _read(comm: Any, target: str, size: int | None) -> _Read:
     if scene.steps > 1:
         raise InvalidOption(f"{scene.name} is a march in time, which --backend petsc does not offer; leave it out")
     _note_whole(comm, scene.n, f"{scene.name} is built")
-    problem = DistributedLCP.from_problem(scene.problem, comm)
+    problem = LCP.from_problem(scene.problem, comm)
     own = slice(problem.first, problem.last)
     reference, name = (scene.continuum, "from the continuum") if scene.exact is None else (scene.exact, "true error")
     return _Read(
@@ -175,23 +173,17 @@ def _told(read: _Read, result: Result) -> tuple[dict[str, Any], str]:
     """Return what --json prints and what a person reads; all ranks call."""
     from ..peers.ranks.collective import gathered
 
-    problem, z, bound = read.problem, result.z, result.error_bound
-    table = gathered(
-        problem.comm,
-        float(np.count_nonzero((z <= problem.lower) | (z >= problem.upper))),
-        0.0 if bound is None else float(np.count_nonzero(bound.proven_active)),
-        0.0 if bound is None else float(np.count_nonzero(bound.proven_inactive)),
-        0.0 if read.distance is None else read.distance(z), _peak_memory(),
-    )
-    at_bound, active, inactive = (int(count) for count in table[:, :3].sum(axis=0))
-    n, peaks = problem.n, [int(peak) for peak in table[:, -1]]
-    undecided = f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
-    lines = [undecided if line.startswith("proven: ") else line for line in result.explain().splitlines()]
-    lines = [read.name, repr(problem), *lines, str(result.certificate), f"{'at a bound':<18} {at_bound} of {n}"]
+    problem, z = read.problem, result.z
+    distance = 0.0 if read.distance is None else read.distance(z)
+    is_at_bound = (z <= problem.lower) | (z >= problem.upper)
+    table = gathered(problem.peers.comm, float(np.count_nonzero(is_at_bound)), distance, _peak_memory())
+    peaks = [int(peak) for peak in table[:, 2]]
+    at_bound = f"{'at a bound':<18} {int(table[:, 0].sum())} of {problem.n}"
+    lines = [read.name, repr(problem), result.explain(), str(result.certificate), at_bound]
     if read.distance is not None:
-        lines.append(f"{read.reference:<18} {table[:, -2].max():.3e}")
+        lines.append(f"{read.reference:<18} {table[:, 1].max():.3e}")
     lines.append(f"{'peak memory':<18} {_in_words(peaks)}")
-    content = {**result.to_content(), "ranks": problem.comm.size, "peak_memory_bytes": peaks}
+    content = {**result.to_content(), "ranks": problem.peers.size, "peak_memory_bytes": peaks}
     return content, "\n".join(filter(None, lines))
 
 

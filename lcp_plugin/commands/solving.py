@@ -1,20 +1,43 @@
-"""What `lcp-plugin solve` does between its command line and its last line."""
+"""What `lcp-plugin solve` does between its command line and its last line; and how every kernel is compiled once."""
 
 from __future__ import annotations
 
-import json as json_module
+import json
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 
-from ..checks import FloatVector
 from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
 from ..solving.result import Result
+from .target import read_target
 from .terminal import RunLine
 
 OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
+
+
+def run(
+    target: str, size: int | None, settings: dict[str, Any], plot: Path | None, out: Path | None, *, as_json: bool
+) -> bool:
+    """Solve in this process, print and save; return whether it is solved."""
+    check_outputs(target, plot, out)
+    problem, scene = read_target(target, size)
+    with RunLine() as progress:
+        results = solve_all(problem, scene, settings, progress)
+    result = results[-1]
+    typer.echo(content(results) if as_json else story(results, scene))
+    if out is not None:
+        save_answer(result, out)
+    if plot is not None:
+        from ..evidence.pictures import draw
+
+        draw(result, plot, scene, results)
+    for path in filter(None, (plot, out)):
+        typer.echo(f"saved {path}", err=as_json)
+    return result.is_solved
 
 
 def check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
@@ -90,16 +113,16 @@ def save_answer(result: Result, path: Path) -> None:
     write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
 
 
-def as_json(results: list[Result]) -> str:
+def content(results: list[Result]) -> str:
     """Return the last result as JSON, with the totals of a march."""
-    content = results[-1].to_content()
+    told = results[-1].to_content()
     if len(results) > 1:
-        content["march"] = {
+        told["march"] = {
             "steps": len(results),
             "iterations": sum(result.iterations for result in results),
             "seconds": sum(result.seconds for result in results),
         }
-    return json_module.dumps(content, indent=2)
+    return json.dumps(told, indent=2)
 
 
 def story(results: list[Result], scene: Any) -> str:
@@ -117,9 +140,25 @@ def story(results: list[Result], scene: Any) -> str:
     if scene is not None and scene.steps == 1:
         for reference, name in ((scene.exact, "true error"), (scene.continuum, "from the continuum")):
             if reference is not None and problem.n:
-                lines.append(f"{name:<18} {_distance(result.z, reference):.3e}")
+                lines.append(f"{name:<18} {np.max(np.abs(result.z - reference)):.3e}")
     return "\n".join(filter(None, lines))
 
 
-def _distance(z: FloatVector, reference: FloatVector) -> float:
-    return float(np.max(np.abs(z - reference)))
+def compile_everything() -> str:
+    """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
+    from ..algorithms import REGISTRY, create
+    from ..algorithms.rehearsal import rehearse
+    from ..certificates.error_bounds import error_bound
+    from ..evidence import gallery
+    from ..kernels.compilation import cache_folder
+    from ..solving.driver import solve
+
+    began = time.perf_counter()
+    scene = gallery.build("obstacle_2d", size=20)
+    for name in REGISTRY:
+        rehearse(create(name, {}), scene.problem)
+    dense = LCP(scene.problem.csr[:9, :9].toarray(), scene.problem.q[:9], lower=-1.0, upper=1.0)
+    for problem in (scene.problem, dense):
+        for name in ("multigrid", "lemke", "newton", "auto"):
+            error_bound(problem, solve(problem, name).z)
+    return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"

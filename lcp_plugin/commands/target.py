@@ -1,4 +1,4 @@
-"""What a command works on: a file, a folder or a scene."""
+"""What a command works on: a file, a folder or a scene; and the words that the shell offers for it."""
 
 from __future__ import annotations
 
@@ -67,3 +67,27 @@ def require_file(target: str) -> None:
     if not (looks_like_a_path or Path(target).exists() or Path(f"{target}M.mtx").exists()):
         name = target.partition(":")[0]
         raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
+
+
+# --- What the shell offers ------------------------------------------------------------------------------------
+
+
+def scene_names(incomplete: str) -> list[str]:
+    """Return the scenes that begin so."""
+    from ..evidence import gallery
+
+    return [name for name in gallery.names() if name.startswith(incomplete)]  # none of them: the shell tries files
+
+
+def algorithm_names(incomplete: str) -> list[str]:
+    """Return the algorithms that begin so, those of other packages too."""
+    from ..algorithms import REGISTRY, from_other_packages
+
+    return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
+
+
+def benchmark_names(incomplete: str) -> list[str]:
+    """Return the benchmarks that begin so."""
+    from ..evidence.benchmarks import BENCHMARKS
+
+    return [name for name in BENCHMARKS if name.startswith(incomplete)]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..exact.rounding import compensated_product
+from ..kernels.floats import EPSILON
 from ..matrix.matrix import NEGLIGIBLE_DIAGONAL
 from ..problem.lcp import LCP
 
@@ -21,7 +22,6 @@ Indices = NDArray[np.int64]
 MOST_ROUNDS = 8  # passes over M; what they leave is left
 SMALL_GAIN = 0.01  # share of the rows that a round must take out for another one, where there are many
 MOST_LEVELS = 2000
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)

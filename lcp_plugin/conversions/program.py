@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
 from ..errors import InvalidProblem, UnsupportedModel
-from ..matrix.definiteness import EPSILON, is_semidefinite_to_rounding
+from ..kernels.floats import EPSILON
+from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.symmetry import mismatch
 from .constraints import Constraints, dual_unit, largest_entries
 from .qp_certificates import proof_of_no_minimum

@@ -17,9 +17,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, solved_nearby, transposed_product
+from ..exact.linear_systems import solved_nearby
+from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
+from ..kernels.floats import EPSILON
 from .constraints import FoldedRows, fold_simple_rows, largest_entries
-from .qp_proofs import EPSILON, QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
+from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram

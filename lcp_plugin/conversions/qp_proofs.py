@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.integers import rounded_down
-from ..exact.rational import ZERO, Row, Vector, products, rational_rows, transposed_product
+from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
+from ..kernels.floats import EPSILON
 from .constraints import Constraints, constraint_tolerance
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
-
-EPSILON = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)

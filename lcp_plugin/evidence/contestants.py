@@ -15,6 +15,7 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve
 from ..solving.result import Result, Sample
+from .paper_tables import paper_options
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
@@ -143,12 +144,12 @@ def _label(algorithm: str | Algorithm) -> str:
 
 def paper_settings() -> Iterable[Contestant]:
     """Yield the paper's methods with its own settings: no row scaling, the Ω behind its tables."""
-    note = "as in the paper: no row scaling"
-    yield _made("NPGS paper", "npgs", note, scaling=None)
-    yield _made("NPSOR paper", "npsor", note, scaling=None, relaxation=PAPER_RELAXATION)
-    yield _made("MGS paper", "mgs", "Ω = D/2, as behind the paper's tables", omega=0.5)
-    yield _made("MSOR paper", "msor", "Ω = D/(2α²), α = 0.85, as behind the paper's tables", relaxation=PAPER_MSOR,
-                omega=0.5 / PAPER_MSOR**2)
+    unscaled, tables = "as in the paper: no row scaling", "as behind the paper's tables"
+    for name, relaxation, note in (
+        ("npgs", None, unscaled), ("npsor", PAPER_RELAXATION, unscaled), ("mgs", None, f"Ω = D/2, {tables}"),
+        ("msor", PAPER_MSOR, f"Ω = D/(2α²), α = {PAPER_MSOR}, {tables}"),
+    ):
+        yield _made(f"{name.upper()} paper", name, note, **paper_options(name, relaxation))
 
 
 def own_settings() -> Iterable[Contestant]:
@@ -211,6 +212,11 @@ def tuned(
             best, chosen = score, options
     shown = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in chosen.items())
     return _made(label, name, f"{shown}: the best of {len(settings)} settings tried on this very problem", **chosen)
+
+
+def fresh(problem: LCP) -> LCP:
+    """Return the same problem with nothing computed about it yet; the arrays are shared."""
+    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
 
 
 class WorkLimit:

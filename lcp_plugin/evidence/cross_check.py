@@ -13,13 +13,15 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from ..algorithms import module_of
-from ..certificates.residuals import Certificate, scaled_residual
+from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError
 from ..problem.lcp import LCP
@@ -152,22 +154,15 @@ def cross_validate(
         return CrossCheck("agree", "there are no unknowns", "", "", ours, None, result.seconds, 0.0)
     formulation = Formulation.of(problem)
     if formulation.kind is None:
-        return _second_opinion(formulation, result, ours, tolerance, max_seconds)
-    tried = []
-    for one in attempts(formulation, reference, max_seconds):
-        tried.append(one)
-        if one.is_accurate:
-            break
-    best = _best(tried)
-    return _compared(formulation, result, ours, best, tuple(tried))
+        return _compared(formulation, result, ours, _second_opinions(formulation, result, tolerance, max_seconds))
+    return _compared(formulation, result, ours, attempts(formulation, reference, max_seconds))
 
 
-def _second_opinion(
-    formulation: Formulation, result: Result, ours: Certificate, tolerance: float, max_seconds: float
-) -> CrossCheck:
-    """Return the check against algorithms of other families than those that made the result."""
+def _second_opinions(
+    formulation: Formulation, result: Result, tolerance: float, max_seconds: float
+) -> Iterator[Attempt]:
+    """Yield the answers of algorithms of other families than those that made the result."""
     used = {module_of(stage.name) for stage in result.stages} or {module_of(result.algorithm)}
-    tried = []
     for name, options in SECOND_OPINIONS.items():
         if module_of(name) in used:
             continue
@@ -175,39 +170,31 @@ def _second_opinion(
         try:
             problem = formulation.scaled.problem
             other = solve(problem, name, tolerance=tolerance, max_seconds=max_seconds, **options)
-            one = Attempt(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
+            yield Attempt(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
         except LCPError as error:
-            one = Attempt(f"our {name}", None, time.perf_counter() - began, str(error))
-        tried.append(one)
-        if one.is_accurate:
-            break
-    best = _best(tried)
-    return _compared(formulation, result, ours, best, tuple(tried))
-
-
-def _best(tried: list[Attempt]) -> Attempt:
-    """Return the most accurate; of those without an answer the last, which is the least likely to be just absent."""
-    return min(reversed(tried), key=lambda one: one.residual)
+            yield Attempt(f"our {name}", None, time.perf_counter() - began, str(error))
 
 
 # --- Comparing ----------------------------------------------------------------------------------------------
 
 
 def _compared(
-    formulation: Formulation, result: Result, ours: Certificate, best: Attempt, tried: tuple[Attempt, ...]
+    formulation: Formulation, result: Result, ours: Certificate, asked: Iterator[Attempt]
 ) -> CrossCheck:
-    kind = formulation.kind
-    told = f"{kind} ({formulation.evidence})" if kind else "no convex program"
-    if best.certificate is None or not np.isfinite(ours.z).all():
-        verdict, reason = _judged(formulation, result, ours, best, None)
-        return CrossCheck(verdict, reason, "", told, ours, best.certificate, result.seconds, best.seconds, tried)
-    pair = _Pair(formulation, ours, best.certificate)
+    """Return the check against the first accurate answer, else the best; who comes after it is not asked."""
+    tried: list[Attempt] = []
+    while not (tried and tried[-1].is_accurate) and (one := next(asked, None)) is not None:
+        tried.append(one)
+    # Of those without an answer the last, which is the least likely to be just absent.
+    best = min(reversed(tried), key=lambda one: one.residual)
+    told = f"{formulation.kind} ({formulation.evidence})" if formulation.kind else "no convex program"
+    pair = None
+    if best.certificate is not None and np.isfinite(ours.z).all():
+        pair = _Pair(formulation, ours, best.certificate)
     verdict, reason = _judged(formulation, result, ours, best, pair)
+    name, facts = (best.name, pair.facts()) if pair is not None else ("", {})
     return CrossCheck(
-        verdict, reason, best.name, told, ours, best.certificate, result.seconds, best.seconds, tried,
-        difference_z=_largest(pair.step), difference_w=_largest(pair.rise), objective_gap=pair.objective_gap(),
-        active_sets_agree=pair.active_sets_agree, undecided=pair.undecided,
-        disagreement=pair.disagreement, allowance=pair.allowance,
+        verdict, reason, name, told, ours, best.certificate, result.seconds, best.seconds, tuple(tried), **facts
     )
 
 
@@ -285,6 +272,14 @@ class _Pair:
     def only_z_differs(self) -> bool:
         """True where z differs clearly, and w and the objective by next to nothing."""
         return not self.is_close and self._rise <= CLEARLY_DIFFERENT * self._step
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a check says of the pair."""
+        return {
+            "difference_z": _largest(self.step), "difference_w": _largest(self.rise),
+            "objective_gap": self.objective_gap(), "active_sets_agree": self.active_sets_agree,
+            "undecided": self.undecided, "disagreement": self.disagreement, "allowance": self.allowance,
+        }
 
     def objective_gap(self) -> float:
         """Return ours minus theirs, without the cancellation of two objectives."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..problem.lcp import LCP
 from ..solving.result import Result, Sample
-from .contestants import Contestant, WorkLimit, checked_names, contestants, measured_run
+from .contestants import Contestant, WorkLimit, checked_names, contestants, fresh, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 from .gallery.scene import Scene
 
@@ -228,30 +228,20 @@ def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple
 # --- Running --------------------------------------------------------------------------------------------------
 
 
-class _Taken(NamedTuple):
-    """What one run showed at one iteration."""
-
-    iteration: int
-    work: float
-    seconds: float
-    error: float = math.nan
-    residual: float = math.nan
-
-
 class _Recorder(WorkLimit):
     """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
 
     def __init__(self, measure: Callable[[FloatVector], tuple[float, float]] | None, max_work: float) -> None:
         super().__init__(max_work)
         self.measure = measure
-        self.taken: list[_Taken] = []
+        self.taken: list[Point] = []
         self._next = 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
         if sample.iteration >= self._next:
             self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
-            measured = self.measure(z) if self.measure is not None else ()
-            self.taken.append(_Taken(sample.iteration, sample.work, sample.seconds, *measured))
+            error, residual = self.measure(z) if self.measure is not None else (math.nan, math.nan)
+            self.taken.append(Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual))
         return super().__call__(sample, z)
 
 
@@ -260,21 +250,21 @@ class _Runs:
 
     def __init__(self, contestant: Contestant) -> None:
         self.contestant = contestant
-        self.first: list[_Taken] = []
+        self.first: list[Point] = []
         self.seconds: list[dict[tuple[int, bool], float]] = []
         self.certificate: Certificate | None = None
         self.status = ""
 
     def add(self, recorder: _Recorder, result: Result, yardstick: Yardstick) -> None:
         """Take in one run; its answer is the last point."""
-        last = _Taken(result.iterations, result.work, result.seconds)
         if not self.seconds:
             self.certificate = result.certificate
             self.status = "MAX_WORK" if recorder.is_over and not result.is_solved else result.status.name
             self.first = [one for one in recorder.taken if one.iteration < result.iterations or one.iteration == 0]
-            self.first.append(_Taken(*last[:3], *yardstick.measure(result.z)))
+            error, residual = yardstick.measure(result.z)
+            self.first.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
         times = {(one.iteration, False): one.seconds for one in recorder.taken}
-        self.seconds.append(times | {(last.iteration, True): last.seconds})
+        self.seconds.append(times | {(result.iterations, True): result.seconds})
 
     def curve(self) -> Curve:
         """Return the curve of those iterations that every run reached."""
@@ -284,17 +274,12 @@ class _Runs:
             seconds = [run[place] for run in self.seconds if place in run]
             if len(seconds) == len(self.seconds):
                 low, middle, high = map(float, np.percentile(seconds, (25.0, 50.0, 75.0)))
-                points.append(Point(one.iteration, one.work, middle, low, high, one.error, one.residual))
+                points.append(one._replace(seconds=middle, seconds_low=low, seconds_high=high))
         note = "; ".join(filter(None, (self.contestant.note, _CLOCKED if self.status == "MAX_SECONDS" else "")))
         return Curve(self.contestant.label, self.contestant.family, self.status, tuple(points), note)
 
 
 _CLOCKED = "ended by the clock, so that the last point depends on the machine"
-
-
-def fresh(problem: LCP) -> LCP:
-    """Return the same problem with nothing computed about it yet; the arrays are shared."""
-    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
 
 
 def _refusal(scene: Scene, one: Contestant) -> str:

@@ -68,6 +68,11 @@ def csv_text(columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     return buffer.getvalue()
 
 
+def csv_of(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Return dictionaries with the same keys as CSV text."""
+    return csv_text(entries[0], (entry.values() for entry in entries))
+
+
 def write_text(path: AnyPath, text: str) -> None:
     """Write the whole file or nothing."""
     write_whole({checked_path(path): lambda file: file.write(text.encode("utf-8"))})

@@ -16,6 +16,8 @@ from .gallery.scene import Scene
 FINEST_SURFACE, FINEST_SKETCH = 70, 110  # nodes along an axis
 LONGEST_SKETCH = 600
 SKETCH_SIZE = (3.6, 3.2)
+FEW = 60  # values, which are drawn larger
+ARRAYS = {"z", "x", "y", "lower", "upper"}
 ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
@@ -45,7 +47,7 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
             _draw_map(figure, figure.add_subplot(1, 3, 2), field)
             _draw_surface(surface, field)
         else:
-            _draw_line(figure.add_subplot(1, panels, 1), result, scene)
+            _draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate, result.z.size))
             if has_edge:
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
         _draw_residuals(figure.add_subplot(1, panels, panels), result)
@@ -113,23 +115,39 @@ def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
 # --- Lines ----------------------------------------------------------------------------------------------------
 
 
-def _draw_line(axes: Any, result: Result, scene: Scene | None) -> None:
-    problem = result.certificate.problem
-    has_axis = scene is not None and scene.coordinates is not None
-    x = scene.coordinates[0] if scene is not None and scene.coordinates is not None else np.arange(result.z.size)
-    style = {"linewidth": 1.6} if result.z.size > 60 or has_axis else {"marker": "o", "linewidth": 0.8}
-    for bound, name in ((problem.lower, "lower"), (problem.upper, "upper")):
-        if np.isfinite(bound).all() and bound.size:
-            axes.plot(x, bound, color="0.6", linewidth=1, linestyle="--", label=f"{name} bound")
-    name = scene.unknown if scene is not None else "z"
-    axes.plot(x, result.z, color=FREE, label=name, **style)
-    touching = _active(result.certificate)
-    if touching.any() and not touching.all():
-        means = scene.active_means if scene is not None else "at a bound"
-        axes.plot(x[touching], result.z[touching], ".", color=ACTIVE, markersize=4, label=means)
-    label = scene.axis_labels[0] if scene is not None and scene.axis_labels else "index"
-    axes.set(xlabel=label, ylabel=name)
-    axes.legend(fontsize=8)
+def _line(scene: Scene | None, answer: Certificate, longest: int) -> dict[str, Any]:
+    """Return z over its only axis, or by its index, with at most so many values: bounds, contact set and names."""
+    problem, step = answer.problem, slice(None, None, max(1, -(-answer.z.size // max(longest, 1))))
+    axes = (scene.coordinates if scene is not None else None) or ()
+    has_axis = len(axes) == 1 and scene is not None
+    bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
+    return {
+        "kind": "line" if has_axis else "dots", "z": answer.z[step], "active": _active(answer)[step],
+        "x": (axes[0] if has_axis else np.arange(answer.z.size))[step],
+        "x_label": scene.axis_labels[0] if has_axis and scene is not None else "index",
+        "unknown": "z" if scene is None else scene.unknown,
+        "active_means": "at a bound" if scene is None else scene.active_means,
+    } | {name: bound[step] for name, bound in bounds.items() if np.isfinite(bound).all()}
+
+
+def _draw_line(axes: Any, line: dict[str, Any]) -> None:
+    """Draw z, what rests on a bound in orange; grey is where z must not go."""
+    x, z, active = line["x"], line["z"], line["active"].astype(bool)
+    for name, end in (("lower", min), ("upper", max)):
+        if name in line:
+            axes.fill_between(x, line[name], end(*line[name], *z), color="#eeeeee", linewidth=0)
+    if line["kind"] == "line":
+        axes.plot(x, z, color=FREE, linewidth=1.6)
+        axes.plot(x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round")
+    else:
+        size = 2.5 if z.size > FEW else 6.0
+        axes.plot(x[~active], z[~active], ".", color=FREE, markersize=size)
+        axes.plot(x[active], z[active], ".", color=ACTIVE, markersize=size)
+        if z.size and np.ptp(z) > 1e3 * np.median(np.abs(z[~active]) if (~active).any() else [1.0]):
+            axes.set_yscale("symlog", linthresh=1e-3)
+    if active.any():
+        axes.set_title(f"orange: {line['active_means']}", color=ACTIVE, fontsize=8.5)
+    axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
 
 
 def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
@@ -171,23 +189,11 @@ def _draw_residuals(axes: Any, result: Result) -> None:
 def sketch_of(scene: Scene, answer: Certificate) -> dict[str, Any]:
     """Return what a sketch of the answer shows, coarse enough for JSON: kind, values, coordinates and names."""
     if scene.grid is None or len(scene.grid) == 1 or min(scene.grid[-2:]) < 2:
-        shown = _line(scene, answer)
+        shown = _line(scene, answer, LONGEST_SKETCH)
     else:
         shown = _coarse(_field(scene, answer), FINEST_SKETCH) | {"kind": "field"}
-    values = {name: _rounded(shown[name]) for name in ("z", "x", "y", "lower") if name in shown}
-    names = {"unknown": scene.unknown, "active_means": scene.active_means}
-    return names | shown | values | {"active": shown["active"].astype(int).tolist()}
-
-
-def _line(scene: Scene, answer: Certificate) -> dict[str, Any]:
-    lower, step = answer.problem.lower, slice(None, None, max(1, -(-answer.z.size // LONGEST_SKETCH)))
-    has_axis = scene.coordinates is not None and len(scene.coordinates) == 1
-    x = scene.coordinates[0] if has_axis and scene.coordinates is not None else np.arange(answer.z.size)
-    return {
-        "kind": "line" if has_axis else "dots", "z": answer.z[step], "active": _active(answer)[step],
-        "x": x[step], "x_label": scene.axis_labels[0] if has_axis else "index",
-        "lower": lower[step] if has_axis and np.isfinite(lower).all() else [],
-    }
+    values = {name: _rounded(shown[name]) for name in ARRAYS & shown.keys()}
+    return shown | values | {"active": shown["active"].astype(int).tolist()}
 
 
 def _rounded(values: Any) -> Any:
@@ -198,28 +204,12 @@ def _rounded(values: Any) -> Any:
 
 def draw_sketch(sketch: dict[str, Any]) -> Any:
     """Return the figure of a sketch."""
-    arrays = {name: np.array(sketch[name], dtype=float) for name in ("z", "active", "x", "y") if name in sketch}
+    shown = sketch | {name: np.array(sketch[name], dtype=float) for name in (ARRAYS | {"active"}) & sketch.keys()}
     with styled():
         figure, axes = new_figure(SKETCH_SIZE)
         axes.grid(False)
         if sketch["kind"] == "field":
-            _draw_map(figure, axes, sketch | arrays)
+            _draw_map(figure, axes, shown)
         else:
-            _draw_dots(axes, sketch, arrays["x"], arrays["z"], arrays["active"].astype(bool))
+            _draw_line(axes, shown)
     return figure
-
-
-def _draw_dots(axes: Any, sketch: dict[str, Any], x: Any, z: Any, active: Any) -> None:
-    if sketch["lower"]:
-        axes.fill_between(x, sketch["lower"], min(*sketch["lower"], *z), color="#eeeeee", linewidth=0)
-    if sketch["kind"] == "line":
-        axes.plot(x, z, color=FREE, linewidth=1.6)
-        axes.plot(x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round")
-    else:
-        axes.plot(x[~active], z[~active], ".", color=FREE, markersize=2.5)
-        axes.plot(x[active], z[active], ".", color=ACTIVE, markersize=2.5)
-        if z.size and np.ptp(z) > 1e3 * np.median(np.abs(z[~active]) if (~active).any() else [1.0]):
-            axes.set_yscale("symlog", linthresh=1e-3)
-    if active.any():
-        axes.set_title(f"orange: {sketch['active_means']}", color=ACTIVE, fontsize=8.5)
-    axes.set(xlabel=sketch["x_label"], ylabel=sketch["unknown"])

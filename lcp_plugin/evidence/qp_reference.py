@@ -24,12 +24,14 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from ..certificates.residuals import MACHINE_EPSILON, Certificate, reference_residual, scaled_residual
+from ..certificates.residuals import Certificate, reference_residual
+from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
+from ..kernels.floats import EPSILON
 from ..matrix.definiteness import factorised
+from ..matrix.factors import factorise
 from ..problem.lcp import LCP
 
 ACCURATE = 1e-7
@@ -157,7 +159,7 @@ class Formulation:
             i = int(negative[0])
             return cls(None, f"{matrix} indefinite: M[{i}, {i}] = {problem.diagonal[i]:g}", scaled)
         # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
-        shift = 4.0 * (problem.n + 2) * MACHINE_EPSILON * max(1.0, float(abs(scaled.A).max()))
+        shift = 4.0 * (problem.n + 2) * EPSILON * max(1.0, float(abs(scaled.A).max()))
         solve = _factorised(_symmetric_part(scaled.A), shift)
         if solve is None:
             return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)
@@ -169,7 +171,7 @@ class Formulation:
 
 def _asymmetry(A: Any) -> tuple[int, int] | None:
     """Return a place where A and Aᵀ differ by more than rounding, or None."""
-    allowed = ROUNDING_UNITS * MACHINE_EPSILON
+    allowed = ROUNDING_UNITS * EPSILON
     excess = abs(A - A.T) - allowed * abs(A)
     if sp.issparse(excess):
         excess = excess.tocoo()
@@ -359,9 +361,8 @@ def _on_active_set(certificate: Certificate) -> FloatVector | None:
     free = np.flatnonzero(~(at_lower | at_upper))
     if free.size == 0:
         return z
-    try:
-        block = problem.csr[free][:, free]
-        z[free] -= splu(sp.csc_array(block)).solve(problem.slack(z)[free])
-    except RuntimeError:
+    factor = factorise(problem.csr[free][:, free])
+    if factor is None:
         return None
+    z[free] -= factor.solve(problem.slack(z)[free])
     return z if np.isfinite(z).all() else None

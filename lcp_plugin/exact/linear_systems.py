@@ -1,4 +1,13 @@
-"""Exact solution of square integer systems: p-adic lifting from one inverse modulo a prime."""
+"""Exact linear algebra: signs of minors by elimination without fractions, solutions by p-adic lifting.
+
+Doubles are dyadic numbers: a power of two makes a row integers and changes no sign of a principal minor. Elimination
+without fractions (Bareiss) keeps them integers, each a minor of the matrix it began with.
+
+References
+----------
+E. H. Bareiss, *Sylvester's identity and multistep integer-preserving Gaussian elimination*, Math. Comp. 22 (1968),
+doi:10.1090/S0025-5718-1968-0226829-0.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +20,104 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..deadline import is_over
+from .rational import ZERO, Row, Vector, integers, products
 
+EXACT_SIZE = 10  # rows; minors of doubles are long numbers
+MOST_UNKNOWNS = 600
+MOST_ENTRIES = 4_000_000
+MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
 # Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
 PRIMES = (33554393, 33554383, 33554371)
 LIMB = 22
 
 Integers = NDArray[np.int64]
 IntegerRows = Sequence[Sequence[int]]
+Rows = list[list[int]]
+
+
+# --- Signs of minors ----------------------------------------------------------------------
+
+
+def exact_rows(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, each row times a power of two."""
+    return [_shortened(row) for row in _whole(M)]
+
+
+def exact_comparison(M: Any) -> Rows:
+    """Return ⟨M⟩ as integers, each row times a power of two."""
+    rows = exact_rows(M)
+    return [[abs(entry) if i == j else -abs(entry) for j, entry in enumerate(row)] for i, row in enumerate(rows)]
+
+
+def exact_symmetric_part(M: Any) -> Rows:
+    """Return M + Mᵀ as integers, each row times a power of two."""
+    rows = _whole(M)
+    return [_shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)]
+
+
+def _whole(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, all of them times one power of two."""
+    entries, _ = integers(M.toarray().ravel())
+    width = max(M.shape[1], 1)
+    return [entries[first : first + width] for first in range(0, len(entries), width)]
+
+
+def _shortened(row: list[int]) -> list[int]:
+    zeros = min(((entry & -entry).bit_length() - 1 for entry in row if entry), default=0)
+    return [entry >> zeros for entry in row]
+
+
+def has_positive_pivots(matrix: Rows) -> bool:
+    """Return whether elimination without exchanges meets positive pivots only.
+
+    For a symmetric matrix that means positive definite, for a Z-matrix a nonsingular M-matrix.
+    """
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot <= 0:
+            return False
+        matrix, before = eliminated(matrix, before), pivot
+    return True
+
+
+def has_nonnegative_pivots(matrix: Rows) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite: a pivot of zero has nothing beside it."""
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot < 0 or (pivot == 0 and any(matrix[0])):
+            return False
+        matrix, before = (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
+    return True
+
+
+def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
+    """Return whether all principal minors are positive; `before` is the pivot eliminated last."""
+    if not matrix:
+        return True
+    pivot = matrix[0][0]
+    if pivot <= 0:
+        return False
+    return has_positive_minors(_without_first(matrix), before) and has_positive_minors(
+        eliminated(matrix, before), pivot
+    )
+
+
+def eliminated(matrix: Rows, before: int) -> Rows:
+    """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
+    top = matrix[0]
+    return [
+        [(top[0] * entry - row[0] * above) // before for entry, above in zip(row[1:], top[1:], strict=True)]
+        for row in matrix[1:]
+    ]
+
+
+def _without_first(matrix: Rows) -> Rows:
+    return [row[1:] for row in matrix[1:]]
+
+
+# --- Solutions ----------------------------------------------------------------------------
 
 
 def modulo(A: IntegerRows, prime: int) -> Integers:
@@ -171,3 +271,66 @@ def _satisfies(A: IntegerRows, b: Sequence[int], numerators: list[int], denomina
         sum(a * x for a, x in zip(row, numerators, strict=True) if a) == denominator * value
         for row, value in zip(A, b, strict=True)
     )
+
+
+def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]) -> Vector | None:
+    """Return an exact solution y of rows · y = right near the guess, changed only where it may and has to be.
+
+    Parameters
+    ----------
+    rows, right
+        The equations; redundant ones are welcome.
+    guess : list of Fraction
+        Near a solution.
+    is_movable : sequence of bool
+        Which entries may change at all.
+
+    Returns
+    -------
+    list of Fraction or None
+        None where the equations contradict one another, or are too many for exact arithmetic.
+
+    Notes
+    -----
+    By p-adic lifting on a largest nonsingular block of the entries that may change, largest ones first.
+    """
+    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
+    if not any(rest):
+        return list(guess)
+    movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
+    if any(value and not row for row, value in zip(movable, rest, strict=True)):
+        return None
+    used = [i for i, row in enumerate(movable) if row]
+    system, missing = [movable[i] for i in used], [rest[i] for i in used]
+    change = _by_largest_block(system, missing, guess)
+    if change is None:
+        return None
+    solution = list(guess)
+    for j, value in change.items():
+        solution[j] += value
+    return solution
+
+
+def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
+    """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
+    columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
+    if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
+        return None
+    place = {j: k for k, j in enumerate(columns)}
+    whole, common = [], math.lcm(*(value.denominator for value in right))
+    scales = [math.lcm(*(entry.denominator for entry in row.values())) for row in rows]
+    for row, scale in zip(rows, scales, strict=True):
+        whole.append([0] * len(columns))
+        for j, entry in row.items():
+            whole[-1][place[j]] = int(entry * scale)
+    at, chosen = rank_profile(whole)
+    longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
+    if len(at) * longest > MOST_BITS:
+        return None
+    block = [[whole[i][k] for k in chosen] for i in at]
+    values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])
+    if values is None:
+        return None
+    solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
+    whole_vector = [solution.get(j, ZERO) for j in range(len(guess))]
+    return solution if list(products(rows, whole_vector)) == right else None

@@ -1,27 +1,118 @@
-"""Exact rational arithmetic on a few sparse rows: products, and the exact solution near an approximate one."""
+"""Exact arithmetic on what is stored in doubles: integers with an exponent, fractions, products of sparse rows."""
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from ..checks import FloatVector
-from .integers import common_denominator
-from .linear_systems import rank_profile, solve_exactly
+from ..errors import InvalidProblem
 
+Rational = int | float | Fraction
 Row = dict[int, Fraction]
 Vector = list[Fraction]
 
 ZERO = Fraction(0)
-FEW_ENTRIES = 120  # up to which plain elimination is quicker
-MOST_UNKNOWNS = 600
-MOST_ENTRIES = 4_000_000
-MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
+
+
+def integers(values: FloatVector) -> tuple[list[int], int]:
+    """Return integers and one exponent e with values_i = integer_i · 2^e, exactly; the values are finite.
+
+    Examples
+    --------
+    >>> integers(np.array([0.75, -2.0, 0.0]))
+    ([3, -8, 0], -2)
+    """
+    mantissa, exponent = np.frexp(values)
+    whole = (mantissa * 2.0**53).astype(np.int64)
+    lowest_bit = np.frexp((whole & -whole).astype(np.float64))[1] - 1
+    nonzero = whole != 0
+    if not nonzero.any():
+        return [0] * values.size, 0
+    # Trailing zeros go to the exponent, which keeps the integers short.
+    whole = np.where(nonzero, whole >> np.where(nonzero, lowest_bit, 0), 0)
+    exponent = exponent - 53 + lowest_bit
+    smallest = int(exponent[nonzero].min())
+    shifts = np.where(nonzero, exponent - smallest, 0)
+    return [m << s for m, s in zip(whole.tolist(), shifts.tolist(), strict=True)], smallest
+
+
+def power_of_two(exponent: int) -> Fraction:
+    """Return 2^exponent, exactly."""
+    return Fraction(1 << exponent) if exponent >= 0 else Fraction(1, 1 << -exponent)
+
+
+@dataclass(frozen=True)
+class IntegerMatrix:
+    """M as integers times 2^exponent, in rows."""
+
+    starts: list[int]
+    columns: list[int]
+    entries: list[int]
+    exponent: int
+
+    def row(self, i: int) -> list[tuple[int, int]]:
+        """Return the (column, integer) pairs of row i."""
+        span = slice(self.starts[i], self.starts[i + 1])
+        return list(zip(self.columns[span], self.entries[span], strict=True))
+
+    @classmethod
+    def of(cls, csr: Any) -> IntegerMatrix:
+        """Return a CSR array of finite doubles as integers."""
+        entries, exponent = integers(np.asarray(csr.data))
+        return cls(csr.indptr.tolist(), csr.indices.tolist(), entries, exponent)
+
+    def transposed_product(self, y: Sequence[int]) -> list[int]:
+        """Return Mᵀy / 2^exponent for integers y, shape (n,)."""
+        product = [0] * len(y)
+        for i, factor in enumerate(y):
+            if factor:
+                for k in range(self.starts[i], self.starts[i + 1]):
+                    product[self.columns[k]] += self.entries[k] * factor
+        return product
+
+
+def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
+    """Return integers and one positive denominator with values_i = integer_i / denominator."""
+    fractions = [Fraction(value) for value in values]
+    denominator = math.lcm(*(value.denominator for value in fractions))
+    return [value.numerator * (denominator // value.denominator) for value in fractions], denominator
+
+
+def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
+    """Return the vector in fractions, shape (n,).
+
+    Raises
+    ------
+    InvalidProblem
+        Where it has another length, or a number in it is not finite.
+    """
+    values: list[Any] = list(z)  # type: ignore[arg-type]
+    if len(values) != n:
+        raise InvalidProblem(f"z must have length {n}, got length {len(values)}; give one number a row")
+    try:
+        return [Fraction(value) for value in values]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidProblem(f"z must consist of finite real numbers, got one that is none: {error}") from error
+
+
+def rounded_down(value: Fraction | None) -> float:
+    """Return a double not above a value ≥ 0; ∞ for None."""
+    if value is None:
+        return math.inf
+    try:
+        near = float(value)
+    except OverflowError:
+        return sys.float_info.max
+    return near if Fraction(near) <= value else math.nextafter(near, 0.0)
 
 
 def rational(values: Iterable[float]) -> Vector:
@@ -68,99 +159,3 @@ def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
         return [ZERO] * values.size
     unit = Fraction(2) ** int(np.floor(np.log2(largest))) / denominator
     return [round(Fraction(value) / unit) * unit for value in values.tolist()]
-
-
-def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]) -> Vector | None:
-    """Return an exact solution y of rows · y = right near the guess, changed only where it may and has to be.
-
-    Parameters
-    ----------
-    rows, right
-        The equations; redundant ones are welcome.
-    guess : list of Fraction
-        Near a solution.
-    is_movable : sequence of bool
-        Which entries may change at all.
-
-    Returns
-    -------
-    list of Fraction or None
-        None where the equations contradict one another, or are too many for exact arithmetic.
-
-    Notes
-    -----
-    Small systems by Gaussian elimination in fractions, larger ones by p-adic lifting on a largest nonsingular block.
-    """
-    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
-    if not any(rest):
-        return list(guess)
-    movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
-    if any(value and not row for row, value in zip(movable, rest, strict=True)):
-        return None
-    used = [i for i, row in enumerate(movable) if row]
-    system, missing = [movable[i] for i in used], [rest[i] for i in used]
-    unknowns = sum(1 for row in system for _ in row)
-    change = _eliminated(system, missing) if unknowns <= FEW_ENTRIES else _lifted(system, missing, guess)
-    if change is None:
-        return None
-    solution = list(guess)
-    for j, value in change.items():
-        solution[j] += value
-    return solution
-
-
-def _eliminated(rows: list[Row], right: Vector) -> Row | None:
-    """Return the entries of a solution that are not 0: elimination, short rows first, largest entries as pivots."""
-    pivots: list[tuple[int, Row, Fraction]] = []
-    where: dict[int, int] = {}
-    for index in sorted(range(len(rows)), key=lambda i: len(rows[i])):
-        row, value = dict(rows[index]), right[index]
-        # Of the pivots in a row, the earliest goes first: it can only bring in later ones.
-        while known := [where[j] for j in row if j in where]:
-            column, pivot_row, pivot_value = pivots[min(known)]
-            factor = row.pop(column)
-            value -= factor * pivot_value
-            for j, entry in pivot_row.items():
-                changed = row.get(j, ZERO) - factor * entry
-                if changed:
-                    row[j] = changed
-                else:
-                    row.pop(j, None)
-        if not row:
-            if value:
-                return None
-            continue
-        column = max(row, key=lambda j: (abs(row[j]), -j))
-        pivot = row.pop(column)
-        where[column] = len(pivots)
-        pivots.append((column, {j: entry / pivot for j, entry in row.items()}, value / pivot))
-    solution: Row = {}
-    for column, row, value in reversed(pivots):
-        solution[column] = value - sum((entry * solution[j] for j, entry in row.items() if j in solution), ZERO)
-    return solution
-
-
-def _lifted(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
-    """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
-    columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
-    if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
-        return None
-    place = {j: k for k, j in enumerate(columns)}
-    whole, common = [], math.lcm(*(value.denominator for value in right))
-    scales = [math.lcm(*(entry.denominator for entry in row.values())) for row in rows]
-    for row, scale in zip(rows, scales, strict=True):
-        integers = [0] * len(columns)
-        for j, entry in row.items():
-            integers[place[j]] = int(entry * scale)
-        whole.append(integers)
-    at, chosen = rank_profile(whole)
-    longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
-    if len(at) * longest > MOST_BITS:
-        return None
-    block = [[whole[i][k] for k in chosen] for i in at]
-    values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])
-    if values is None:
-        return None
-    solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
-    whole_vector = [solution.get(j, ZERO) for j in range(len(guess))]
-    return solution if list(products(rows, whole_vector)) == right else None

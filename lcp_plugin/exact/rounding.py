@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidProblem
+from ..kernels.floats import UNIT
 
 FloatVector = np.ndarray[Any, np.dtype[np.float64]]
 Sums = tuple[FloatVector, FloatVector, FloatVector]
 
-UNIT = 2.0**-53  # half the distance from 1 to the next double
-TINY = 2.0**-1074  # the smallest positive double
 
 
 def gamma(terms: int) -> float:

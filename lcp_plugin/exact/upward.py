@@ -13,10 +13,9 @@ from numba import njit
 
 from ..checks import FloatVector
 from ..kernels.compilation import compiled_elementwise
+from ..kernels.floats import EPSILON, LARGEST, TINY
 
-EPSILON = 2.0**-52
-TINY = 2.0**-1074
-LEAST = -1.7976931348623157e308
+LEAST = -LARGEST
 
 
 def sum_above(a: Any, b: Any) -> FloatVector:

@@ -13,8 +13,8 @@ from numba import float64, njit, uintp
 from numba.extending import intrinsic
 
 from .compilation import compiled
+from .floats import EPSILON, TINY, UNIT
 
-LEAST = 2.0**-1074  # the smallest positive double; sums with such numbers take a processor a hundred times longer
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROWS_AT_ONCE = 1024
 
@@ -49,7 +49,7 @@ def _split_sum(a, b):  # type: ignore[no-untyped-def]
 def _outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
-    widened = error + (abs(value) + error) * 2.0**-51 + (LEAST if is_tiny else 0.0)
+    widened = error + (abs(value) + error) * 2.0**-51 + (TINY if is_tiny else 0.0)
     return widened if error > 0.0 else 0.0
 
 
@@ -69,8 +69,8 @@ def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     value = a / b
     is_exact = (error == 0.0) & ((a == 0.0) | ((_fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
     is_exact |= (abs(value) == np.inf) & (abs(a) > 2.0 * error)
-    least = LEAST if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
-    return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * 2.0**-53 + least)
+    least = TINY if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
+    return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
 
 
 @njit
@@ -85,7 +85,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
             small *= 2.0**960  # exactly, and large enough to show an error
             scaled = small * other
             is_exact = scaled == h * 2.0**960 and abs(scaled) > MAY_UNDERFLOW and _fused(small, other, -scaled) == 0.0
-            lost += 0.0 if is_exact else 4.0 * LEAST
+            lost += 0.0 if is_exact else 4.0 * TINY
     return lost
 
 
@@ -112,7 +112,7 @@ def _summing_rows(comparison: bool) -> Any:
                 lost += abs(t) + abs(u)
             high[i], low[i] = _split_sum(total, errors)
             # `lost` was itself rounded at most 2k times.
-            radius[i] = lost * (1.0 + (4.0 * (end - first) + 8.0) * 2.0**-52)
+            radius[i] = lost * (1.0 + (4.0 * (end - first) + 8.0) * EPSILON)
             if not (abs(high[i]) < np.inf and abs(errors) < np.inf and lost < np.inf):
                 low[i], radius[i] = 0.0, np.inf
             elif is_small:
@@ -154,7 +154,7 @@ def residual_ends(  # type: ignore[no-untyped-def]
                 errors += e + f
                 size += abs(e) + abs(f)
             slack[m], low = _split_sum(total, errors)
-            slip[m] = abs(low) + size * (4.0 * (end - first) + 8.0) * 2.0**-53
+            slip[m] = abs(low) + size * (4.0 * (end - first) + 8.0) * UNIT
             if is_small:
                 slip[m] += _underflow(indices, data, x, first, end, shift)
         for m in range(here):

@@ -226,29 +226,20 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def is_mirrored(indptr, indices, data, tolerance):  # type: ignore[no-untyped-def]
-    """Return whether a CSR array is its transpose up to a relative tolerance in each entry; rows sorted. One pass.
+def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
+    """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
 
-    Row by row, the entries right of the diagonal meet the entries below it in the order in which those are stored.
+    M is symmetric and C-contiguous: a row that changes is added to w, one that stays at its bound costs nothing.
+    `inverse_diagonal` is 0 on the rows to leave alone.
     """
-    one = uintp(1)
-    place = indptr[:-1].copy()
-    for i in range(uintp(indptr.size - 1)):
-        k = uintp(place[i])
-        end = uintp(indptr[i + one])
-        if k < end and uintp(indices[k]) < i:
-            return False  # an entry left of the diagonal that no row above has met
-        for m in range(k, end):
-            j = uintp(indices[m])
-            if j == i:
-                continue
-            p = uintp(place[j])
-            if p >= uintp(indptr[j + one]) or uintp(indices[p]) != i:
-                return False
-            if not abs(data[m] - data[p]) <= tolerance * max(abs(data[m]), abs(data[p])):
-                return False
-            place[j] = p + one
-    return True
+    for _ in range(count):
+        for i in range(z.size):
+            change = min(max(z[i] - w[i] * inverse_diagonal[i], lower[i]), upper[i]) - z[i]
+            if change != 0.0:
+                z[i] = min(max(z[i] + change, lower[i]), upper[i])
+                row = M[i]
+                for j in range(z.size):
+                    w[j] += change * row[j]
 
 
 def row_splits(matrix: Any, *, backward: bool) -> Any:

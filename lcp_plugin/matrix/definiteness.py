@@ -10,12 +10,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..kernels.floats import EPSILON
 from .factors import PositiveFactor, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
 
-EPSILON = 2.0**-52
 LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 

@@ -13,7 +13,6 @@ doi:10.1137/1.9781611971262.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
@@ -21,9 +20,11 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
 from ..errors import InvalidOption, InvalidProblem
+from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
+from ..exact.rational import rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
-from ..exact.small_matrices import EXACT_SIZE, exact_comparison, has_positive_pivots
 from .comparison import DIRECT_LIMIT, ComparisonMatrix, shared_comparison
+from .h_on_ranks import positive_product
 from .matrix import Matrix, fact
 from .structure import block_rows, strong_blocks
 
@@ -32,7 +33,6 @@ EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
 REWEIGHTINGS = 3
 TOLERANCES = (0.1, 1e-3, 1e-7)
 COUPLING_SWEEPS = 1_000
-LARGEST = Fraction(float(np.finfo(np.float64).max))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +96,10 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 @fact
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
+    if not matrix.peers.is_alone:
+        found = positive_product(matrix)
+        certificate = None if found is None else HCertificate(*found)
+        return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), certificate)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
 
 
@@ -165,7 +169,7 @@ def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
         return None
     for row in doubtful:
         exact = exact_comparison_row(M, v, int(row))
-        margin[row] = _rounded_down(exact) if exact > 0 else 0.0
+        margin[row] = rounded_down(exact) if exact > 0 else 0.0
         if not margin[row] > 0.0:
             return None
     return margin
@@ -357,6 +361,3 @@ def _centred(v: FloatVector) -> FloatVector:
     return np.ldexp(v, -middle)
 
 
-def _rounded_down(exact: Fraction) -> float:
-    nearest = float(min(exact, LARGEST))
-    return nearest if Fraction(nearest) <= exact else float(np.nextafter(nearest, -np.inf))

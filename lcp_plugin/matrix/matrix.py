@@ -10,7 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only
+from ..errors import UnsuitableProblem
 from ..locks import Lock
+from ..peers.alone import ALONE, Peers
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -67,10 +69,18 @@ class HasFacts:
 class Matrix(HasFacts):
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
+    It is its own rows and its peers, the processes that hold the others; usually it is whole, and there are none.
+
     Parameters
     ----------
     M : array or sparse array, shape (n, n)
         As for :class:`lcp_plugin.LCP`.
+
+    Attributes
+    ----------
+    n, own : int
+        How many rows there are, and how many of them are here.
+    peers : Peers
 
     Raises
     ------
@@ -85,20 +95,69 @@ class Matrix(HasFacts):
 
     def __init__(self, M: Any) -> None:
         self._csr, self._dense = checked_matrix(M)
-        self.n: int = self.array.shape[0]
+        self.peers: Peers = ALONE
+        self.n: int = self.rows.shape[0]
+        self.own: int = self.n
         super().__init__()
+
+    @classmethod
+    def of_own_rows(cls, rows: sp.csr_array, peers: Peers) -> Matrix:
+        """Return the matrix of which these are the own rows, canonical, shape (own, width); all peers call."""
+        matrix = object.__new__(cls)
+        matrix._csr, matrix._dense, matrix.peers, matrix.own = rows, None, peers, rows.shape[0]
+        matrix.n = int(peers.total(matrix.own))
+        HasFacts.__init__(matrix)
+        matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
+        return matrix
+
+    @property
+    def width(self) -> int:
+        """How many unknowns the own rows may meet: the own ones, and the foreign ones they do meet."""
+        return self.own + self.peers.foreign
+
+    @property
+    def rows(self) -> Any:
+        """The own rows as they are kept: a CSR array, or an ndarray where M is dense and small, shape (own, width)."""
+        return self._csr if self._dense is None else self._dense
+
+    @property
+    def csr_rows(self) -> sp.csr_array:
+        """The own rows as canonical, read-only CSR, shape (own, width)."""
+        if self._csr is None:
+            self._csr = _csr_of_dense(self)
+        return self._csr
 
     @property
     def array(self) -> Any:
         """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
-        return self._csr if self._dense is None else self._dense
+        self.require_all_rows()
+        return self.rows
 
     @property
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
-        if self._csr is None:
-            self._csr = _csr_of_dense(self)
-        return self._csr
+        self.require_all_rows()
+        return self.csr_rows
+
+    def require_all_rows(self) -> None:
+        """Raise UnsuitableProblem where other processes hold some of the rows."""
+        if not self.peers.is_alone:
+            raise UnsuitableProblem(
+                f"the {self.n} rows of M are spread over {self.peers.size} ranks, and this needs all of them on one "
+                "machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
+            )
+
+    def whole(self, x: FloatVector) -> FloatVector:
+        """Return the own part x with the foreign values that the own rows meet behind it, shape (width,).
+
+        That is x itself where nobody needs any; all peers call.
+        """
+        if self.peers.is_empty:
+            return x
+        whole = np.zeros(self.width)
+        whole[: self.own] = x
+        self.peers.fetch(whole)
+        return whole
 
     @property
     def is_dense(self) -> bool:
@@ -107,29 +166,30 @@ class Matrix(HasFacts):
 
     @property
     def index_width(self) -> str:
-        """The integer type of the indices of `csr`, which need not exist yet for that."""
-        return "int32" if self._dense is not None else str(self.csr.indices.dtype.name)
+        """The integer type of the indices of `csr_rows`, which need not exist yet for that."""
+        return "int32" if self._dense is not None else str(self.csr_rows.indices.dtype.name)
 
     @property
     @fact
     def nonzeros(self) -> int:
-        """Number of nonzero entries."""
-        return int(self.csr.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
+        """Number of nonzero entries of all rows."""
+        own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
+        return int(self.peers.total(own))
 
     @property
     @fact
     def diagonal(self) -> FloatVector:
-        """The diagonal, shape (n,)."""
-        return read_only(np.array(self.array.diagonal(), dtype=np.float64))
+        """The diagonal entries of the own rows, shape (own,)."""
+        return read_only(np.array(self.rows.diagonal(), dtype=np.float64))
 
     @property
     @fact
     def residual_scale(self) -> FloatVector:
-        """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
+        """D of the scaled residual, shape (own,): the diagonal where it is not negligible, else the row's largest.
 
         d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(residual_scale_of(self.array, self.diagonal))
+        return read_only(_residual_scale(self.rows, self.diagonal))
 
     @property
     @fact
@@ -145,7 +205,8 @@ class Matrix(HasFacts):
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""
-        return {"n": self.n, "_dense": self._dense, "_csr": self._csr if self._dense is None else None}
+        csr = None if self.is_dense else self.csr
+        return {"n": self.n, "own": self.n, "peers": ALONE, "_dense": self._dense, "_csr": csr}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -170,8 +231,7 @@ def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
     return frozen(compressed)
 
 
-def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
-    """Return D of the scaled residual for some rows of a matrix and their diagonal; see `Matrix.residual_scale`."""
+def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     entries = M.data if sp.issparse(M) else M
     if entries.size == 0:
         return np.ones(M.shape[0])

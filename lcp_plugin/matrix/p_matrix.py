@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.rounding import TINY, UNIT, lower_end, upper_end
-from ..exact.small_matrices import Rows, eliminated, exact_rows, has_positive_minors
+from ..exact.linear_systems import Rows, eliminated, exact_rows, has_positive_minors
+from ..exact.rounding import lower_end, upper_end
+from ..kernels.floats import TINY, UNIT
 from .equilibration import scaled, scaling_exponents
 from .structure import row_numbers
 

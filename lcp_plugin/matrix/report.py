@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from ..checks import FloatVector, read_only
-from . import verdicts
-from .definiteness import symmetric_part
-from .factors import factor_fits
-from .h_matrix import HVerdict, h_verdict
+from . import structure, verdicts
+from .h_matrix import h_verdict
 from .matrix import Matrix, fact
-from .structure import IntVector, components, row_excess_signs, scale_spread, strong_blocks, triangular_form
 from .symmetry import asymmetry
 from .verdicts import Verdict
 
@@ -24,10 +18,24 @@ LINE = 100
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
+class View:
+    """An attribute of a report that is a fact about its matrix, computed when first asked."""
+
+    def __init__(self, tell: Callable[[Matrix], Any]) -> None:
+        self.tell = tell
+        self.__doc__ = tell.__doc__
+
+    def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
+        if report is None:
+            return self
+        with np.errstate(all="ignore"):  # what overflows fails its check
+            return self.tell(report.matrix)
+
+
 class Claim:
     """A property of a report: True, False or None (undecided); decided once, when first asked."""
 
-    def __init__(self, title: str, decide: Callable[[MatrixReport], Verdict]) -> None:
+    def __init__(self, title: str, decide: Callable[[Matrix], Verdict]) -> None:
         self.title = title
         self.decide = decide
 
@@ -66,6 +74,13 @@ class MatrixReport:
         Row numbers.
     scale_spread : mapping
         log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
+    row_excess_signs : array, shape (n,)
+        Exact signs of |m_ii| − Σ_j≠i |m_ij|.
+    block_labels : array, shape (n,)
+        The strongly connected block of each row.
+    semidefinite_delta : float or None
+        δ ≥ 0 of what is known of `is_positive_semidefinite`, λ_min ≥ −δ in the unit of M: 0 where the verdict is True,
+        positive where it is undecided because an eigenvalue vanishes up to rounding, None where no δ is known.
 
     Examples
     --------
@@ -89,9 +104,24 @@ class MatrixReport:
     is_triangular = Claim("triangular", verdicts.triangular)
     is_irreducible = Claim("irreducible", verdicts.irreducible)
 
+    csr = View(lambda matrix: matrix.csr)
+    diagonal = View(lambda matrix: matrix.diagonal)
+    v = View(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
+    margin = View(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
+    not_h_vector = View(lambda matrix: h_verdict(matrix).not_h_vector)
+    asymmetry = View(asymmetry)
+    triangular_form = View(structure.triangular_form)
+    row_excess_signs = View(structure.row_excess_signs)
+    components = View(structure.components)
+    blocks = View(lambda matrix: structure.diagonal_blocks(matrix)[0])
+    block_labels = View(lambda matrix: structure.diagonal_blocks(matrix)[1])
+    zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
+    negative_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
+    scale_spread = View(structure.scale_spread)
+    semidefinite_delta = View(lambda matrix: verdicts.positive_semidefinite(matrix).delta)
+
     def __init__(self, matrix: Matrix) -> None:
         self.matrix = matrix
-        self._verdicts: dict[str, Verdict] = {}
         self.n = matrix.n
         self.evidence: Mapping[str, str] = _Evidence(self)
 
@@ -105,123 +135,13 @@ class MatrixReport:
         MemoryError
             Where memory ends, also while a library is loaded.
         """
-        if name not in self._verdicts:
-            if name not in CLAIMS:
-                raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
-            try:
-                with np.errstate(all="ignore"):  # what overflows fails its check
-                    self._verdicts[name] = CLAIMS[name].decide(self)
-            except ImportError as error:  # a library that is installed, but finds no room
-                raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
-        return self._verdicts[name]
-
-    @property
-    def csr(self) -> Any:
-        """M as canonical CSR, shape (n, n)."""
-        return self.matrix.csr
-
-    @property
-    def diagonal(self) -> FloatVector:
-        """The diagonal of M, shape (n,)."""
-        return self.matrix.diagonal
-
-    @property
-    def h_verdict(self) -> HVerdict:
-        """Whether M is an H-matrix, with its proof and bounds of the spectral radius of D⁻¹|B|."""
-        return h_verdict(self.matrix)
-
-    @property
-    def v(self) -> FloatVector | None:
-        """V > 0 with ⟨M⟩v ≥ margin > 0, shape (n,), or None."""
-        return None if self.h_verdict.certificate is None else self.h_verdict.certificate.v
-
-    @property
-    def margin(self) -> FloatVector | None:
-        """Rigorous lower bound of ⟨M⟩v, positive, shape (n,), or None."""
-        return None if self.h_verdict.certificate is None else self.h_verdict.certificate.margin
-
-    @property
-    def not_h_vector(self) -> FloatVector | None:
-        """Y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, shape (n,), or None."""
-        return self.h_verdict.not_h_vector
-
-    @cached_property
-    def asymmetry(self) -> float:
-        """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|)."""
-        return asymmetry(self.csr)
-
-    @cached_property
-    def row_excess_signs(self) -> IntVector:
-        """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
-        return read_only(row_excess_signs(self.csr))
-
-    @cached_property
-    def triangular_form(self) -> str | None:
-        """"diagonal", "lower", "upper", or None."""
-        return triangular_form(self.csr)
-
-    @cached_property
-    def _strong(self) -> tuple[int, IntVector]:
-        count, labels = strong_blocks(self.csr)
-        return count, read_only(labels)
-
-    @property
-    def blocks(self) -> int:
-        """Number of strongly connected blocks of the graph of M."""
-        return self._strong[0]
-
-    @property
-    def block_labels(self) -> IntVector:
-        """The strongly connected block of each row, shape (n,)."""
-        return self._strong[1]
-
-    @cached_property
-    def components(self) -> int:
-        """Number of connected components of the graph of M."""
-        return components(self.csr)[0]
-
-    @property
-    def zero_diagonal(self) -> IntVector:
-        """Rows with m_ii = 0."""
-        return np.flatnonzero(self.diagonal == 0.0)
-
-    @property
-    def negative_diagonal(self) -> IntVector:
-        """Rows with m_ii < 0."""
-        return np.flatnonzero(self.diagonal < 0.0)
-
-    @cached_property
-    def scale_spread(self) -> Mapping[str, float]:
-        """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
-        return MappingProxyType(scale_spread(self.csr))
-
-    @cached_property
-    def sparse_symmetric_part(self) -> Any:
-        """(M + Mᵀ)/2 as CSR, each entry rounded once."""
-        if self.is_symmetric:
-            return self.csr
-        part = symmetric_part(self.csr)
-        part.data.flags.writeable = False
-        return part
-
-    @property
-    def symmetric_part(self) -> Any:
-        """(M + Mᵀ)/2, dense where that is faster."""
-        is_dense = self.n <= verdicts.DENSE_LIMIT or isinstance(self.matrix.array, np.ndarray)
-        return self.sparse_symmetric_part.toarray() if is_dense else self.sparse_symmetric_part
-
-    @cached_property
-    def can_factorise(self) -> bool:
-        """Whether a factorisation of the symmetric part has its end in sight."""
-        return factor_fits(self.sparse_symmetric_part)
-
-    @property
-    def semidefinite_delta(self) -> float | None:
-        """δ ≥ 0 of what is known of `is_positive_semidefinite`, λ_min ≥ −δ in the unit of M; None: no such δ is known.
-
-        0 where the verdict is True; positive where it is undecided because an eigenvalue vanishes up to rounding.
-        """
-        return self.verdict("is_positive_semidefinite").delta
+        if name not in CLAIMS:
+            raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
+        try:
+            with np.errstate(all="ignore"):  # what overflows fails its check
+                return CLAIMS[name].decide(self.matrix)
+        except ImportError as error:  # a library that is installed, but finds no room
+            raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
 
     def to_content(self) -> dict[str, Any]:
         """Return all verdicts and facts as a dict that JSON can hold."""

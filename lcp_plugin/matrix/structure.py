@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .matrix import Matrix, fact
 
@@ -24,9 +26,17 @@ def strong_blocks(M: Any) -> tuple[int, IntVector]:
     return _connected(M, "strong")
 
 
-def components(M: Any) -> tuple[int, IntVector]:
-    """Return the number of connected components of M's graph and the component of each row, shape (n,)."""
-    return _connected(M, "weak")
+@fact
+def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
+    """Return the same of a Matrix, read-only."""
+    count, labels = strong_blocks(matrix.csr)
+    return count, read_only(labels)
+
+
+@fact
+def components(matrix: Matrix) -> int:
+    """Return the number of connected components of the graph of M."""
+    return _connected(matrix.csr, "weak")[0]
 
 
 def _connected(M: Any, connection: str) -> tuple[int, IntVector]:
@@ -50,8 +60,10 @@ def within_blocks(M: Any, labels: IntVector) -> Any:
     return sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape)
 
 
-def triangular_form(M: Any) -> str | None:
-    """Return "diagonal", "lower", "upper", or None."""
+@fact
+def triangular_form(matrix: Matrix) -> str | None:
+    """"diagonal", "lower", "upper", or None."""
+    M = matrix.csr
     rows = row_numbers(M)
     if (rows == M.indices).all():
         return "diagonal"
@@ -60,19 +72,22 @@ def triangular_form(M: Any) -> str | None:
     return "upper" if (rows <= M.indices).all() else None
 
 
-def row_excess_signs(M: Any) -> IntVector:
-    """Return the sign of |m_ii| − Σ_j≠i |m_ij| of each row, exactly, shape (n,)."""
-    ones = np.ones(M.shape[0])
+@fact
+def row_excess_signs(matrix: Matrix) -> IntVector:
+    """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
+    M, ones = matrix.csr, np.ones(matrix.n)
     value, radius = comparison_product(M, ones)
     signs = np.where(lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0))
     for row in np.flatnonzero((signs == 0) & (radius > 0.0)):
         exact = exact_comparison_row(M, ones, int(row))
         signs[row] = (exact > 0) - (exact < 0)
-    return signs.astype(np.int64)
+    return read_only(signs.astype(np.int64))
 
 
-def scale_spread(M: Any) -> dict[str, float]:
-    """Return log10 of largest over smallest nonzero magnitude: of entries, row and column maxima, diagonal."""
+@fact
+def scale_spread(matrix: Matrix) -> Mapping[str, float]:
+    """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
+    M = matrix.csr
     magnitudes = np.abs(M.data)
     row_largest, column_largest = (np.zeros(size) for size in M.shape)
     np.maximum.at(row_largest, row_numbers(M), magnitudes)
@@ -80,7 +95,7 @@ def scale_spread(M: Any) -> dict[str, float]:
     parts = {
         "entries": magnitudes, "rows": row_largest, "columns": column_largest, "diagonal": np.abs(M.diagonal())
     }
-    return {name: _decades(values) for name, values in parts.items()}
+    return MappingProxyType({name: _decades(values) for name, values in parts.items()})
 
 
 def _decades(values: FloatVector) -> float:

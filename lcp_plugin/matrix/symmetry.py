@@ -14,13 +14,16 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from .matrix import Matrix, fact
 
+UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x, x and y arbitrary, beyond which M is not symmetric
 UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do not notice
 ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 
 
-def asymmetry(M: Any) -> float:
-    """Return the largest |m_ij − m_ji|/max(|m_ij|, |m_ji|) of a CSR array: 0 where M is exactly symmetric."""
+@fact
+def asymmetry(matrix: Matrix) -> float:
+    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
+    M = matrix.csr
     transposed = M.T.tocsr()
     if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
         ours, theirs = M.data, transposed.data
@@ -48,9 +51,9 @@ def is_symmetric_entrywise(M: Any) -> bool:
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-20], [0.0, 2.0]]))
     False
     """
-    from ..kernels import splitting_sweeps as kernels
+    from ..kernels.rows import is_mirrored
 
-    return bool(kernels.is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
+    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one
@@ -107,3 +110,31 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
     """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns."""
     M = matrix.array
     return is_symmetric_to_rounding(M, matrix.residual_scale if sp.issparse(M) else None)
+
+
+@fact
+def has_symmetric_entries(matrix: Matrix) -> bool:
+    """Return whether M is symmetric up to rounding: entry by entry, or on several ranks by two products.
+
+    For x and y of arbitrary entries xᵀM y = yᵀM x happens by chance with probability 0. A wrong answer would cost
+    speed, not correctness: every z is judged by its residual.
+    """
+    return _has_symmetric_products(matrix) if matrix.peers.size > 1 else is_symmetric_entrywise(matrix.csr_rows)
+
+
+@np.errstate(all="ignore")
+def _has_symmetric_products(matrix: Matrix) -> bool:
+    unit = 1.0 / np.sqrt(matrix.diagonal)
+    x, y = (unit * _arbitrary(matrix.peers.first, matrix.own, seed) for seed in (1, 2))
+    x_product, y_product = (matrix.rows @ matrix.whole(vector) for vector in (x, y))
+    sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
+    forward, backward, size = map(matrix.peers.total, sums)
+    return bool(abs(forward - backward) <= UNLIKELY * np.sqrt(size * matrix.n)) and bool(np.isfinite(size))
+
+
+def _arbitrary(first: int, count: int, seed: int) -> FloatVector:
+    """Return numbers in (−1, 1) that depend on the index, from `first` on, and the seed only, shape (count,)."""
+    bits = np.arange(first, first + count, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed << 32)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # the mixing steps of SplitMix64
+        bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..exact.rounding import TINY, UNIT
-from ..exact.small_matrices import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
-from .definiteness import LARGEST_SUMMAND, is_positive_definite, is_semidefinite_to_rounding, semidefinite_margin
-from .h_matrix import prove_m_matrix
-from .matrix import Matrix
+from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
+from ..kernels.floats import TINY, UNIT
+from .definiteness import (
+    LARGEST_SUMMAND,
+    is_positive_definite,
+    is_semidefinite_to_rounding,
+    semidefinite_margin,
+    symmetric_part,
+)
+from .factors import factor_fits
+from .h_matrix import h_verdict, prove_m_matrix
+from .matrix import Matrix, fact
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
-from .structure import block_rows, row_numbers
-
-if TYPE_CHECKING:
-    from .report import MatrixReport
+from .structure import block_rows, diagonal_blocks, row_excess_signs, row_numbers, triangular_form
+from .symmetry import asymmetry
 
 DENSE_LIMIT = 500
 LARGEST_COUNT = 1_000  # of diagonal blocks to look at one by one
@@ -33,18 +38,20 @@ class Verdict(NamedTuple):
     delta: float | None = None
 
 
-def symmetric(report: MatrixReport) -> Verdict:
+@fact
+def symmetric(matrix: Matrix) -> Verdict:
     """M = Mᵀ, entry by entry."""
-    found = report.asymmetry
+    found = asymmetry(matrix)
     if found == 0.0:
         return Verdict(True, "M = Mᵀ exactly")
     to_rounding = ", symmetric up to rounding" if found <= SYMMETRIC_TO_ROUNDING else ""
     return Verdict(False, f"largest relative asymmetry {found:.3g}{to_rounding}")
 
 
-def z_matrix(report: MatrixReport) -> Verdict:
+@fact
+def z_matrix(matrix: Matrix) -> Verdict:
     """No positive entry beside the diagonal."""
-    M = report.csr
+    M = matrix.csr
     rows = row_numbers(M)
     positive = np.flatnonzero((M.data > 0.0) & (rows != M.indices))
     if positive.size == 0:
@@ -53,193 +60,226 @@ def z_matrix(report: MatrixReport) -> Verdict:
     return Verdict(False, f"M[{rows[k]}, {M.indices[k]}] = {M.data[k]:.6g} > 0")
 
 
-def m_matrix(report: MatrixReport) -> Verdict:
+@fact
+def m_matrix(matrix: Matrix) -> Verdict:
     """M is a nonsingular M-matrix: Z and H₊."""
-    is_z = report.verdict("is_z_matrix")
-    return report.verdict("is_h_plus") if is_z.value else Verdict(False, f"no Z-matrix: {is_z.evidence}")
+    is_z = z_matrix(matrix)
+    return h_plus(matrix) if is_z.value else Verdict(False, f"no Z-matrix: {is_z.evidence}")
 
 
-def strictly_dominant(report: MatrixReport) -> Verdict:
+@fact
+def strictly_dominant(matrix: Matrix) -> Verdict:
     """|m_ii| > Σ_j≠i |m_ij| on every row."""
-    signs = report.row_excess_signs
+    signs = row_excess_signs(matrix)
     if (signs > 0).all():
         return Verdict(True, "|m_ii| > Σ|m_ij| on every row, exactly")
     row = int(np.flatnonzero(signs <= 0)[0])
     return Verdict(False, f"|m_ii| {'=' if signs[row] == 0 else '<'} Σ|m_ij| on row {row}")
 
 
-def irreducibly_dominant(report: MatrixReport) -> Verdict:
+@fact
+def irreducibly_dominant(matrix: Matrix) -> Verdict:
     """Irreducible, |m_ii| ≥ Σ_j≠i |m_ij| on every row and > on one at least."""
-    signs = report.row_excess_signs
+    signs = row_excess_signs(matrix)
     if (signs < 0).any():
         return Verdict(False, f"|m_ii| < Σ|m_ij| on row {int(np.flatnonzero(signs < 0)[0])}")
     if signs.size and not (signs > 0).any():
         return Verdict(False, "|m_ii| = Σ|m_ij| on every row")
-    if not report.is_irreducible:
-        return Verdict(False, f"reducible: {report.blocks} strongly connected blocks")
+    if not irreducible(matrix).value:
+        return Verdict(False, f"reducible: {diagonal_blocks(matrix)[0]} strongly connected blocks")
     return Verdict(True, f"|m_ii| ≥ Σ|m_ij|, strictly on {int((signs > 0).sum())} of {signs.size} rows; irreducible")
 
 
-def h_matrix(report: MatrixReport) -> Verdict:
+@fact
+def h_matrix(matrix: Matrix) -> Verdict:
     """⟨M⟩ is a nonsingular M-matrix, whatever the signs of the diagonal."""
-    return Verdict(report.h_verdict.is_h, report.h_verdict.evidence)
+    return Verdict(h_verdict(matrix).is_h, h_verdict(matrix).evidence)
 
 
-def h_plus(report: MatrixReport) -> Verdict:
+@fact
+def h_plus(matrix: Matrix) -> Verdict:
     """M is an H-matrix with positive diagonal."""
-    return _nonpositive_diagonal(report) or report.verdict("is_h_matrix")
+    return _nonpositive_diagonal(matrix) or h_matrix(matrix)
 
 
-def irreducible(report: MatrixReport) -> Verdict:
+@fact
+def irreducible(matrix: Matrix) -> Verdict:
     """M has a strongly connected graph."""
-    if report.blocks <= 1:
+    if diagonal_blocks(matrix)[0] <= 1:
         return Verdict(True, "the graph of M is strongly connected")
-    return Verdict(False, f"{report.blocks} strongly connected blocks")
+    return Verdict(False, f"{diagonal_blocks(matrix)[0]} strongly connected blocks")
 
 
-def triangular(report: MatrixReport) -> Verdict:
+@fact
+def triangular(matrix: Matrix) -> Verdict:
     """Lower or upper triangular, or diagonal, in the given order."""
-    form = report.triangular_form
+    form = triangular_form(matrix)
     return Verdict(form is not None, form or "entries on both sides of the diagonal")
 
 
-def positive_definite(report: MatrixReport) -> Verdict:
+@fact
+def positive_definite(matrix: Matrix) -> Verdict:
     """xᵀM x > 0 for every x ≠ 0."""
-    early = _nonpositive_diagonal(report) or _definite_by_comparison(report)
+    early = _nonpositive_diagonal(matrix) or _definite_by_comparison(matrix)
     if early is not None:
         return early
-    what = "M" if report.is_symmetric else "the symmetric part of M"
-    if not report.can_factorise:
-        return Verdict(None, _too_large(report))
-    value = is_positive_definite(report.symmetric_part) if _is_well_rounded(report) else None
-    if value is None and report.n <= EXACT_SIZE:
-        value = has_positive_pivots(exact_symmetric_part(report.csr))
+    what = "M" if symmetric(matrix).value else "the symmetric part of M"
+    if not can_factorise(matrix):
+        return Verdict(None, _too_large(matrix))
+    value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
+    if value is None and matrix.n <= EXACT_SIZE:
+        value = has_positive_pivots(exact_symmetric_part(matrix.csr))
         return Verdict(value, f"exact elimination of {what}")
     if value is None:
         return Verdict(None, f"{UNDECIDED}: {what}")
     if value:
-        return Verdict(True, f"{'SPD: ' if report.is_symmetric else ''}{what} factorises, rounding margin included")
+        return Verdict(True, f"{'SPD: ' if symmetric(matrix).value else ''}{what} factorises, rounding margin included")
     return Verdict(False, f"{what} does not factorise, rounding margin included")
 
 
-def positive_semidefinite(report: MatrixReport) -> Verdict:
+@fact
+def positive_semidefinite(matrix: Matrix) -> Verdict:
     """xᵀM x ≥ 0 for every x: exactly up to n = 10; beyond, a singular M is undecided, with the δ in the evidence."""
-    if (report.diagonal < 0.0).any():
-        return _nonpositive_diagonal(report) or Verdict(False, "")
-    if report.is_symmetric and (report.row_excess_signs >= 0).all():
+    if (matrix.diagonal < 0.0).any():
+        return _nonpositive_diagonal(matrix) or Verdict(False, "")
+    if symmetric(matrix).value and (row_excess_signs(matrix) >= 0).all():
         return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly", 0.0)
-    definite = report.verdict("is_positive_definite")
+    definite = positive_definite(matrix)
     if definite.value:
         return Verdict(True, "λ_min > 0: positive definite", 0.0)
-    if not report.can_factorise:
-        return Verdict(None, _too_large(report))
-    part = report.symmetric_part
-    value = is_semidefinite_to_rounding(part) if _is_well_rounded(report) else None
-    if value is not False and report.n <= EXACT_SIZE:
-        what = "exact elimination of M" if report.is_symmetric else "exact elimination of the symmetric part of M"
-        if has_nonnegative_pivots(exact_symmetric_part(report.csr)):
+    if not can_factorise(matrix):
+        return Verdict(None, _too_large(matrix))
+    part = symmetric_part_of(matrix)
+    value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
+    if value is not False and matrix.n <= EXACT_SIZE:
+        what = "exact elimination of M" if symmetric(matrix).value else "exact elimination of the symmetric part of M"
+        if has_nonnegative_pivots(exact_symmetric_part(matrix.csr)):
             return Verdict(True, f"λ_min ≥ 0: {what}", 0.0)
         return Verdict(False, f"λ_min < 0: {what}")
     if value:
         delta = semidefinite_margin(part)
         return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said", delta)
-    if value is None and not _is_well_rounded(report):
+    if value is None and not _is_well_rounded(matrix):
         return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
     if value is None:
-        return Verdict(None, f"not computed: rounding at n = {report.n} would hide too much")
+        return Verdict(None, f"not computed: rounding at n = {matrix.n} would hide too much")
     return Verdict(False, "a negative eigenvalue beyond rounding")
 
 
-def p_matrix(report: MatrixReport) -> Verdict:
+@fact
+def p_matrix(matrix: Matrix) -> Verdict:
     """Every principal minor is positive."""
-    early = _nonpositive_diagonal(report) or _p_by_class(report)
+    early = _nonpositive_diagonal(matrix) or _p_by_class(matrix)
     if early is not None:
         return early
-    pair = nonpositive_pair(report.csr)
+    pair = nonpositive_pair(matrix.csr)
     if pair is not None:
         return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
-    if not report.is_irreducible:
-        return _p_by_blocks(report)
-    if report.n <= LARGEST_SIZE:
-        value = is_p_matrix_by_recursion(report.csr)
+    if not irreducible(matrix).value:
+        return _p_by_blocks(matrix)
+    if matrix.n <= LARGEST_SIZE:
+        value = is_p_matrix_by_recursion(matrix.csr)
         how = "recursive Schur complements, rounding included"
         return Verdict(value, how if value is not None else f"undecided: a minor vanishes up to rounding ({how})")
-    definite = report.verdict("is_positive_definite")
+    definite = positive_definite(matrix)
     if definite.value:
         return Verdict(True, "every positive definite matrix is one")
-    return Verdict(None, f"not computed: n = {report.n} > {LARGEST_SIZE}, the minors are too many")
+    return Verdict(None, f"not computed: n = {matrix.n} > {LARGEST_SIZE}, the minors are too many")
 
 
-def _p_by_class(report: MatrixReport) -> Verdict | None:
+def _p_by_class(matrix: Matrix) -> Verdict | None:
     """Where a class decides: triangular, H₊, Z (P is M), symmetric (P is positive definite)."""
-    if report.triangular_form is not None:
+    if triangular_form(matrix) is not None:
         return Verdict(True, "triangular with positive diagonal")
-    h = report.verdict("is_h_plus")
+    h = h_plus(matrix)
     if h.value:
         return Verdict(True, "every H₊-matrix is one")
-    if report.is_z_matrix and h.value is False:
+    if z_matrix(matrix).value and h.value is False:
         return Verdict(False, "a Z-matrix that is no M-matrix")
-    if report.is_symmetric:
-        definite = report.verdict("is_positive_definite")
+    if symmetric(matrix).value:
+        definite = positive_definite(matrix)
         return Verdict(definite.value, f"symmetric: {definite.evidence}")
     return None
 
 
-def _p_by_blocks(report: MatrixReport) -> Verdict:
+def _p_by_blocks(matrix: Matrix) -> Verdict:
     """M is P exactly if each strongly connected diagonal block is."""
     undecided: Verdict | None = None
+    count, labels = diagonal_blocks(matrix)
     # A block of one row is positive.
-    parts = [rows for rows in block_rows(report.block_labels, report.blocks) if rows.size > 1]
+    parts = [rows for rows in block_rows(labels, count) if rows.size > 1]
     if len(parts) > LARGEST_COUNT:
         return Verdict(None, f"not computed: {len(parts)} diagonal blocks are too many")
     for rows in parts:
-        part = type(report)(Matrix(sp.csr_array(report.csr[rows][:, rows]))).verdict("is_p_matrix")
+        part = p_matrix(Matrix(sp.csr_array(matrix.csr[rows][:, rows])))
         if part.value is False:
             return Verdict(False, f"the diagonal block of row {rows[0]}: {part.evidence}")
         if part.value is None:
             undecided = part
     if undecided is not None:
         return Verdict(None, f"a diagonal block: {undecided.evidence}")
-    return Verdict(True, f"each of {report.blocks} diagonal blocks is a P-matrix")
+    return Verdict(True, f"each of {count} diagonal blocks is a P-matrix")
 
 
-def _nonpositive_diagonal(report: MatrixReport) -> Verdict | None:
-    nonpositive = np.flatnonzero(report.diagonal <= 0.0)
+def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
+    nonpositive = np.flatnonzero(matrix.diagonal <= 0.0)
     if nonpositive.size == 0:
         return None
     row = int(nonpositive[0])
-    return Verdict(False, f"M[{row}, {row}] = {report.diagonal[row]:.6g}")
+    return Verdict(False, f"M[{row}, {row}] = {matrix.diagonal[row]:.6g}")
 
 
-def _definite_by_comparison(report: MatrixReport) -> Verdict | None:
+def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
     """Decide by theorems: symmetric H₊-matrices are SPD, symmetric Z-matrices that are no H₊ are not."""
-    if report.is_symmetric:
-        h = report.verdict("is_h_plus")
+    if symmetric(matrix).value:
+        h = h_plus(matrix)
         if h.value:
             return Verdict(True, "SPD: symmetric and H₊")
-        if h.value is False and report.is_z_matrix:
+        if h.value is False and z_matrix(matrix).value:
             return Verdict(False, "a symmetric Z-matrix that is no M-matrix")
-        pair = nonpositive_pair(report.csr)
+        pair = nonpositive_pair(matrix.csr)
         if pair is not None:
             return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
         return None
-    if not _is_well_rounded(report):
+    if not _is_well_rounded(matrix):
         return None
     # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
-    part = sp.csr_array(report.sparse_symmetric_part)
+    part = sp.csr_array(sparse_symmetric_part(matrix))
     proof = prove_m_matrix(part.diagonal() * (1.0 - 4.0 * UNIT), part * (1.0 + 4.0 * UNIT), effort="cheap").certificate
     if proof is not None and bool((proof.margin > 2.0 * TINY * proof.v.sum()).all()):
         return Verdict(True, "the symmetric part is H₊: ⟨·⟩v > 0 checked, rounding included")
     return None
 
 
-def _is_well_rounded(report: MatrixReport) -> bool:
+def _is_well_rounded(matrix: Matrix) -> bool:
     """Return whether the rounding of the symmetric part is small beside the diagonal, and nothing overflows."""
-    if report.is_symmetric:
+    if symmetric(matrix).value:
         return True
-    diagonal, entries = report.diagonal[report.diagonal > 0.0], report.csr.data
+    diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
     return bool((diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND)
 
 
-def _too_large(report: MatrixReport) -> str:
-    return f"not computed: n = {report.n} is too large for a factorisation"
+def _too_large(matrix: Matrix) -> str:
+    return f"not computed: n = {matrix.n} is too large for a factorisation"
+
+
+@fact
+def sparse_symmetric_part(matrix: Matrix) -> Any:
+    """(M + Mᵀ)/2 as CSR, each entry rounded once."""
+    if symmetric(matrix).value:
+        return matrix.csr
+    part = symmetric_part(matrix.csr)
+    part.data.flags.writeable = False
+    return part
+
+
+def symmetric_part_of(matrix: Matrix) -> Any:
+    """(M + Mᵀ)/2, dense where that is faster."""
+    part = sparse_symmetric_part(matrix)
+    return part.toarray() if matrix.n <= DENSE_LIMIT or matrix.is_dense else part
+
+
+@fact
+def can_factorise(matrix: Matrix) -> bool:
+    """Whether a factorisation of the symmetric part has its end in sight."""
+    return factor_fits(sparse_symmetric_part(matrix))

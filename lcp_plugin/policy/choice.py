@@ -32,12 +32,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..algorithms import Algorithm, create
-from ..algorithms.base import has_positive_diagonal
+from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm
+from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
 from .direct_methods import direct_methods
 from .stages import Choice, Stage
@@ -128,6 +128,20 @@ class Auto:
 DIRECT = "newton"  # predicts for all direct methods
 
 
+class AutoOnRanks:
+    """What is left of the tables where no process holds all rows: multigrid, then sweeps."""
+
+    name = chosen = "auto"
+
+    def first(self, problem: LCP) -> Choice:
+        """Return multigrid, which needs about as many cycles whatever n is."""
+        return Choice(create("multigrid", {}))
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return PSOR where multigrid came to an end."""
+        return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
+
+
 def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
     """Return what could take over, in the order in which a tie is decided."""
     now = stages[-1].algorithm
@@ -175,11 +189,11 @@ def _triangle(problem: LCP) -> str | None:
         return None
     from ..matrix.structure import triangular_form
 
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(M) or "")
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
 
 
-def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:
-    """Return the policy that the caller's `algorithm` and options mean.
+def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False) -> Policy:
+    """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
 
     Raises
     ------
@@ -194,17 +208,24 @@ def policy_for(algorithm: Any, options: dict[str, Any]) -> Policy:
             )
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
-        return Single(algorithm)
+        return _single(algorithm, on_ranks)
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
             raise InvalidOption(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well, or see '
                 "help(lcp_plugin.solve) for what solve itself takes"
             )
-        return Auto()
+        return AutoOnRanks() if on_ranks else Auto()
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
     if not isinstance(algorithm, str):
         raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
-    return Single(create(algorithm, options))
+    return _single(create(algorithm, options), on_ranks)
+
+
+def _single(algorithm: Algorithm, on_ranks: bool) -> Single:
+    if on_ranks and not algorithm.runs_on_ranks:
+        names = ", ".join(name for name in REGISTRY if algorithm_class(name).runs_on_ranks)
+        raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
+    return Single(algorithm)

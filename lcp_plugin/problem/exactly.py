@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import FloatVector
-from ..exact.integers import IntegerMatrix, Rational, common_denominator, exact_vector, integers, power_of_two
+from ..exact.rational import IntegerMatrix, Rational, common_denominator, exact_vector, integers, power_of_two
 from ..matrix.matrix import Matrix, fact
 from .lcp import LCP
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector
 from ..errors import InvalidOption, InvalidProblem
 from ..matrix.matrix import Matrix
+from ..peers.alone import Peers
 
 
 class LCP:
@@ -59,15 +60,35 @@ class LCP:
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
 
     def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
-        self.q: FloatVector = finite_vector(q, "q", self.n)
-        self.lower: FloatVector = checked_bound(lower, "lower", self.n)
-        self.upper: FloatVector = checked_bound(upper, "upper", self.n)
+        self.q: FloatVector = finite_vector(q, "q", self.own)
+        self.lower: FloatVector = checked_bound(lower, "lower", self.own)
+        self.upper: FloatVector = checked_bound(upper, "upper", self.own)
         check_order(self.lower, self.upper)
 
     @property
     def n(self) -> int:
         """The number of unknowns."""
         return self.matrix.n
+
+    @property
+    def own(self) -> int:
+        """How many of the rows are here: all, unless they are spread over the ranks of an MPI job."""
+        return self.matrix.own
+
+    @property
+    def first(self) -> int:
+        """The rows that are here are first ≤ i < last."""
+        return self.matrix.peers.first
+
+    @property
+    def last(self) -> int:
+        """The end of the rows that are here."""
+        return self.first + self.own
+
+    @property
+    def peers(self) -> Peers:
+        """Who has the other rows."""
+        return self.matrix.peers
 
     @property
     def M(self) -> Any:
@@ -86,8 +107,8 @@ class LCP:
 
     @property
     def is_distributed(self) -> bool:
-        """True where other processes hold some of the rows."""
-        return False
+        """True where the rows are spread over the ranks of an MPI job."""
+        return not self.matrix.peers.is_alone
 
     @property
     def nonzeros(self) -> int:
@@ -120,12 +141,40 @@ class LCP:
         Parameters
         ----------
         z : array, shape (n,)
+            On several ranks the own part, and so is what is returned; all ranks call.
         """
-        if not isinstance(z, np.ndarray) or z.dtype != np.float64 or z.shape != (self.n,):
-            z = real_vector(z, "z", self.n)
-        w: FloatVector = self.M @ z
+        matrix = self.matrix
+        is_vector = isinstance(z, np.ndarray) and z.dtype == np.float64 and z.shape == (matrix.own,)
+        # On ranks all hear of a wrong part on one of them.
+        own: Any = z if is_vector and matrix.peers.is_alone else self.own_part(z)
+        w: FloatVector = matrix.rows @ matrix.whole(own)
         w += self.q
         return w
+
+    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
+        """Return the vector, of which each rank gives its own part, shape (own,), read-only; NaN is allowed.
+
+        Parameters
+        ----------
+        z : array, shape (own,)
+        name : str
+            What an error calls it.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, where one part is no real vector of the right length.
+        """
+        return self.peers.together(lambda: real_vector(z, name, self.own))
+
+    def gathered(self, z: ArrayLike) -> FloatVector | None:
+        """Return the parts of all ranks one after the other on rank 0, None on the others.
+
+        Parameters
+        ----------
+        z : array, shape (own,)
+        """
+        return self.peers.gathered(self.own_part(z, "the vector"))
 
     def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
         """Return the problem with another q (and bounds) that shares all that depends on M alone.
@@ -144,23 +193,80 @@ class LCP:
         """
         other = object.__new__(LCP)
         other.origin, other.matrix = None, self.matrix
-        other._set_vectors(
-            q, self.lower if lower is None else lower, self.upper if upper is None else upper
-        )
+        bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
+        self.peers.together(lambda: other._set_vectors(q, *bounds))
         return other
+
+    # --- rows over the ranks of an MPI job ----------------------------------------------------------------
+
+    @classmethod
+    def from_rows(
+        cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
+        first_row: int | None = None,
+    ) -> LCP:
+        """Return the problem whose rows follow each other in the order of the ranks, each of which gives its own.
+
+        Every method of such a problem is to be called by all ranks. Its vectors are the own parts.
+
+        Parameters
+        ----------
+        comm : communicator of mpi4py or petsc4py; None for the whole job
+            Where it is a part of the job, let all ranks of the job import ``petsc4py.PETSc`` before.
+        rows : sparse array, shape (own, n)
+            The own rows of M with global column indices; a rank may have none. They are only read.
+        q : array, shape (own,)
+        lower, upper : scalar or array, shape (own,)
+            A scalar holds for all rows and must be the same on every rank.
+        first_row : int, optional
+            The index of the first own row, where you know it: it is checked then.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, where any part is damaged or the parts do not fit together.
+        """
+        from .own_rows import matrix_of_rows, require_same_numbers
+
+        matrix = matrix_of_rows(comm, rows, first_row)
+        problem = object.__new__(LCP)
+        problem.origin, problem.matrix = None, matrix
+        matrix.peers.together(lambda: problem._set_vectors(q, lower, upper))
+        require_same_numbers(matrix.peers, lower=lower, upper=upper)
+        return problem
+
+    @classmethod
+    def from_problem(cls, problem: LCP, comm: Any = None) -> LCP:
+        """Return the problem cut into equal parts, one a rank; every rank gives the same whole one.
+
+        Parameters
+        ----------
+        problem : LCP
+        comm : communicator of mpi4py or petsc4py; None for the whole job
+
+        Raises
+        ------
+        InvalidProblem
+            Where the ranks give different problems.
+        """
+        from .own_rows import equal_part
+
+        return cls.from_rows(comm, *equal_part(comm, problem))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
 
         A path ending in ``.npz`` gets the keys data, indices, indptr, shape, q, lower, upper; any other
         path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
+        On several ranks it becomes a folder with one ``.npz`` file a rank.
 
         Parameters
         ----------
         path : str or PathLike
         """
-        from .files import save
-
+        if self.is_distributed:
+            from .files_on_ranks import save
+        else:
+            from .files import save
         save(self, path)
 
     @classmethod
@@ -221,7 +327,7 @@ class LCP:
         return stated_in_cvxpy(self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> LCP:
+    def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
         """Return a problem written by :meth:`save`, or a folder or prefix with ``M.mtx`` and ``q.mtx``.
 
         A bound of 1e20 or more in absolute value means ∞. Pickled content is never read.
@@ -229,17 +335,27 @@ class LCP:
         Parameters
         ----------
         path : str or PathLike
+            With a communicator: a folder written by :meth:`save` on any number of ranks; or a file with M, q and
+            optionally lower and upper one after the other, as PETSc's binary viewer writes them.
+        comm : communicator of mpi4py or petsc4py, optional
+            Each of its ranks reads its own part.
 
         Raises
         ------
         UnreadableFile
             Where the file is missing, damaged, or no linear complementarity problem.
         """
+        if comm is not None:
+            from .files_on_ranks import load as load_parts
+
+            return load_parts(path, comm)
         from .files import load
 
         return load(path)
 
     def __repr__(self) -> str:
+        if self.is_distributed:
+            return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.peers.size})"
         return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {_describe_bounds(self.lower, self.upper)})"
 
     def __getstate__(self) -> dict[str, Any]:
@@ -264,11 +380,11 @@ def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
     if z0 is None:
         return problem.nearest_to_zero
     try:
-        start = real_vector(z0, "z0", problem.n)
+        start = real_vector(z0, "z0", problem.own)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     if not np.isfinite(start).all():
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.n}, got NaN or infinite entries")
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.own}, got NaN or infinite entries")
     return np.clip(start, problem.lower, problem.upper)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
-from ..algorithms.base import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
+from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Status
 from .driver import solve
@@ -46,7 +46,7 @@ def prepare(problem: LCP) -> LCP:
     inverse_residual_scale(problem.matrix)
     for backward in (False, True):
         row_splits(problem.matrix, backward)
-    if has_positive_diagonal(problem.matrix).all():
+    if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
         hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 

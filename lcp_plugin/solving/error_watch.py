@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..certificates.contraction import unit_triangle_sums
 from ..checks import FloatVector
 from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
+from ..matrix.row_sums import unit_triangle_sums
 from ..problem.lcp import LCP
 from ..settings import Settings
 
@@ -49,13 +49,19 @@ class ErrorWatch:
         # ‖r‖∞ ≤ (1 + max Σ|m_ij|/d_i)‖z − z*‖∞: a larger residual belongs to a larger error.
         self.residual_per_error = 1.0
         if settings.is_on_error:
-            self.residual_per_error += float(np.add(*unit_triangle_sums(problem.matrix)).max(initial=0.0))
+            sums = np.add(*unit_triangle_sums(problem.matrix))
+            self.residual_per_error += problem.peers.largest(float(sums.max(initial=0.0)))
 
     def require_rigorous(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
-        n = self.problem.n
-        # Nothing has to be measured to know the kind of the bounds to come.
-        if self.settings.is_on_error and self._bound(np.full(n, np.nan), sharp=False).kind != "rigorous":
+        if not self.settings.is_on_error:
+            return
+        n, nowhere = self.problem.n, np.full(self.problem.own, np.nan)
+        try:  # nothing has to be measured to know the kind of the bounds to come
+            kind = self._bound(nowhere, sharp=False).kind
+        except UnsuitableMatrix as error:
+            raise UnsuitableMatrix(f'tolerance_on="error" needs a rigorous bound; {error}') from error
+        if kind != "rigorous":
             raise UnsuitableMatrix(
                 'tolerance_on="error" needs a rigorous bound, but M is not proven to be an H₊-matrix, and a proof that '
                 f"its symmetric part is positive definite needs a factorisation that n = {n} makes too large: "
@@ -65,7 +71,7 @@ class ErrorWatch:
     def proves(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether a bound proves the tolerance for z, which has that scaled residual (its unit is that of z)."""
         tolerance = self.settings.tolerance
-        largest = float(np.max(np.abs(z), initial=0.0))
+        largest = self.problem.peers.largest(float(np.max(np.abs(z), initial=0.0)))
         if not residual <= self.residual_per_error * tolerance * largest:
             return False
         if residual > self.next_cheap and not (iteration >= self.sharp_from and residual < self.last_sharp):
@@ -106,6 +112,7 @@ class ErrorWatch:
         if self.sampled is not None:
             least = min(least, float(self.sampled.carried_to(z).max(initial=0.0)))
         is_affordable = self.problem.n <= SHARP_SAMPLES_UP_TO or work >= self.sample_from
+        is_affordable = is_affordable and not self.problem.is_distributed  # no sharper one is known there
         if least > LOOSE * bound.residual and bound.residual <= SHARP_EVERY * self.last_sampled and is_affordable:
             self.last_sampled, self.sample_from = bound.residual, work + max(SHARP_WORTH, work / 2.0)
             self.sampled = self._bound(z, sharp=True)
@@ -114,7 +121,7 @@ class ErrorWatch:
 
     def is_proved(self, z: FloatVector) -> bool:
         """Return whether the tolerance on the error is proved for z, by a cheap bound or a sharp one."""
-        if self.proof is not None and np.array_equal(self.proof[0], z):
+        if self._proof_of(z) is not None:
             return True
         bound = self._bound(z, sharp=False)
         if not bound.proves(self.settings.tolerance):
@@ -124,8 +131,15 @@ class ErrorWatch:
 
     def final(self, z: FloatVector) -> Bounded | Callable[[], Bounded]:
         """Return the bound of z, or how it is computed once somebody looks at it."""
-        known = self.proof[1] if self.proof is not None and np.array_equal(self.proof[0], z) else None
-        return Bounded(known) if known is not None and not known.is_loose else partial(_sharpest, self.problem, z)
+        known = self._proof_of(z)
+        if known is not None and (not known.is_loose or self.problem.is_distributed):
+            return Bounded(known)
+        # One rank alone could not compute it later.
+        return _sharpest(self.problem, z) if self.problem.is_distributed else partial(_sharpest, self.problem, z)
+
+    def _proof_of(self, z: FloatVector) -> ErrorBound | None:
+        is_known = self.proof is not None and self.problem.peers.everywhere(np.array_equal(self.proof[0], z))
+        return self.proof[1] if is_known and self.proof is not None else None
 
     def _bound(self, z: FloatVector, *, sharp: bool) -> ErrorBound:
         from ..certificates.error_bounds import error_bound

@@ -10,18 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import Algorithm
-from ..algorithms.base import has_positive_diagonal, identity
-from ..certificates.contraction import inverse_residual_scale, triangle_sums, unit_triangle_sums
+from ..algorithms.base import identity
 from ..certificates.convergence import (
-    CAN_DIVERGE,
-    GUARANTEED,
     MODULUS,
-    NOT_COVERED,
     PROJECTED_RELAXATION,
     PROJECTED_SPLITTING,
     PROJECTED_TYPE,
     Contraction,
-    Guarantee,
     IterationFacts,
     Sums,
     contraction,
@@ -30,12 +25,24 @@ from ..certificates.convergence import (
     sums_for,
 )
 from ..certificates.divergence import divergence
-from ..certificates.method_3_1 import theorem_4_1
-from ..certificates.spectral_radius import jacobi_radius
-from ..certificates.theorems import PAPER, positive_definite_theorem, theorem_4_2, theorem_of
+from ..certificates.theorems import (
+    CAN_DIVERGE,
+    GUARANTEED,
+    NOT_COVERED,
+    PAPER,
+    Guarantee,
+    positive_definite_theorem,
+    theorem_4_1,
+    theorem_4_2,
+    theorem_of,
+)
 from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..matrix import analyze, comparison_certificate, h_verdict
 from ..matrix.matrix import Matrix, fact
+from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, triangle_sums, unit_triangle_sums
+from ..matrix.spectral_radius import jacobi_radius
+from ..matrix.structure import within_blocks
 from ..policy.choice import Policy, Single, policy_for
 from ..policy.direct_methods import last_resort
 from ..problem.lcp import LCP
@@ -85,6 +92,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     if not isinstance(problem, LCP):
         raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     policy = policy_for(algorithm, options)
+    problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing
         return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
 
@@ -191,8 +199,6 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
 
     Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
     """
-    from ..matrix import h_verdict
-
     if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
         return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
@@ -209,9 +215,6 @@ def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
 
     The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
     """
-    from ..matrix import analyze
-    from ..matrix.structure import within_blocks
-
     report = analyze(problem)
     if report.is_irreducible or not _is_h_plus(problem):
         return None
@@ -224,8 +227,6 @@ def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
 
 def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
     """Yield 1, the weights of the H₊ certificate, and sums of both, each with its triangle sums."""
-    from ..matrix import comparison_certificate
-
     ones = np.ones(problem.n)
     of_ones = sums_for(facts, problem, ones)
     yield ones, of_ones
@@ -296,15 +297,11 @@ def _quick(problem: LCP, facts: IterationFacts) -> Guarantee | None:
 
 
 def _is_h_plus(problem: LCP) -> bool:
-    from ..matrix import h_verdict
-
     return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
 
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
-    from ..matrix import analyze
-
     with np.errstate(all="ignore"):  # what overflows proves nothing
         sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
         largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
@@ -335,8 +332,6 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
 
 def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
     """Return what to change; followed literally, it is guaranteed wherever it names options."""
-    from ..matrix import analyze
-
     if _is_h_plus(problem):
         if facts.family not in (PROJECTED_RELAXATION, MODULUS):
             return _scaling_remedy(facts)

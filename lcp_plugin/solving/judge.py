@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.residuals import GAINED, Certificate, ratio, reference_residual, scaled_residual
+from ..certificates.residuals import GAINED, Certificate, ratio, reference_residual
+from ..certificates.row_residuals import measured_residual
 from ..checks import FloatVector
 from ..problem.lcp import LCP
 from ..settings import PROVEN, Settings, Status
@@ -52,17 +54,14 @@ class Judge:
         """Return the residual of z in the measure of the run, as double precision gives it."""
         if self.settings.measure == "euclidean":
             return Certificate.of(self.problem, z).euclidean_residual
-        with np.errstate(all="ignore"):
-            residual = scaled_residual(self.problem, z, self.problem.slack(z))
-            largest = float(np.max(np.abs(residual, out=residual), initial=0.0))
-        return ratio(largest, self.reference)
+        return ratio(measured_residual(self.problem, z), self.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return an upper bound of the residual of z in the measure of the run."""
         self._certificate = Certificate.of(self.problem, z)
         return self._certificate.measured(self.settings.measure)
 
-    @property
+    @cached_property
     def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
         return 1.0 if self.settings.measure == "relative" else self.measure(self.problem.nearest_to_zero)
@@ -107,11 +106,11 @@ class Judge:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
         if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
             z = self.errors.proof[0]
-        certificate = self._certificate
-        if certificate is None or not np.array_equal(certificate.z, z):
+        everywhere, certificate = self.problem.peers.everywhere, self._certificate
+        if certificate is None or not everywhere(np.array_equal(certificate.z, z)):
             certificate = Certificate.of(self.problem, z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
-        if last is None or not may_finish or not np.isfinite(z).all():
+        if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.problem, z)
         cleaned = certificate if finished is z else Certificate.of(self.problem, finished)

@@ -18,8 +18,8 @@ from ..settings import PROVEN, Status
 from .error_watch import Bounded
 
 if TYPE_CHECKING:
-    from ..certificates.convergence import Guarantee
     from ..certificates.error_bounds import ErrorBound
+    from ..certificates.theorems import Guarantee
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6

@@ -4,33 +4,46 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
 from ..algorithms import Step
 from ..checks import FloatVector
+from ..peers.alone import Peers
 from ..policy.stages import Stage
 from .result import Sample, StageRecord
 
 
 class Clock:
-    """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation."""
+    """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
 
-    def __init__(self) -> None:
-        self._began = self._now = time.perf_counter()
-        self._paused = self._compiling = 0.0
+    On several ranks those of the slowest one, and where Ctrl-C is heard on one of them.
+
+    Attributes
+    ----------
+    elapsed : float
+        Seconds that count against the limit, up to the last reading.
+    hears : callable
+        Tells whether this rank was asked to end by Ctrl-C.
+    is_interrupted : bool
+        Whether one of them was, before the last reading.
+    """
+
+    def __init__(self, peers: Peers) -> None:
+        self._began = time.perf_counter()
+        self._paused = self._compiling = self.elapsed = 0.0
+        self._peers, self.is_interrupted = peers, False
+        self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
-        self._now = time.perf_counter()
-        return self._now - self._began - self._paused
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds that count against the limit, up to the last reading."""
-        return self._now - self._began - self._compiling
+        wall = time.perf_counter() - self._began
+        read = wall - self._paused, wall - self._compiling, self.hears()
+        seconds, self.elapsed, wishes = self._peers.all_largest(*read)
+        self.is_interrupted = bool(wishes)
+        return seconds
 
     @contextmanager
     def paused(self, *, to_compile: bool = False) -> Iterator[None]:

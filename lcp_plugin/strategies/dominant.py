@@ -1,4 +1,4 @@
-"""Strategies for matrices known by the sums of their rows: Z-, M-, H₊- and strictly dominant matrices."""
+"""Strategies for matrices known by the sums of their rows (Z, M, H₊) or by principal submatrices (P, not H)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from .definite import definite_block
 from .options import (
     ONE_FIRST,
     POSITIVE,
@@ -14,10 +15,15 @@ from .options import (
     Numbers,
     Options,
     Sizes,
+    blocks,
     checked_options,
+    drawn_number,
     drawn_units,
     finished,
     one_of,
+    orders,
+    reordered,
+    skew_matrices,
     square,
     vectors,
 )
@@ -206,3 +212,164 @@ def _by_row_sums(
     A = draw(square(n, others, "off"))
     np.fill_diagonal(A, sides * (abs(A).sum(axis=1) + surplus))
     return finished(A, units, options.dense)
+
+
+def p_matrices(
+    size: Sizes = None,
+    *,
+    density: float = 1.0,
+    row_scale: int = 0,
+    column_scale: int = 0,
+    margin: float = 1.0,
+    dense: bool = True,
+) -> st.SearchStrategy[Any]:
+    """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
+
+    Parameters
+    ----------
+    size : int or strategy of int, optional
+        Rows and columns, 1 to 8 by default.
+    density : float
+        Share of nonzeros of the parts, in [0, 1], roughly.
+    row_scale, column_scale : int
+        Rows and columns are multiplied by powers of two with exponents from −scale to scale, 0 to 400.
+    margin : float
+        A power of two in [2⁻³⁰, 1]: a small one gives nearly singular matrices.
+    dense : bool
+        Draw arrays; otherwise CSR arrays.
+
+    Returns
+    -------
+    strategy of ndarray or csr_array, shape (size, size)
+
+    Raises
+    ------
+    InvalidOption
+        Where an option is out of its range.
+
+    Notes
+    -----
+    H₊-matrices, and in some order of the unknowns R [[A, X], [0, C]] S with A + Aᵀ and C + Cᵀ positive definite and X
+    anything: a principal minor is the product of one of A and one of C. Most of the larger ones are neither H-matrices
+    nor positive definite.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §3.3.
+
+    Examples
+    --------
+    >>> from hypothesis import Phase, find, settings
+    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
+    >>> find(p_matrices(), lambda M: True, settings=quick)
+    array([[1.]])
+    """
+    options = checked_options(size, density, row_scale, column_scale, margin, dense)
+    dominant = h_plus_matrices(
+        size, density=density, row_scale=row_scale, column_scale=column_scale, margin=margin, dense=dense
+    )
+    return dominant | _block_triangular(options)
+
+
+@st.composite
+def _block_triangular(draw: st.DrawFn, options: Options) -> Any:
+    n = draw(options.sizes)
+    cut = draw(st.integers(0, n))
+    order, units = draw(orders(n)), drawn_units(draw, n, options)
+    A = definite_block(draw, n, options) + draw(skew_matrices(n, options.entries))
+    if 0 < cut < n:
+        A[cut:, :cut] = 0.0
+        A[:cut, cut:] = draw(blocks(cut, n - cut, options.entries))
+    return finished(reordered(A, order), units, options.dense)
+
+
+def not_h_matrices(
+    size: Sizes = None,
+    *,
+    p_matrix: bool = False,
+    density: float = 1.0,
+    row_scale: int = 0,
+    column_scale: int = 0,
+    margin: float = 1.0,
+    dense: bool = True,
+) -> st.SearchStrategy[Any]:
+    """Return a strategy for matrices that are no H-matrices: no scaling of rows and columns makes them dominant.
+
+    Parameters
+    ----------
+    size : int or strategy of int, optional
+        Rows and columns, at least 1 (where the only one is [0]), 2 for P-matrices; up to 8 by default.
+    p_matrix : bool
+        Draw only P-matrices, with positive definite symmetric part before scaling; otherwise anything.
+    density : float
+        Share of nonzeros of the parts, in [0, 1], roughly; what is planted comes on top.
+    row_scale, column_scale : int
+        Rows and columns are multiplied by powers of two with exponents from −scale to scale, 0 to 400.
+    margin : float
+        A power of two in [2⁻³⁰, 1]: a small one gives matrices that miss being H-matrices narrowly.
+    dense : bool
+        Draw arrays; otherwise CSR arrays.
+
+    Returns
+    -------
+    strategy of ndarray or csr_array, shape (size, size)
+
+    Raises
+    ------
+    InvalidOption
+        Where an option is out of its range; where a drawn size is too small, while drawing.
+
+    Notes
+    -----
+    Planted is a cycle i₁ → i₂ → … → i₁ with |m_ij| ≥ |m_ii| on each of its arrows i → j, of length 1 a zero on the
+    diagonal. Its product of |m_ij|/|m_ii| is at least 1 in any scaling, so that ρ(D⁻¹|B|) ≥ 1. In P-matrices the
+    cycle has length 2 and m_ij m_ji ≤ −m_ii m_jj.
+
+    Examples
+    --------
+    >>> from hypothesis import Phase, find, settings
+    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
+    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
+    >>> find(not_h_matrices(), lambda M: len(M) > 1, settings=shrunk)
+    array([[1., 1.],
+           [1., 1.]])
+    >>> find(not_h_matrices(p_matrix=True), lambda M: True, settings=quick)
+    array([[ 1.,  1.],
+           [-1.,  1.]])
+    """
+    smallest = 2 if p_matrix else 1
+    options = checked_options(size, density, row_scale, column_scale, margin, dense, smallest)
+    return _rotating(options) if p_matrix else _with_cycle(options)
+
+
+@st.composite
+def _with_cycle(draw: st.DrawFn, options: Options) -> Any:
+    n = draw(options.sizes)
+    diagonal, order = draw(vectors(n, ONE_FIRST)), draw(orders(n))
+    # 0, 1, … mean a cycle of length 2, 3, …, and the last a zero on the diagonal: shrinking prefers the former.
+    length = draw(st.integers(0, n - 1))
+    arrows = draw(vectors(n, SIGNS)), options.margin * draw(vectors(n, Numbers(0, 9)))
+    units = drawn_units(draw, n, options)
+    A = draw(square(n, options.entries, "off"))
+    np.fill_diagonal(A, diagonal)
+    if length == n - 1:
+        A[order[0], order[0]] = 0.0
+    else:
+        cycle = order[: length + 2]
+        for i, j, sign, surplus in zip(cycle, np.roll(cycle, -1), *arrows, strict=False):
+            A[i, j] = sign * (abs(A[i, i]) + surplus)
+    return finished(A, units, options.dense)
+
+
+@st.composite
+def _rotating(draw: st.DrawFn, options: Options) -> Any:
+    n = draw(options.sizes)
+    i, j = draw(orders(n))[:2]
+    sign, surplus = drawn_number(draw, SIGNS), options.margin * drawn_number(draw, Numbers(0, 9))
+    units = drawn_units(draw, n, options)
+    S = definite_block(draw, n, options)
+    K = draw(skew_matrices(n, options.entries))
+    # (s + k)(s − k) = s² − k² ≤ −max(s_ii, s_jj)².
+    K[i, j] = sign * (max(S[i, i], S[j, j]) + abs(S[i, j]) + surplus)
+    K[j, i] = -K[i, j]
+    return finished(S + K, units, options.dense)

@@ -17,11 +17,12 @@ from hypothesis.errors import Flaky
 from ..certificates.infeasibility import Infeasibility
 from ..checks import FloatVector
 from ..errors import InvalidOption
+from ..evidence.stability.honesty import exact_residuals
 from ..matrix import analyze
 from ..problem.exactly import exact_slack, is_exact_solution
 from ..problem.lcp import LCP
+from .dominant import p_matrices
 from .options import checked_share
-from .principal import p_matrices
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
@@ -210,15 +211,11 @@ def complaint_about(
     if not np.isfinite(z).all():
         return "z is not finite"
     w = exact_slack(problem, z)
-    rows = [
-        _row_residual(Fraction(value), slack, float(low), float(high), float(d))
-        for value, slack, low, high, d in zip(
-            z.tolist(), w, problem.lower, problem.upper, problem.residual_scale, strict=True
-        )
-    ]
-    allowed = Fraction(tolerance) * max(Fraction(1), _size_at_start(problem)) if math.isfinite(tolerance) else math.inf
-    worst = max(range(problem.n), key=lambda i: abs(rows[i]), default=None)
-    if worst is not None and abs(rows[worst]) > allowed:
+    residuals = exact_residuals(problem, z)
+    at_start = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
+    allowed = Fraction(tolerance) * max(1, at_start) if math.isfinite(tolerance) else math.inf
+    worst = max(range(problem.n), key=residuals.__getitem__, default=None)
+    if worst is not None and residuals[worst] > allowed:
         return _named(problem, z, w, worst, allowed)
     return _distance(problem, z, truth, error_tolerance)
 
@@ -229,23 +226,6 @@ def _as_array(given: Any) -> Any:
         return np.asarray(given)
     except Exception:  # a pair (z, info), or an object that refuses in a way of its own
         return np.array(None)
-
-
-def _row_residual(z: Fraction, w: Fraction, lower: float, upper: float, scale: float) -> Fraction:
-    """Return z − mid(lower, upper, z − w/scale), exactly."""
-    target = z - w / Fraction(scale)
-    if target <= lower:
-        return z - Fraction(lower)
-    return z - Fraction(upper) if target >= upper else z - target
-
-
-def _size_at_start(problem: LCP) -> Fraction:
-    start = problem.nearest_to_zero
-    rows = zip(
-        start.tolist(), exact_slack(problem, start), problem.lower.tolist(), problem.upper.tolist(),
-        problem.residual_scale.tolist(), strict=True,
-    )
-    return max((abs(_row_residual(Fraction(z), w, low, high, d)) for z, w, low, high, d in rows), default=Fraction(0))
 
 
 def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:

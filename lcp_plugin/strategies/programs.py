@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from ..checks import FloatVector
 from ..conversions.quadratic_program import QuadraticProgram
 from .definite import positive_definite_matrices, positive_semidefinite_matrices
+from .dominant import p_matrices
 from .options import SIGNED, Numbers, blocks, drawn_number, entries, sizes, vectors
-from .principal import p_matrices
 from .problems import Answer
-from .rows import RowKinds, checked_kinds, drawn_rows, exact_double, exact_offset, fractions_of
+from .rows import RowKinds, checked_kinds, drawn_rows, exact_double, exact_offset, exact_products, fractions_of
 
 
 class QPAnswer(NamedTuple):
@@ -99,28 +99,23 @@ def _convex(
     equality = draw(vectors(p, SIGNED))
     rows = draw(blocks(m + p, n, values))
     G, A = rows[:m], rows[m:]
-    c = exact_gradient(P, x, reduced - G.T @ multiplier - A.T @ equality)
+    products = exact_products(P, x)
+    c = exact_gradient(products, reduced - G.T @ multiplier - A.T @ equality)
     program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
     duals = (multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
-    return program, QPAnswer._make([*map(fractions_of, (x, *duals)), _least_value(P, x, c)])
+    return program, QPAnswer._make([*map(fractions_of, (x, *duals)), _least_value(products, x, c)])
 
 
-def exact_gradient(P: Any, x: FloatVector, total: FloatVector) -> FloatVector:
-    """Return c = total − P x, shape (n,), or raise InvalidProblem where a double cannot hold it."""
-    dense = P.toarray() if sp.issparse(P) else P
-    exact = [Fraction(right) - _product(row, x) for right, row in zip(total.tolist(), dense.tolist(), strict=True)]
+def exact_gradient(products: Sequence[Fraction], total: FloatVector) -> FloatVector:
+    """Return c = total − P x of the products P x, shape (n,), or raise InvalidProblem where a double cannot hold it."""
     complaint = "c = −P x − … is not free of rounding in row {}; draw P with short entries of similar size"
-    return np.array([exact_double(value, complaint.format(i)) for i, value in enumerate(exact)], dtype=np.float64)
+    rows = enumerate(zip(total.tolist(), products, strict=True))
+    return np.array([exact_double(Fraction(right) - product, complaint.format(i)) for i, (right, product) in rows])
 
 
-def _product(row: Sequence[float], x: FloatVector) -> Fraction:
-    return sum((Fraction(a) * Fraction(b) for a, b in zip(row, x.tolist(), strict=True)), Fraction(0))
-
-
-def _least_value(P: Any, x: FloatVector, c: FloatVector) -> Fraction:
-    dense = P.toarray() if sp.issparse(P) else P
-    half = [_product(row, x) / 2 + Fraction(linear) for row, linear in zip(dense.tolist(), c.tolist(), strict=True)]
-    return sum((Fraction(a) * b for a, b in zip(x.tolist(), half, strict=True)), Fraction(0))
+def _least_value(products: Sequence[Fraction], x: FloatVector, c: FloatVector) -> Fraction:
+    rows = zip(x.tolist(), products, c.tolist(), strict=True)
+    return sum((Fraction(here) * (product / 2 + Fraction(linear)) for here, product, linear in rows), Fraction(0))
 
 
 FORMS = ("plain", "swapped", "attribute", "shifted", "box", "free", "equation")

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem
+from ..problem.exactly import exact_slack
+from ..problem.lcp import LCP
 from .options import (
     LARGEST_ENTRY,
     POSITIVE,
@@ -96,20 +98,22 @@ def exact_offset(M: sp.csr_array, z: FloatVector, slack: FloatVector, lift: IntV
     w_i is the small integer slack_i times the power of two just below row i's largest entry, so that it fits the row,
     times 2 to the power lift_i, as far as a double has room for that.
     """
-    q = np.empty(M.shape[0])
-    for i in range(q.size):
-        entries = [Fraction(value) for value in M.data[M.indptr[i] : M.indptr[i + 1]]]
-        columns = M.indices[M.indptr[i] : M.indptr[i + 1]]
-        largest = max(map(abs, entries), default=Fraction(1))
-        product = sum((m * Fraction(z[j]) for m, j in zip(entries, columns, strict=True)), Fraction(0))
-        w = Fraction(slack[i]) * power_of_two_below(largest)
-        q[i] = exact_double(
-            _lifted(w, product, int(lift[i])) - product,
-            f"q = w − M z is not free of rounding in row {i} of M, whose entries lie between "
-            f"{float(min(map(abs, entries), default=0)):g} and {float(largest):g} in size; draw short entries of "
-            "similar size and scale by row_scale and column_scale of the strategy for the problems",
-        )
-    return q
+    q = []
+    for i, product in enumerate(exact_products(M, z)):
+        sizes = [Fraction(value) for value in np.abs(M.data[M.indptr[i] : M.indptr[i + 1]]).tolist()] or [Fraction(1)]
+        w = _lifted(Fraction(slack[i]) * power_of_two_below(max(sizes)), product, int(lift[i]))
+        q.append(exact_double(
+            w - product,
+            f"q = w − M z is not free of rounding in row {i} of M, whose entries lie between {float(min(sizes)):g} and "
+            f"{float(max(sizes)):g} in size; draw short entries of similar size and scale by row_scale and "
+            "column_scale of the strategy for the problems",
+        ))
+    return np.array(q)
+
+
+def exact_products(M: Any, z: FloatVector) -> list[Fraction]:
+    """Return M z without rounding, shape (n,)."""
+    return exact_slack(LCP(M, np.zeros(z.size)), z)
 
 
 def _lifted(w: Fraction, product: Fraction, lift: int) -> Fraction:

@@ -68,12 +68,12 @@ def _anatomy(size: int) -> dict[str, Any]:
     """Time a fetch of foreign values and a cycle over all grids; count the foreign values of each grid."""
     from mpi4py import MPI
 
-    from lcp_plugin.distributed.hierarchy import build_hierarchy
-    from lcp_plugin.distributed.scenes import build
+    from lcp_plugin.algorithms.multigrid_run import hierarchy_of
+    from lcp_plugin.evidence.gallery.on_ranks import build
     from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
-    hierarchy = build_hierarchy(problem, 60, is_symmetric=True)
+    hierarchy = hierarchy_of(problem.matrix, 60)
     truncation, grids = Truncation(hierarchy), hierarchy.grids
 
     def fetches() -> None:
@@ -121,8 +121,8 @@ def _least(call: Callable[[], Any], runs: int) -> tuple[float, Any]:
 def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
     from mpi4py import MPI
 
-    from lcp_plugin.distributed.scenes import build
-    from lcp_plugin.distributed.solving import solve
+    from lcp_plugin import solve
+    from lcp_plugin.evidence.gallery.on_ranks import build
 
     solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}), "multigrid")
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
@@ -145,17 +145,18 @@ def _snesvi(size: int) -> dict[str, Any]:
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from lcp_plugin.distributed.certificate import reference_residual_of, residual_of
-    from lcp_plugin.distributed.scenes import build
+    from lcp_plugin.certificates.residuals import reference_residual
+    from lcp_plugin.certificates.row_residuals import measured_residual
+    from lcp_plugin.evidence.gallery.on_ranks import build
+    from lcp_plugin.peers.ranks.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
-    layout, rows = problem.layout, problem.rows
-    indptr, order = rows.indptr.astype(PETSc.IntType), rows.global_columns()
+    layout, rows = problem.peers.layout, numbered_over_all(problem.matrix.csr_rows, problem.peers)
     matrix = PETSc.Mat().create(comm=layout.comm)
     matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
     matrix.setType("aij")
     matrix.setPreallocationNNZ((5, 2))
-    matrix.setValuesIJV(indptr, order.astype(PETSc.IntType), rows.data)
+    matrix.setValuesIJV(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data)
     matrix.assemble()
     q, lower, upper = (_petsc_vector(layout.comm, part) for part in (
         problem.q, problem.lower, np.full(layout.own, PETSc.INFINITY)
@@ -179,7 +180,7 @@ def _snesvi(size: int) -> dict[str, Any]:
         return snes.getIterationNumber(), snes.getConvergedReason(), z
 
     seconds, (steps, reason, z) = _least(newton, 1)
-    reached = residual_of(problem, z.getArray().copy()) / reference_residual_of(problem)
+    reached = measured_residual(problem, z.getArray().copy()) / reference_residual(problem)
     return {"seconds": seconds, "iterations": steps, "status": f"reason {reason}, relative residual {reached:.1e}"}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from fractions import Fraction
 from typing import Any
 
@@ -11,10 +10,10 @@ import pytest
 import scipy.sparse as sp
 from checks import check, run_checks
 
-from lcp_plugin import LCP
-from lcp_plugin.certificates.residuals import Certificate, reference_residual
-from lcp_plugin.distributed import DistributedCertificate, DistributedLCP, error_bound, h_plus_certificate
-from lcp_plugin.distributed.algorithms import chosen, iterates
+from lcp_plugin import LCP, Certificate, error_bound
+from lcp_plugin.algorithms import create
+from lcp_plugin.certificates.residuals import MEASURED, reference_residual
+from lcp_plugin.certificates.sweep_contraction import h_plus_certificate
 from lcp_plugin.errors import UnsuitableMatrix
 from lcp_plugin.peers.ranks.collective import largest
 
@@ -33,21 +32,21 @@ def problem(rng: np.random.Generator, n: int) -> LCP:
     return LCP(M, rng.normal(size=n), lower=lower, upper=upper)
 
 
-def own_part(parts: DistributedLCP, vector: Any) -> Any:
+def own_part(parts: LCP, vector: Any) -> Any:
     """The part of a whole vector that belongs to this rank."""
     return vector[parts.first : parts.last]
 
 
 def require_same_on_all(comm: Any, judged: Any) -> None:
     """Every number of a certificate is the same on every rank, bit for bit."""
-    numbers = [repr(getattr(judged, one.name)) for one in fields(judged) if one.name not in ("problem", "z", "w")]
+    numbers = [repr(getattr(judged, name)) for name in MEASURED if name != "w"]
     assert len(set(comm.allgather(tuple(numbers)))) == 1
 
 
 def require_equal(comm: Any, whole: LCP, z: Any) -> None:
     """The certificate of the parts is that of the whole, but for the order of sums."""
-    parts = DistributedLCP.from_problem(whole, comm)
-    judged, truth = DistributedCertificate.of(parts, own_part(parts, z)), Certificate.of(whole, z)
+    parts = LCP.from_problem(whole, comm)
+    judged, truth = Certificate.of(parts, own_part(parts, z)), Certificate.of(whole, z)
     require_same_on_all(comm, judged)
     size = float(np.nan_to_num(np.abs(whole.csr) @ np.abs(z) + np.abs(whole.q), posinf=0.0).max(initial=1.0))
     for name in NUMBERS:
@@ -96,8 +95,8 @@ def a_residual_that_rounding_hides_is_seen_on_all_ranks(comm: Any) -> None:
     require_equal(comm, whole, z)
     truth = Certificate.of(whole, z)
     assert truth.scaled_residual == 0.0 < truth.relative_residual
-    parts = DistributedLCP.from_problem(whole, comm)
-    assert DistributedCertificate.of(parts, own_part(parts, z)).relative_residual == truth.relative_residual
+    parts = LCP.from_problem(whole, comm)
+    assert Certificate.of(parts, own_part(parts, z)).relative_residual == truth.relative_residual
 
 
 def h_plus_matrix(rng: np.random.Generator, n: int) -> Any:
@@ -125,7 +124,7 @@ def error_bounds_are_rigorous(comm: Any) -> None:
         rng = np.random.default_rng(seed)
         n = int(rng.integers(1, 14))
         whole, exact = answered(rng, n)
-        parts = DistributedLCP.from_problem(whole, comm)
+        parts = LCP.from_problem(whole, comm)
         own_exact = own_part(parts, exact)
         z = exact + 10.0 ** rng.integers(-17, 9) * rng.normal(size=n) * (rng.random(n) < 0.7)
         bound = error_bound(parts, own_part(parts, z))
@@ -149,7 +148,7 @@ def error_bounds_are_rigorous(comm: Any) -> None:
 def the_bound_of_a_point_that_is_not_finite_is_infinite(comm: Any) -> None:
     """NaN or ∞ on one rank: the bound is ∞ on all, and only what bounds alone prove is proven."""
     whole, exact = answered(np.random.default_rng(5), 9)
-    parts = DistributedLCP.from_problem(whole, comm)
+    parts = LCP.from_problem(whole, comm)
     for wrong in (np.nan, np.inf):
         z = exact.copy()
         z[0] = wrong
@@ -163,7 +162,7 @@ def the_exact_solution_has_the_bound_zero(comm: Any) -> None:
     """Where nothing is rounded the bound of z* is 0, and so is the relative one, even where z* = 0."""
     whole, exact = answered(np.random.default_rng(6), 9)
     for given, z in ((whole, exact), (LCP(whole.csr, np.ones(9)), np.zeros(9)), (LCP(sp.csr_array((0, 0)), []), [])):
-        parts = DistributedLCP.from_problem(given, comm)
+        parts = LCP.from_problem(given, comm)
         bound = error_bound(parts, np.asarray(own_part(parts, z)))
         assert (bound.infinity, bound.relative) == (0.0, 0.0)
 
@@ -175,7 +174,7 @@ def what_is_not_h_plus_gets_no_bound_and_a_reason(comm: Any) -> None:
     negative = np.eye(6)
     negative[5, 5] = -1.0
     for M in (strong, negative, np.zeros((6, 6))):
-        parts = DistributedLCP.from_problem(LCP(sp.csr_array(M), np.ones(6)), comm)
+        parts = LCP.from_problem(LCP(sp.csr_array(M), np.ones(6)), comm)
         assert h_plus_certificate(parts) is None
         with pytest.raises(UnsuitableMatrix, match="H₊") as caught:
             error_bound(parts, np.zeros(parts.last - parts.first))
@@ -188,17 +187,17 @@ def the_contraction_holds_for_sweeps(comm: Any) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         whole, exact = answered(rng, int(rng.integers(1, 14)))
-        parts = DistributedLCP.from_problem(whole, comm)
+        parts = LCP.from_problem(whole, comm)
         certificate = h_plus_certificate(parts)
         assert certificate is not None
         assert len(set(comm.allgather(certificate.contraction))) == 1
         for d, v, margin in zip(parts.diagonal, certificate.v, certificate.margin, strict=True):
             assert 1 - Fraction(margin) / (Fraction(d) * Fraction(v)) <= Fraction(certificate.contraction)
-        foreign = abs(parts.rows.as_csr()[:, parts.last - parts.first :]).sum(axis=1) / parts.diagonal
+        foreign = abs(parts.matrix.csr_rows[:, parts.last - parts.first :]).sum(axis=1) / parts.diagonal
         f, = largest(comm, float(foreign.max(initial=0.0)))
         factor = (certificate.contraction + f) / (1.0 + f)
         own, before = own_part(parts, exact), np.inf
-        for k, step in enumerate(iterates(parts, chosen("pgs", {}), np.array(parts.nearest_to_zero))):
+        for k, step in enumerate(create("pgs", {}).iterates(parts, np.array(parts.nearest_to_zero))):
             error, = largest(comm, float((np.abs(step.z - own) / certificate.v).max(initial=0.0)))
             assert error <= factor * before * (1.0 + 1e-12) + 1e-12
             before = error

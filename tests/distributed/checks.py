@@ -35,6 +35,7 @@ def check(*sizes: int) -> Callable[[Check], Check]:
 def run_checks() -> None:
     """Run all registered checks on parts of this job; rank 0 prints a line of JSON for each."""
     from mpi4py import MPI
+    from petsc4py import PETSc  # noqa: F401 - PETSc begins on all ranks of a job at once
 
     world = MPI.COMM_WORLD
     parts = {size: world.Split(int(world.rank >= size)) for size in range(1, world.size + 1)}

@@ -7,13 +7,10 @@ import sys
 
 import numpy as np
 import scipy.sparse as sp
-from lcp_plugin.problem.lcp.lcp import LCP
 from mpi4py import MPI
 
-from lcp_plugin import gallery
-from lcp_plugin.distributed import DistributedLCP
-from lcp_plugin.distributed.hierarchy import build_hierarchy
-from lcp_plugin.matrix.hierarchy.levels import Grid, Hierarchy, Operator
+from lcp_plugin import LCP, gallery
+from lcp_plugin.matrix.hierarchy.levels import Grid, Hierarchy, Operator, build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
 COMM = MPI.COMM_WORLD
@@ -137,9 +134,9 @@ def cycle_is_symmetric(hierarchy: Hierarchy) -> float:
 def main() -> None:
     found = {}
     for name, make in PROBLEMS.items():
-        problem = DistributedLCP.from_problem(make(), COMM)
+        matrix = LCP.from_problem(make(), COMM).matrix
         is_symmetric = name not in ("wind", "one way")
-        hierarchy = build_hierarchy(problem, 8, is_symmetric=is_symmetric)
+        hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, peers=matrix.peers)
         found[name] = {
             "grids": float(len(hierarchy.grids)), "transfers": transfers_fit(hierarchy, is_symmetric),
             "products": products_fit(hierarchy), "truncation": truncation_fits(hierarchy),

@@ -14,10 +14,10 @@ from checks import check, run_checks
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from lcp_plugin import LCP
-from lcp_plugin.distributed import DistributedLCP, solve
+from lcp_plugin import LCP, solve
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnreadableFile
 from lcp_plugin.peers.ranks.collective import from_first, gathered, largest, together, total
+from lcp_plugin.peers.ranks.halo import numbered_over_all
 
 N = 7
 
@@ -56,7 +56,7 @@ def part(comm: Any, whole: LCP, **changes: Any) -> dict[str, Any]:
     return given | {"first_row": first} | changes
 
 
-def require_equal(parts: DistributedLCP, whole: LCP) -> None:
+def require_equal(parts: LCP, whole: LCP) -> None:
     """The parts are the rows of the whole, bit for bit."""
     own = slice(parts.first, parts.last)
     assert (parts.n, parts.nonzeros) == (whole.n, whole.nonzeros)
@@ -64,9 +64,7 @@ def require_equal(parts: DistributedLCP, whole: LCP) -> None:
         assert np.array_equal(getattr(parts, name), getattr(whole, name)[own]), name
     z = np.random.default_rng(1).normal(size=whole.n)
     assert np.allclose(parts.slack(z[own]), whole.slack(z)[own], rtol=1e-14, atol=1e-14)
-    numbers = np.concatenate([np.arange(parts.first, parts.last), parts.rows.ghosts]).astype(np.int64)
-    rows = parts.rows
-    global_rows = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=(rows.count, whole.n))
+    global_rows = numbered_over_all(parts.matrix.csr_rows, parts.peers)
     assert np.array_equal(global_rows.toarray(), whole.csr[own].toarray())
 
 
@@ -74,10 +72,10 @@ def require_equal(parts: DistributedLCP, whole: LCP) -> None:
 def equal_shares_and_any_other_shares_hold_the_problem(comm: Any) -> None:
     """from_problem and from_rows keep every row, scale and bound; shares may have any length."""
     whole = problem()
-    require_equal(DistributedLCP.from_problem(whole, comm), whole)
+    require_equal(LCP.from_problem(whole, comm), whole)
     cuts = sorted([0, *([3] * (comm.size - 1)), N])  # ranks between the first and the last have no row
     own = slice(cuts[comm.rank], cuts[comm.rank + 1])
-    parts = DistributedLCP.from_rows(
+    parts = LCP.from_rows(
         comm, whole.csr[own].tocoo(), whole.q[own], whole.lower[own], whole.upper[own], first_row=own.start
     )
     require_equal(parts, whole)
@@ -85,7 +83,7 @@ def equal_shares_and_any_other_shares_hold_the_problem(comm: Any) -> None:
     assert (z is None) == (comm.rank > 0)
     assert z is None or np.array_equal(z, whole.q)
     petsc = PETSc.Comm(comm)
-    require_equal(DistributedLCP.from_problem(whole, petsc), whole)
+    require_equal(LCP.from_problem(whole, petsc), whole)
 
 
 @check(1, 2, 3, 4)
@@ -93,7 +91,7 @@ def fewer_rows_than_ranks_and_no_row_at_all_work(comm: Any) -> None:
     """Any number of ranks takes n = 0, 1 and 2."""
     for n in range(3):
         whole = LCP(sp.diags_array(np.full(n, 2.0), format="csr"), -np.arange(1.0, n + 1.0))
-        parts = DistributedLCP.from_problem(whole, comm)
+        parts = LCP.from_problem(whole, comm)
         require_equal(parts, whole)
         result = solve(parts)
         assert result.is_solved
@@ -108,10 +106,10 @@ def missing_and_doubled_rows_are_refused(comm: Any) -> None:
     given = part(comm, whole)
     for own, word in ((slice(None, -1), "1 are missing"), ([0, *range(given["q"].size)], "1 are too many")):
         changed = {name: given[name][own] for name in ("rows", "q", "lower", "upper")} if last else given
-        require_refused(comm, lambda changed=changed: DistributedLCP.from_rows(comm, **changed), InvalidProblem, word)
+        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, word)
     for shift in (1, -1):
         off = given | {"first_row": given["first_row"] + shift * last}
-        require_refused(comm, lambda off=off: DistributedLCP.from_rows(comm, **off), InvalidProblem, "first_row is")
+        require_refused(comm, lambda off=off: LCP.from_rows(comm, **off), InvalidProblem, "first_row is")
 
 
 def damaged(rows: Any, kind: str) -> Any:
@@ -146,7 +144,7 @@ def damage_on_one_rank_is_refused_on_all(comm: Any) -> None:
         ("width", ("columns differs", str(N + 1))),
     ):
         changed = given | ({"rows": damaged(given["rows"], kind)} if is_here else {})
-        require_refused(comm, lambda changed=changed: DistributedLCP.from_rows(comm, **changed), InvalidProblem, *words)
+        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words)
     q = given["q"]
     for changes, words in (
         ({"q": q[:-1]}, (name, "q must be")), ({"q": np.full(q.size, np.inf)}, (name, "inf")), ({"q": "7"}, (name,)),
@@ -155,7 +153,7 @@ def damage_on_one_rank_is_refused_on_all(comm: Any) -> None:
         ({"lower": [[1.0], [2.0, 3.0]]}, (name,)), ({"lower": -10.0}, ("lower differs", "an array")),
     ):
         changed = given | (changes if is_here else {})
-        require_refused(comm, lambda changed=changed: DistributedLCP.from_rows(comm, **changed), InvalidProblem, *words)
+        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words)
 
 
 @check(2, 3)
@@ -164,9 +162,9 @@ def numbers_for_all_rows_must_agree(comm: Any) -> None:
     whole = problem()
     given = part(comm, whole)
     given |= {"lower": [0, 0.0, np.array(0)][comm.rank % 3], "upper": np.inf}
-    assert not DistributedLCP.from_rows(comm, **given).lower.any()
+    assert not LCP.from_rows(comm, **given).lower.any()
     given["upper"] = 1.0 + (comm.rank == 1)
-    require_refused(comm, lambda: DistributedLCP.from_rows(comm, **given), InvalidProblem, "upper differs", "rank 1")
+    require_refused(comm, lambda: LCP.from_rows(comm, **given), InvalidProblem, "upper differs", "rank 1")
 
 
 @check(2, 3)
@@ -176,9 +174,9 @@ def different_whole_problems_are_refused(comm: Any) -> None:
     q = whole.q.copy()
     q[0] = np.nextafter(q[0], 9.0) if comm.rank == 1 else q[0]
     other = whole.with_q(q)
-    require_refused(comm, lambda: DistributedLCP.from_problem(other, comm), InvalidProblem, "the problem", "rank 1")
+    require_refused(comm, lambda: LCP.from_problem(other, comm), InvalidProblem, "the problem", "rank 1")
     given = whole if comm.rank else "M"
-    require_refused(comm, lambda: DistributedLCP.from_problem(given, comm), InvalidProblem, "rank 0", "str")
+    require_refused(comm, lambda: LCP.from_problem(given, comm), InvalidProblem, "rank 0", "str")
 
 
 @check(1, 2, 3)
@@ -226,14 +224,14 @@ def chunks_written_on_any_number_of_ranks_are_read_on_any(comm: Any) -> None:
     for writers, writing in parts.items():
         whole = problem(seed=writers)
         if comm.rank < writers:
-            DistributedLCP.from_problem(whole, writing).save(folder / "problem")
+            LCP.from_problem(whole, writing).save(folder / "problem")
         comm.Barrier()
         assert sorted(one.name for one in folder.iterdir()) == ["problem"]
         names = sorted(one.name for one in (folder / "problem").iterdir())
         assert names == [f"rows-{k:05d}-of-{writers:05d}.npz" for k in range(writers)]
         for readers, reading in parts.items():
             if comm.rank < readers:
-                require_equal(DistributedLCP.load(str(folder / "problem"), reading), whole)
+                require_equal(LCP.load(str(folder / "problem"), reading), whole)
         comm.Barrier()
     removed(comm, folder)
 
@@ -241,7 +239,7 @@ def chunks_written_on_any_number_of_ranks_are_read_on_any(comm: Any) -> None:
 @check(2)
 def a_folder_with_something_else_is_left_alone(comm: Any) -> None:
     """Saving refuses to replace what is no save, and leaves nothing behind where one rank cannot write."""
-    folder, parts = shared_folder(comm), DistributedLCP.from_problem(problem(), comm)
+    folder, parts = shared_folder(comm), LCP.from_problem(problem(), comm)
     if comm.rank == 0:
         (folder / "notes.txt").write_text("keep")
         (folder / "file").write_text("keep")
@@ -290,7 +288,7 @@ def damages(chunk: Path, other: Path) -> dict[str, Callable[[], object]]:
 def damaged_folders_are_refused_on_all_ranks(comm: Any) -> None:
     """Missing, mixed, cut, misstated chunks: one message on every rank, which names the place."""
     folder = shared_folder(comm)
-    parts = DistributedLCP.from_problem(problem(), comm)
+    parts = LCP.from_problem(problem(), comm)
     parts.save(folder / "other")
     names = comm.bcast(list(damages(*[folder / "other" / "rows-00001-of-00003.npz"] * 2)) if comm.rank == 0 else None)
     for name in names:
@@ -300,7 +298,7 @@ def damaged_folders_are_refused_on_all_ranks(comm: Any) -> None:
             damages(*chunks)[name]()
         comm.Barrier()
         kind = InvalidProblem if name == "nan" else UnreadableFile
-        require_refused(comm, lambda: DistributedLCP.load(folder / "problem", comm), kind, name)
+        require_refused(comm, lambda: LCP.load(folder / "problem", comm), kind, name)
         comm.Barrier()
         if comm.rank == 0:
             shutil.rmtree(folder / "problem", ignore_errors=True)
@@ -331,10 +329,10 @@ def what_petsc_wrote_is_read(comm: Any) -> None:
     for n in (N, 2, 0):
         whole = problem(n)
         write_petsc(folder / "all", whole, 3, comm)
-        require_equal(DistributedLCP.load(folder / "all", comm), whole)
-        require_equal(DistributedLCP.load(folder / "all", MPI.COMM_SELF), whole)
+        require_equal(LCP.load(folder / "all", comm), whole)
+        require_equal(LCP.load(folder / "all", MPI.COMM_SELF), whole)
         write_petsc(folder / "plain", whole, 1, comm)
-        require_equal(DistributedLCP.load(folder / "plain", comm), LCP(whole.csr, whole.q))
+        require_equal(LCP.load(folder / "plain", comm), LCP(whole.csr, whole.q))
         comm.Barrier()
     removed(comm, folder)
 
@@ -360,13 +358,13 @@ def damaged_petsc_files_are_refused_on_all_ranks(comm: Any) -> None:
         if comm.rank == 0:
             path.write_bytes(case)
         comm.Barrier()
-        require_refused(comm, lambda: DistributedLCP.load(path, comm), UnreadableFile)
+        require_refused(comm, lambda: LCP.load(path, comm), UnreadableFile)
         comm.Barrier()
     with_nan = content[:-8] + np.array([np.nan], ">f8").tobytes()
     if comm.rank == 0:
         path.write_bytes(with_nan)
     comm.Barrier()
-    require_refused(comm, lambda: DistributedLCP.load(path, comm), InvalidProblem, f"rank {comm.size - 1}", "NaN")
+    require_refused(comm, lambda: LCP.load(path, comm), InvalidProblem, f"rank {comm.size - 1}", "NaN")
     removed(comm, folder)
 
 

@@ -12,12 +12,28 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from checks import check, run_checks
+from mpi4py import MPI
 
-from lcp_plugin import LCP, Status
-from lcp_plugin import solve as solve_alone
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    Status,
+    all_solutions,
+    analyze,
+    convergence_guarantee,
+    error_bound,
+    prepare,
+    solve,
+)
 from lcp_plugin.algorithms import create
-from lcp_plugin.distributed import DistributedCertificate, DistributedLCP, error_bound, solve
-from lcp_plugin.errors import InvalidOption, LCPError, NotConverged, UnknownAlgorithm, UnsuitableMatrix
+from lcp_plugin.errors import (
+    InvalidOption,
+    LCPError,
+    NotConverged,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+)
 from lcp_plugin.evidence import gallery
 
 ALGORITHMS = ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor")
@@ -41,7 +57,7 @@ def mixed(n: int = 90) -> LCP:
 def scene(name: str) -> tuple[LCP, Any]:
     """A problem and what one process answers."""
     problem = mixed() if name == "mixed" else gallery.build(name, size=SIZES[name]).problem
-    return problem, solve_alone(problem, tolerance=1e-12).z
+    return problem, solve(problem, tolerance=1e-12).z
 
 
 def require_same_on_all(comm: Any, result: Any) -> None:
@@ -54,7 +70,7 @@ def require_same_on_all(comm: Any, result: Any) -> None:
 def compare(comm: Any, name: str) -> None:
     """All algorithms on one problem answer as one process does, twice with the same bits."""
     whole, truth = scene(name)
-    problem = DistributedLCP.from_problem(whole, comm)
+    problem = LCP.from_problem(whole, comm)
     for algorithm in ALGORITHMS:
         marks = []
         for _ in range(2):
@@ -66,7 +82,7 @@ def compare(comm: Any, name: str) -> None:
         own = truth[problem.first : problem.last]
         assert np.abs(result.z - own).max(initial=0.0) <= 1e-9 * np.abs(truth).max(), algorithm
         assert np.allclose(result.w, problem.slack(result.z))
-        assert result.residual == DistributedCertificate.of(problem, result.z).relative_residual
+        assert result.residual == Certificate.of(problem, result.z).relative_residual
         assert (result.algorithm.split(":")[0], result.iterations > 0) == (algorithm, True)
 
 
@@ -104,7 +120,7 @@ def mixed_rows_are_solved_as_by_one_process(comm: Any) -> None:
 def limits_and_starts_are_those_of_one_process(comm: Any) -> None:
     """The options z0, max_iterations, max_seconds, record and measure do what they do there."""
     whole, truth = scene("obstacle_2d")
-    problem = DistributedLCP.from_problem(whole, comm)
+    problem = LCP.from_problem(whole, comm)
     own = truth[problem.first : problem.last]
     assert solve(problem, "npsor", z0=own).iterations == 0
     far = solve(problem, "pgs", z0=own - 100.0, max_iterations=0)
@@ -136,7 +152,7 @@ def an_error_can_be_asked_for(comm: Any) -> None:
     """With tolerance_on="error" SOLVED means a proof; where M allows none, UnsuitableMatrix on all ranks."""
     for name in ("obstacle_2d", "mixed"):
         whole, truth = scene(name)
-        problem = DistributedLCP.from_problem(whole, comm)
+        problem = LCP.from_problem(whole, comm)
         own = truth[problem.first : problem.last]
         for algorithm in ("auto", "pgs", "npsor"):
             result = solve(problem, algorithm, tolerance=1e-5, tolerance_on="error", record=True)
@@ -144,11 +160,13 @@ def an_error_can_be_asked_for(comm: Any) -> None:
             assert result.is_solved
             assert result.error_bound.relative <= 1e-5
             assert (np.abs(result.z - own) <= result.error_bound.componentwise + 1e-10).all()
-            assert result.history[-1].error_bound == result.error_bound.infinity
+            sampled = result.history[-1].error_bound
+            assert sampled <= 1e-5 * comm.allreduce(np.abs(result.z).max(initial=0.0), MPI.MAX) * 1.01
+            assert sampled == result.error_bound.infinity or algorithm == "npsor"  # which cleans up behind its last z
     bounded = solve(problem, error_bound=True)
     assert bounded.error_bound.infinity > 0.0
     M = sp.csr_array(np.ones((5, 5)) + np.eye(5))
-    strong = DistributedLCP.from_problem(LCP(M, -np.ones(5)), comm)
+    strong = LCP.from_problem(LCP(M, -np.ones(5)), comm)
     with pytest.raises(UnsuitableMatrix, match='tolerance_on="error"'):
         solve(strong, tolerance_on="error")
     unbounded = solve(strong, "pgs", error_bound=True)
@@ -160,7 +178,7 @@ def an_error_can_be_asked_for(comm: Any) -> None:
 @check(2, 3)
 def one_rank_can_end_the_run(comm: Any) -> None:
     """A true answer of one rank's callback, or Ctrl-C there, ends all ranks with INTERRUPTED and the best z so far."""
-    problem = DistributedLCP.from_problem(scene("obstacle_2d")[0], comm)
+    problem = LCP.from_problem(scene("obstacle_2d")[0], comm)
     is_last = comm.rank == comm.size - 1
     for algorithm in ("npsor", "psor", "multigrid"):
         seen: list[int] = []
@@ -191,7 +209,7 @@ def one_rank_can_end_the_run(comm: Any) -> None:
 @check(2, 3)
 def what_a_callback_raises_is_passed_on(comm: Any) -> None:
     """It comes out of solve where it was raised; the other ranks raise an LCPError that names it. Nobody waits."""
-    problem = DistributedLCP.from_problem(scene("obstacle_2d")[0], comm)
+    problem = LCP.from_problem(scene("obstacle_2d")[0], comm)
 
     def fail(sample: Any, z: Any) -> None:
         if comm.rank == 1 and sample.iteration == 2:
@@ -207,14 +225,15 @@ def what_a_callback_raises_is_passed_on(comm: Any) -> None:
 @check(1, 2, 3)
 def wrong_options_are_refused_on_all_ranks(comm: Any) -> None:
     """Also where one rank alone gives them; and all ranks must ask for the same."""
-    problem = DistributedLCP.from_problem(mixed(), comm)
+    problem = LCP.from_problem(mixed(), comm)
     for algorithm, options, kind, words in (
         ("lemke", {}, UnknownAlgorithm, "'lemke' does not run on several ranks"),
+        ("mgs", {}, UnknownAlgorithm, "'mgs' does not run on several ranks"),
         ("npsr", {}, UnknownAlgorithm, "did you mean 'npsor'"),
         (7, {}, UnknownAlgorithm, "7"),
-        ("psor", {"relaxation": "auto"}, InvalidOption, r"number in \(0, 2\)"),
+        ("psor", {"relaxation": "fast"}, InvalidOption, r"number in \(0, 2\)"),
         ("psor", {"relaxation": 2.5}, InvalidOption, "relaxation"),
-        ("psor", {"sweep": "backward"}, InvalidOption, "sweep"),
+        ("psor", {"sweep": "sideways"}, InvalidOption, "sweep"),
         ("auto", {"relaxation": 1.0}, InvalidOption, "has no options"),
         ("npsor", {"relaxed": 1.0}, InvalidOption, "relaxed"),
         ("npsor", {"tolerance": -1.0}, InvalidOption, "tolerance"),
@@ -241,8 +260,8 @@ def wrong_options_are_refused_on_all_ranks(comm: Any) -> None:
 def problems_that_need_no_iteration_are_solved(comm: Any) -> None:
     """Where z° solves (the reference is 0) any start is forgotten; no row at all, and fewer rows than ranks."""
     M = scene("obstacle_2d")[0].csr
-    problem = DistributedLCP.from_problem(LCP(M, np.ones(M.shape[0])), comm)
-    empty = DistributedLCP.from_problem(LCP(sp.csr_array((0, 0)), []), comm)
+    problem = LCP.from_problem(LCP(M, np.ones(M.shape[0])), comm)
+    empty = LCP.from_problem(LCP(sp.csr_array((0, 0)), []), comm)
     for algorithm in ALGORITHMS:
         result = solve(problem, algorithm, z0=np.ones(problem.last - problem.first))
         assert (result.status, result.iterations, result.residual) == (Status.SOLVED, 0, 0.0), algorithm
@@ -250,20 +269,55 @@ def problems_that_need_no_iteration_are_solved(comm: Any) -> None:
         require_same_on_all(comm, result)
         assert solve(empty, algorithm).is_solved
         for n in (1, 2):
-            few = DistributedLCP.from_problem(LCP(sp.csr_array(2.0 * np.eye(n) - 0.5), -np.ones(n)), comm)
+            few = LCP.from_problem(LCP(sp.csr_array(2.0 * np.eye(n) - 0.5), -np.ones(n)), comm)
             own = np.linalg.solve(2.0 * np.eye(n) - 0.5, np.ones(n))[few.first : few.last]
             assert np.allclose(solve(few, algorithm, error_bound=True).z, own)
 
 
 @check(2, 3)
 def a_diagonal_entry_that_is_not_positive_is_refused(comm: Any) -> None:
-    """One on one rank: UnsuitableMatrix on all, before the first iteration."""
-    diagonal = np.ones(6)
-    diagonal[5] = 0.0
-    problem = DistributedLCP.from_problem(LCP(sp.csr_array(np.diag(diagonal)), -np.ones(6)), comm)
-    for algorithm in ALGORITHMS:
-        with pytest.raises(UnsuitableMatrix, match="positive diagonal"):
+    """One on one rank: UnsuitableMatrix on all, before the first iteration; np* take it, as on one process."""
+    diagonal, q = np.ones(6), -np.ones(6)
+    diagonal[5], q[5] = 0.0, 1.0
+    problem = LCP.from_problem(LCP(sp.csr_array(np.diag(diagonal)), q), comm)
+    for algorithm in ("auto", "multigrid", "pgs", "psor"):
+        with pytest.raises(UnsuitableMatrix, match=r"positive diagonal, but M\[5, 5\] = 0"):
             solve(problem, algorithm)
+    for algorithm in ("npsor", "npaor", "npgs", "npj"):
+        assert solve(problem, algorithm).is_solved
+        assert solve(problem, algorithm, scaling=None, sweep="symmetric").is_solved
+
+
+@check(2, 3)
+def any_order_and_an_automatic_relaxation_work(comm: Any) -> None:
+    """Backward and symmetric sweeps, row scalings and psor's own relaxation answer as on one process."""
+    for name in ("obstacle_2d", "mixed"):
+        whole, truth = scene(name)
+        problem = LCP.from_problem(whole, comm)
+        own = truth[problem.first : problem.last]
+        for algorithm, options in (
+            ("psor", {"sweep": "backward"}), ("psor", {"sweep": "symmetric", "relaxation": 1.0}), ("psor", {}),
+            ("npsor", {"sweep": "backward"}), ("npgs", {"sweep": "symmetric"}),
+            ("npsor", {"scaling": "diagonal", "scaling_factor": 0.5}),
+        ):
+            result = solve(problem, algorithm, tolerance=1e-12, **options)
+            require_same_on_all(comm, result)
+            assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (algorithm, options, str(result))
+            assert np.abs(result.z - own).max(initial=0.0) <= 1e-9 * np.abs(truth).max(), (algorithm, options)
+
+
+@check(1, 2)
+def what_needs_all_rows_says_so(comm: Any) -> None:
+    """Analyses and conversions refuse a problem whose rows lie on ranks, in words, instead of judging a part."""
+    problem = LCP.from_problem(mixed(), comm)
+    for call in (
+        analyze, all_solutions, convergence_guarantee, lambda p: p.to_qp(), lambda p: p.M, lambda p: p.csr,
+        lambda p: LCP.from_problem(p, comm),
+    ):
+        with pytest.raises(UnsuitableProblem, match="spread over") as caught:
+            call(problem)
+        assert len(set(comm.allgather(str(caught.value).removeprefix("rank 0: ")))) == 1
+    assert solve(prepare(problem)).is_solved
 
 
 @check(3)
@@ -276,7 +330,7 @@ def in_place_sweeps_converge_on_every_h_plus_matrix(comm: Any) -> None:
         np.fill_diagonal(M, 0.0)
         np.fill_diagonal(M, 1.05 * np.abs(M).sum(axis=1) + 0.01)
         problem = LCP(sp.csr_array(M * 2.0 ** rng.uniform(-1, 1, n)), rng.normal(size=n))
-        result = solve(DistributedLCP.from_problem(problem, comm), "pgs")
+        result = solve(LCP.from_problem(problem, comm), "pgs")
         assert result.is_solved, (seed, str(result))
 
 
@@ -291,7 +345,7 @@ def in_place_sweeps_converge_on_positive_definite_matrices_that_are_not_h(comm: 
         lower = np.where(rng.random(n) < 0.3, -np.inf, -1.0)
         problem = LCP(sp.csr_array(M), 3.0 * rng.normal(size=n), lower=lower, upper=np.where(rng.random(n) < 0.5, 2, 9))
         for algorithm, options in (("pgs", {}), ("psor", {"relaxation": 1.6})):
-            result = solve(DistributedLCP.from_problem(problem, comm), algorithm, **options)
+            result = solve(LCP.from_problem(problem, comm), algorithm, **options)
             assert result.is_solved, (seed, algorithm, str(result))
 
 
@@ -304,7 +358,7 @@ def ranks_that_meet_nobody_join_the_multigrid(comm: Any) -> None:
     halves = np.array([0, n // 2, n])
     for M, ends in ((chain, [0, *[n] * comm.size]), (apart, np.interp(np.arange(comm.size + 1), [0, 1, 2], halves))):
         first, last = (int(end) for end in ends[comm.rank : comm.rank + 2])
-        problem = DistributedLCP.from_rows(comm, sp.csr_array(M[first:last]), np.full(last - first, -1.0))
+        problem = LCP.from_rows(comm, sp.csr_array(M[first:last]), np.full(last - first, -1.0))
         assert solve(problem, "multigrid", coarsest=8).is_solved
 
 
@@ -314,7 +368,7 @@ def the_unit_of_a_row_changes_nothing(comm: Any) -> None:
     whole = gallery.build("obstacle_2d", size=30).problem
     factors = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, whole.n)
     scaled = LCP(sp.csr_array(sp.diags_array(factors) @ whole.csr), factors * whole.q, lower=whole.lower)
-    one, other = (solve(DistributedLCP.from_problem(p, comm), "multigrid", tolerance=1e-12) for p in (whole, scaled))
+    one, other = (solve(LCP.from_problem(p, comm), "multigrid", tolerance=1e-12) for p in (whole, scaled))
     assert one.is_solved
     assert other.is_solved
     assert other.iterations <= one.iterations + 5
@@ -324,11 +378,11 @@ def the_unit_of_a_row_changes_nothing(comm: Any) -> None:
 @check(2, 3)
 def a_part_of_wrong_length_is_refused_everywhere(comm: Any) -> None:
     """Where one rank's z is too long or too short, all ranks are told."""
-    problem = DistributedLCP.from_problem(gallery.build("obstacle_2d", size=9).problem, comm)
+    problem = LCP.from_problem(gallery.build("obstacle_2d", size=9).problem, comm)
     own = problem.last - problem.first
     for wrong in (own - 1, own + 1):
         z = np.zeros(wrong if comm.rank == 1 else own)
-        for call in (problem.slack, problem.gathered, lambda z: DistributedCertificate.of(problem, z),
+        for call in (problem.slack, problem.gathered, lambda z: Certificate.of(problem, z),
                      lambda z: error_bound(problem, z)):
             with pytest.raises(LCPError, match=r"rank 1: .* must be a finite vector of length"):
                 call(z)

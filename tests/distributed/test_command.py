@@ -17,21 +17,18 @@ from lcp_plugin import LCP, Certificate, gallery
 PETSC = ("--backend", "petsc")
 
 COMPARE = """
-import numpy as np, scipy.sparse as sp
+import numpy as np
 from mpi4py import MPI
 from lcp_plugin import gallery
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 from lcp_plugin.peers.ranks.failures import ends_together
+from lcp_plugin.peers.ranks.halo import numbered_over_all
 
 def compare(name, size, shifted):
     part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted))
     whole = gallery.build(name, size=size, shifted=shifted).problem
     own = slice(part.first, part.last)
-    numbers = np.concatenate([np.arange(part.first, part.last), part.rows.ghosts])
-    rows = sp.csr_array(
-        (part.rows.data.copy(), numbers[part.rows.indices], part.rows.indptr.copy()), shape=(part.layout.own, part.n)
-    )
-    rows.sort_indices()
+    rows = numbered_over_all(part.matrix.csr_rows, part.peers)
     M = whole.csr[own]
     for one, other in ((rows.indptr, M.indptr), (rows.indices, M.indices), (rows.data, M.data)):
         assert np.array_equal(one, other), (name, size, shifted)
@@ -145,10 +142,10 @@ def test_files_of_one_process_are_cut(tmp_path: Path) -> None:
 
 
 def test_a_saved_problem_is_read_in_parts(tmp_path: Path) -> None:
-    """What DistributedLCP.save wrote on three ranks, the command solves on two."""
+    """What LCP.save wrote on three ranks, the command solves on two."""
     code = f"""
 from mpi4py import MPI
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=20)).save({str(tmp_path / "parts")!r})
 """
     end = run_code(3, code)
@@ -178,11 +175,11 @@ def test_out_replaces_an_older_answer_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_front_door_solves_rows_on_ranks() -> None:
-    """lcp_plugin.solve takes a DistributedLCP and gives every rank its own part."""
+    """lcp_plugin.solve takes an LCP with its rows on ranks and gives every rank its own part."""
     code = """
 from mpi4py import MPI
 from lcp_plugin import solve
-from lcp_plugin.distributed import scenes
+from lcp_plugin.evidence.gallery import on_ranks as scenes
 problem = scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=30))
 result = solve(problem, "npgs", tolerance=1e-6).require_solved()
 assert result.z.shape == (problem.last - problem.first,)
@@ -195,7 +192,7 @@ print("solved", flush=True)
 def without(package: str, *words: str) -> subprocess.CompletedProcess[str]:
     """The command in one process that has no such package."""
     code = f"import sys; sys.modules[{package!r}] = None; sys.argv[1:] = {list(words)!r}"
-    return plain("-c", f"{code}\nfrom lcp_plugin import cli\ncli.run()")
+    return plain("-c", f"{code}\nfrom lcp_plugin.commands import cli\ncli.run()")
 
 
 def plain(*words: str) -> subprocess.CompletedProcess[str]:

@@ -29,15 +29,15 @@ ENDLESS = """
 import os, sys
 from pathlib import Path
 from mpi4py import MPI
-from lcp_plugin.distributed import algorithms
-iterates, rank = algorithms.iterates, MPI.COMM_WORLD.rank
+from lcp_plugin.algorithms.splittings.projected_type import ProjectedType
+iterates, rank = ProjectedType.iterates, MPI.COMM_WORLD.rank
 def noted(*arguments):
     for k, step in enumerate(iterates(*arguments)):
         if k == 3:
             Path({folder!r}, str(rank)).write_text(f"{{os.getpid()}}\\n")
         yield step
-algorithms.iterates = noted
-from lcp_plugin import cli
+ProjectedType.iterates = noted
+from lcp_plugin.commands import cli
 sys.argv = ["lcp-plugin", "solve", "obstacle-2d", "--size", "150", "--backend", "petsc", "-a", "npj",
             "--tolerance", "0", "--max-iterations", "100000000", *{more!r}]
 cli.run()
@@ -152,7 +152,7 @@ import resource, sys
 from mpi4py import MPI
 if MPI.COMM_WORLD.rank == 1:
     resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
-from lcp_plugin import cli
+from lcp_plugin.commands import cli
 sys.argv = ["lcp-plugin", "solve", "obstacle-2d:size=60", "--backend", "petsc", "--out", {str(tmp_path / "a")!r}]
 cli.run()
 """

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...problem.lcp import LCP
 from ..base import Step

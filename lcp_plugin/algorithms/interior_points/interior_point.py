@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
@@ -163,7 +163,7 @@ class _Search:
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
-        from ...kernels.dense_sweep import dense_sweeps
+        from ...kernels.splitting_sweeps import dense_sweeps
 
         n = y.size
         diagonal = self.M.diagonal()

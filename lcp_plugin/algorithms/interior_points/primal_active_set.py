@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
+from ...kernels.floats import EPSILON
 
 BoolVector = NDArray[np.bool_]
 
@@ -16,7 +17,6 @@ FIRST_SHIFT = 1e-13  # of the largest diagonal entry, where a block is not posit
 LARGEST_SHIFT = 1e-4
 SMALLEST_PIVOT = 1e-14  # of the largest, squared; below, a factor says nothing
 REFINEMENTS = 20
-EPSILON = 2.0**-52
 ROUNDING = 4.0 * EPSILON
 
 

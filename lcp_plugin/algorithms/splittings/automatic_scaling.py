@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...certificates.contraction import inverse_residual_scale, row_blocks, unit_triangle_sums
 from ...checks import FloatVector
 from ...matrix.matrix import Matrix, fact
+from ...matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_blocks, unit_triangle_sums
 from ...problem.lcp import LCP
-from ..base import has_positive_diagonal
 
 LARGEST = 2.0
 COUPLED = 0.9  # g θ ℓ stays this far below 1
@@ -46,17 +45,18 @@ def balanced_factors(
     matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
 ) -> FloatVector:
     """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
-    factors = np.empty(matrix.n)
+    factors = np.empty(matrix.own)
     is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(matrix.residual_scale, matrix.diagonal)
-    for rows in row_blocks(matrix.n):
+    for rows in row_blocks(matrix.own):
         total = sums[0][rows] + sums[1][rows]
         is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDING)  # False where it is not a number
         if not is_dominant:
-            factors.fill(1.0)
             break
         with np.errstate(divide="ignore", over="ignore"):
             quick = np.minimum(LARGEST, 1.0 / np.maximum(1.0 - total, 0.0))
             np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
+    if not matrix.peers.everywhere(is_dominant):
+        factors.fill(1.0)
     factors.flags.writeable = False
     return factors
 

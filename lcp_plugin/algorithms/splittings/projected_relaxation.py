@@ -12,6 +12,8 @@ from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ...checks import FloatVector
 from ...crossovers import DIRECT_PASSES, PSOR_GAIN
 from ...errors import InvalidOption
+from ...matrix.pivots import pivot_weight
+from ...matrix.symmetry import has_symmetric_entries
 from ...problem.lcp import LCP
 from ..base import (
     SWEEPS,
@@ -32,12 +34,18 @@ CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF012681
 
 @dataclass(frozen=True, kw_only=True)
 class _InPlace(Algorithm):
-    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current."""
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
+
+    On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
+    fewer entries of L, which converges on H₊-matrices with ω ≤ 1; where M is symmetric, pivots beside other ranks are
+    made larger, so that it converges on every positive definite one, see `pivot_weight`.
+    """
 
     assumption: ClassVar[str] = "positive diagonal"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = CRYER
     is_compiled: ClassVar[bool] = True
+    runs_on_ranks: ClassVar[bool] = True
 
     sweep: str = "forward"
 
@@ -60,28 +68,32 @@ class _InPlace(Algorithm):
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ...kernels import splitting_sweeps as kernels
 
-        M = problem.csr
-        require_positive_diagonal(problem, self.name)
-        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-        passes = directions(self.sweep)
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
+        M, peers = problem.matrix.csr_rows, problem.peers
+        pivots = require_positive_diagonal(problem, self.name)
         fixed = self.fixed_relaxation()
         adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
-        z = z0
-        yield Step(z, work=0.0)
+        if not peers.is_empty and has_symmetric_entries(problem.matrix):
+            pivots = pivots + pivot_weight(M, peers, relaxation)
+        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+        passes = directions(self.sweep)
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
+        z = problem.matrix.whole(z0)
+        own = z[: problem.own]
+        yield Step(own, work=0.0)
         while True:
             largest = total = 0.0
             for backward in passes:
+                peers.fetch(z)
                 change, change_sum = kernels.relaxation_sweep(
                     M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
-            yield Step(z, increment=largest, work=float(len(passes)), is_settling=is_settling)
+            yield Step(own, increment=peers.largest(largest), work=float(len(passes)), is_settling=is_settling)
             if adaptive:
-                relaxation = adaptive.after(total, z)
+                relaxation = adaptive.after(peers.total(total), z)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,13 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.contraction import triangle_sums, unit_triangle_sums
 from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
-from ...certificates.residuals import euclidean_norm, scaled_residual
+from ...certificates.residuals import euclidean_norm
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...matrix.factors import sparse_lu
 from ...matrix.matrix import Matrix, fact
+from ...matrix.row_sums import triangle_sums, unit_triangle_sums
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, check_choice
 from .automatic_scaling import balanced_factors, scaled_rows

@@ -42,7 +42,7 @@ REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and l
 def row_scaling(problem: LCP, scaling: str | None, factor: float, coupling: float, sweep: str) -> FloatVector:
     """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; see `scaled_rows` for d."""
     if scaling is None:
-        return np.ones(problem.n)
+        return np.ones(problem.own)
     return scaled_rows(problem, automatic_factors(problem.matrix, coupling, sweep) if scaling == "auto" else factor)
 
 
@@ -60,11 +60,11 @@ def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
     """Return z after one projected Gauss–Seidel sweep: components that should be active are then at their bound."""
     from ...kernels import splitting_sweeps as kernels
 
-    M = problem.csr
+    M = problem.matrix.csr_rows
     rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
-    cleaned = z.copy()
+    cleaned = problem.matrix.whole(z.copy())
     kernels.relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
-    return cleaned
+    return cleaned[: problem.own]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +85,9 @@ class ProjectedType(Algorithm):
     Notes
     -----
     Paper notation: α₁ = relaxation α, β₁ = acceleration β, A = M, σ = q, λ = ζ₊ = z.
+
+    On several ranks a sweep runs on all of them at once, with what the others had before it: L then has fewer entries,
+    and the theorem holds for every such choice.
     """
 
     scaling: str | None = "auto"
@@ -93,6 +96,7 @@ class ProjectedType(Algorithm):
 
     assumption: ClassVar[str] = "d/α + d + 2 > 0"
     is_compiled: ClassVar[bool] = True
+    runs_on_ranks: ClassVar[bool] = True
     converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = REFERENCE
@@ -109,18 +113,22 @@ class ProjectedType(Algorithm):
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
         from ...kernels import splitting_sweeps as kernels
 
-        M = problem.csr
+        M, peers, own = problem.matrix.csr_rows, problem.peers, problem.own
         alpha, beta = self.splitting()
         step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
         rows = kernels.packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
-            self._inverse_pivot(problem, step * problem.diagonal, alpha),
+            peers.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
         )
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
-        z, new = z0, np.empty_like(z0)
+        z = problem.matrix.whole(z0)
+        new = np.empty_like(z)
 
         def advance(backward: bool) -> tuple[float, float]:
+            peers.fetch(z)
+            if peers.foreign:  # what others hold is as it was
+                new[own:] = z[own:]
             norms: tuple[float, float] = kernels.splitting_sweep(
                 M.indptr, splits[backward], M.indices, M.data, rows, beta / alpha, True, backward, z, new
             )
@@ -129,7 +137,8 @@ class ProjectedType(Algorithm):
         work = 1.0
         while True:
             residual, squares = advance(passes[0])
-            yield Step(z, residual, squares**0.5 if self.scaling is None else None, None, work)
+            euclidean = peers.total(squares)**0.5 if self.scaling is None else None
+            yield Step(z[:own], peers.largest(residual), euclidean, None, work)
             z, new = new, z
             for backward in passes[1:]:
                 advance(backward)

@@ -12,8 +12,8 @@ from ...certificates.error_bounds import error_bound
 from ...certificates.residuals import Certificate
 from ...checks import FloatVector
 from ...matrix import analyze
-from ...problem.lcp import LCP
 from ...solving.driver import solve
+from ..contestants import fresh
 from ..gallery import build
 from .multigrid import require_pyamg
 from .timing import Calls, rounds
@@ -63,8 +63,8 @@ def _laplacian(size: int) -> Iterator[str]:
         pyamg.ruge_stuben_solver(M).solve(rhs, tol=1e-8, accel="cg")
 
     def bounded(sharp: bool) -> None:
-        fresh = LCP(problem.csr, problem.q, lower=problem.lower, upper=problem.upper)
-        if not analyze(fresh).is_h_plus or not np.isfinite(error_bound(fresh, near, sharp=sharp).infinity):
+        stated_anew = fresh(problem)
+        if not analyze(stated_anew).is_h_plus or not np.isfinite(error_bound(stated_anew, near, sharp=sharp).infinity):
             raise RuntimeError("the plain Laplacian is an H₊-matrix, but no bound came back")
 
     bounds = {"v-certificate bound": partial(bounded, False), "sharp bound": partial(bounded, True)}

@@ -13,6 +13,7 @@ from ...algorithms.splittings.projected_type import NPSOR
 from ...certificates.error_bounds import error_bound
 from ...problem.lcp import LCP
 from ...solving.driver import solve
+from ..contestants import fresh
 from ..gallery import build
 from .timing import medians
 
@@ -24,12 +25,8 @@ def run(*, quick: bool = False) -> Iterator[str]:
         yield f"{name:<24} {getattr(crossovers, name):>9g}   measured {measure(repeats)}"
 
 
-def _fresh(problem: LCP) -> LCP:
-    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
-
-
 def _solved_afresh(problem: LCP, name: str) -> object:
-    return solve(_fresh(problem), name)
+    return solve(fresh(problem), name)
 
 
 def _grid(size: int) -> LCP:
@@ -46,12 +43,12 @@ def _passes(problem: LCP, name: str, repeats: int) -> str:
     """Return the work of a cold solve, as it is counted and as its seconds by those of an npsor sweep."""
     sweeps = 400
     seconds = medians({
-        "answer": lambda: solve(_fresh(problem), name),
+        "answer": lambda: solve(fresh(problem), name),
         "sweeps": lambda: solve(problem, "npsor", max_iterations=sweeps, tolerance=0.0),
         "none": lambda: solve(problem, "npsor", max_iterations=0, tolerance=0.0),
     }, repeats)
     sweep = max((seconds["sweeps"] - seconds["none"]) / sweeps, 1e-9)
-    counted = solve(_fresh(problem), name).work
+    counted = solve(fresh(problem), name).work
     return f"{counted:.0f} passes counted, {seconds['answer'] / sweep:.0f} by the clock ({name}, n = {problem.n})"
 
 
@@ -91,7 +88,7 @@ def _factor_or_multigrid(repeats: int) -> str:
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
-    seconds = medians({"bound": lambda: error_bound(_fresh(problem), z)}, min(repeats, 3))["bound"]
+    seconds = medians({"bound": lambda: error_bound(fresh(problem), z)}, min(repeats, 3))["bound"]
     return f"{seconds:.2f} s for a sharp bound with n = {problem.n}"
 
 

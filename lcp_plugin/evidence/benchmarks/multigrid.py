@@ -27,6 +27,7 @@ from ...problem.lcp import LCP
 from ...solving.batch import prepare
 from ...solving.driver import solve
 from ...solving.result import Result
+from ..contestants import fresh
 from ..gallery import Scene, build, parse
 from . import timing
 from .rivals import RIVALS, Answer, Case
@@ -108,8 +109,7 @@ def product_seconds(problem: LCP) -> float:
 
 def from_scratch(problem: LCP, algorithm: str = "multigrid", **options: Any) -> Result:
     """Return the result for a problem stated anew, so that nothing computed before is used."""
-    fresh = LCP(problem.csr, problem.q, lower=problem.lower, upper=problem.upper)
-    return solve(fresh, algorithm, tolerance=TOLERANCE, **options)
+    return solve(fresh(problem), algorithm, tolerance=TOLERANCE, **options)
 
 
 def _line(row: Row, quick: bool) -> str:

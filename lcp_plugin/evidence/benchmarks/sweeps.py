@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ...algorithms.base import inverse_residual_scale, row_splits
 from ...checks import FloatVector
 from ...kernels import splitting_sweeps as kernels
+from ...matrix.row_sums import inverse_residual_scale, row_splits
 from ...problem.lcp import LCP
 from ..gallery import build
 from .timing import medians

@@ -9,6 +9,7 @@ in a file of this folder, and nothing else.
 from collections.abc import Callable
 from importlib import import_module
 from pkgutil import iter_modules
+from typing import TYPE_CHECKING
 
 from .option_pricing import binomial_put
 from .scene import Description, Scene, build, builder_of, describe, names, parse, scene_builder
@@ -19,9 +20,8 @@ for _module in iter_modules(__path__):
 
 __all__ = ["Description", "Scene", "binomial_put", "build", "describe", "names", "parse", "scene_builder"]
 __all__.extend(names())
+globals().update({name: builder_of(name) for name in names()})  # also where a scene has the name of its file
 
+if TYPE_CHECKING:
 
-def __getattr__(name: str) -> Callable[..., Scene]:
-    if name not in names():
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return builder_of(name)
+    def __getattr__(name: str) -> Callable[..., Scene]: ...

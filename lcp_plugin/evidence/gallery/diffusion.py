@@ -12,7 +12,7 @@ from ...checks import FloatVector
 from ...problem.lcp import LCP
 from .parameters import Count, NonNegative, Positive, Seed, at_least
 from .scene import Scene, scene_builder
-from .stencil import Field, dirichlet_terms, interior, nodes, stencil_matrix
+from .stencil import Field, balanced_matrix, dirichlet_terms, interior, nodes, stiff_cells, upwind
 
 BLOCKS = 10
 PULL = 10.0
@@ -40,10 +40,7 @@ def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(
     stiffness = 10.0 ** (np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast))
     block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
     cells = stiffness[np.ix_(block, block)]
-    across = (cells[:, :-1] + cells[:, 1:]) / 2.0  # edges along the first axis, shape (size + 1, size)
-    along = (cells[:-1, :] + cells[1:, :]) / 2.0
-    below, above = [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
-    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    M = balanced_matrix((size, size), stiff_cells(cells))
     return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=True)
 
 
@@ -96,10 +93,8 @@ def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wi
     """
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
-    wind = (h * math.cos(wind_angle), h * math.sin(wind_angle))
-    below = [-scale * (diffusion + max(b, 0.0)) for b in wind]
-    above = [-scale * (diffusion + max(-b, 0.0)) for b in wind]
-    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix((size, size), ([scale * leg for leg in below], [scale * leg for leg in above]))
     return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
 
 
@@ -172,17 +167,13 @@ def optimal_stopping(
     axis = nodes(0.0, 1.0, size)
     x, y = np.ix_(axis, axis)
     reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
-    inside = interior(2)
-
     h = 1.0 / (size + 1)
-    shape = (size, size)
     wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
-    below = [-diffusion - h * np.maximum(b, 0.0) for b in wind]
-    above = [-diffusion - h * np.maximum(-b, 0.0) for b in wind]
-    M = stencil_matrix(shape, -sum(below) - sum(above) + h**2 * discount, below, above)
-    q = dirichlet_terms(reward, below, above) - h**2 * gain
+    legs = upwind(diffusion, [h * b for b in wind])
+    M = balanced_matrix((size, size), legs, h**2 * discount)
+    q = dirichlet_terms(reward, *legs) - h**2 * gain
     return Scene(
-        problem=LCP(M, q, lower=reward[inside].ravel()),
+        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
         is_symmetric=wind_x == wind_y == swirl == 0.0,
         is_h_plus=True,
         coordinates=(axis[1:-1], axis[1:-1]),

@@ -12,7 +12,7 @@ from ...checks import FloatVector
 from ...problem.lcp import LCP
 from .parameters import Count, Positive, Rule, at_least, one_of
 from .scene import Scene, scene_builder
-from .stencil import Field, nodes, stencil_matrix
+from .stencil import Field, balanced_matrix, nodes, stencil_matrix
 
 BelowOne = Annotated[float, Rule("≥ 0 and < 1", lambda value: 0.0 <= value < 1.0)]
 
@@ -52,8 +52,7 @@ def journal_bearing(*, size: Count = 100, eccentricity: BelowOne = 0.8, half_len
     middle = 0.5 * (angle[1:] + angle[:-1])
     around = film_cubed(middle) * (depth / step)
     across = film_cubed(angle[1:-1]) * (step / depth)
-    below, above = [-around[:-1], -across], [-around[1:], -across]
-    M = stencil_matrix((size, size), -sum(below) - sum(above), below, above)
+    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
     source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
     return Scene(
         problem=LCP(M, -np.repeat(source, size)),

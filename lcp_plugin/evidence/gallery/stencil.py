@@ -13,6 +13,7 @@ from ...checks import FloatVector
 
 Field = NDArray[np.float64]
 Coefficient = float | Field
+Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
 
 
 def nodes(low: float, high: float, size: int) -> FloatVector:
@@ -71,6 +72,24 @@ def stencil_matrix(
     row_ends = np.zeros(n + 1, dtype=index_type)
     np.cumsum(np.count_nonzero(present, axis=1), out=row_ends[1:])
     return sp.csr_array((entries[present], columns[present], row_ends), shape=(n, n))
+
+
+def balanced_matrix(shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 0.0) -> sp.csr_array:
+    """Return the stencil whose centre outweighs its legs by the reaction alone: of −∇·(k∇u) + b·∇u + reaction u."""
+    below, above = legs
+    return stencil_matrix(shape, -sum(below) - sum(above) + reaction, below, above)
+
+
+def stiff_cells(cells: Field) -> Legs:
+    """Return the legs of −∇·(k∇u), k given on each cell of the mesh; an edge takes the mean of its two cells."""
+    across = (cells[:, :-1] + cells[:, 1:]) / 2.0  # edges along the first axis, shape (size + 1, size)
+    along = (cells[:-1, :] + cells[1:, :]) / 2.0
+    return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
+
+
+def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
+    """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
+    return [-(diffusion + np.maximum(b, 0.0)) for b in wind], [-(diffusion + np.maximum(-b, 0.0)) for b in wind]
 
 
 def dirichlet_terms(field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]) -> FloatVector:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...algorithms import REGISTRY
 from ...errors import (
     ConvergenceWarning,
     InvalidOption,
+    LCPError,
     UnknownAlgorithm,
     UnsuitableMatrix,
     UnsuitableProblem,
@@ -24,10 +26,9 @@ from ...solving.driver import solve
 from ...solving.result import Result
 from ..contestants import checked_names
 from ..exporting import Exported
-from .case import Case
 from .exact_answers import relative_error
 from .honesty import lie_in
-from .stresses import FAMILIES
+from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
 
@@ -211,12 +212,13 @@ def stability_atlas(
     """
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
-    names, families = _checked_algorithms(algorithms), _checked_families(stresses)
+    names = _checked(algorithms, "algorithms", "algorithm", ["auto", *REGISTRY], UnknownAlgorithm)
+    families = _checked(stresses, "stresses", "stress", list(FAMILIES), InvalidOption)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
     cells: list[Cell] = []
     skipped: list[tuple[str, str]] = []
     total = len(cases) * len(names)
-    for done, (family, case, name) in enumerate(_runs(cases, names), start=1):
+    for done, ((family, case), name) in enumerate(product(cases, names), start=1):
         found = _cell(family, case, name, quick)
         if isinstance(found, Cell):
             cells.append(found)
@@ -227,25 +229,15 @@ def stability_atlas(
     return Atlas(tuple(cells), tuple(skipped))
 
 
-def _runs(cases: list[tuple[str, Case]], names: list[str]) -> Iterator[tuple[str, Case, str]]:
-    return ((family, case, name) for family, case in cases for name in names)
-
-
-def _checked_algorithms(algorithms: Iterable[str] | None) -> list[str]:
-    known = ["auto", *REGISTRY]
-    names = known if algorithms is None else checked_names(algorithms, "algorithms")
-    for name in names:
+def _checked(
+    names: Iterable[str] | None, option: str, noun: str, known: list[str], error: type[LCPError]
+) -> list[str]:
+    """Return the names, all that are known by default, or raise the error where one is not among them."""
+    chosen = known if names is None else checked_names(names, option)
+    for name in chosen:
         if name not in known:
-            raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, known)}")
-    return names
-
-
-def _checked_families(stresses: Iterable[str] | None) -> list[str]:
-    names = list(FAMILIES) if stresses is None else checked_names(stresses, "stresses")
-    for name in names:
-        if name not in FAMILIES:
-            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
-    return names
+            raise error(f"unknown {noun} {name!r}{did_you_mean(name, known)}")
+    return chosen
 
 
 def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:

@@ -11,8 +11,10 @@ import scipy.sparse as sp
 
 from ...checks import FloatVector
 from ...errors import UnsuitableProblem
-from ...exact.integers import power_of_two
 from ...exact.linear_systems import solve_exactly
+from ...exact.rational import power_of_two, rational_rows
+from ...matrix.equilibration import Exponents, scaled
+from ...matrix.structure import row_numbers
 from ...problem.exactly import exact_slack, is_exact_solution
 from ...problem.lcp import LCP
 
@@ -71,13 +73,13 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     free = [i for i, state in enumerate(states) if state == FREE]
     right = exact_slack(problem, z)
     _, column = _equilibration(problem)
-    whole, integers = [], []
+    rows, whole, integers = rational_rows(problem.csr), [], []
     for i in free:
-        row = _row(problem, i)
-        scaled = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
+        row = rows[i]
+        entries = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
         # Of powers of two, the largest denominator is a multiple of all others.
-        denominator = max([value.denominator for value in scaled] + [right[i].denominator])
-        whole.append([int(value * denominator) for value in scaled])
+        denominator = max([value.denominator for value in entries] + [right[i].denominator])
+        whole.append([int(value * denominator) for value in entries])
         integers.append(int(-right[i] * denominator))
     inner = solve_exactly(whole, integers)
     if inner is None:
@@ -85,12 +87,6 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     for j, value in zip(free, inner, strict=True):
         z[j] = value * power_of_two(int(column[j]))
     return z
-
-
-def _row(problem: LCP, i: int) -> dict[int, Fraction]:
-    M = problem.csr
-    entries = range(M.indptr[i], M.indptr[i + 1])
-    return {int(M.indices[k]): Fraction(float(M.data[k])) for k in entries}
 
 
 def _exchanged(problem: LCP, states: States, z: list[Fraction]) -> States:
@@ -153,10 +149,12 @@ def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float
 
 def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
     rows = np.flatnonzero(free)
-    row, column = _equilibration(problem)
-    M = _ldexp_matrix(problem, row, column)
+    exponents = row, column = _equilibration(problem)
+    numbers, sizes = row_numbers(problem.csr), problem.csr.copy()
+    sizes.data = _ulps(sizes.data)
+    M = scaled(problem.csr, numbers, exponents)
     z = np.array([abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)])
-    size = _ldexp_matrix(problem, row, column, _ulps(problem.csr.data)) @ z + np.ldexp(_ulps(problem.q), row)
+    size = scaled(sizes, numbers, exponents) @ z + np.ldexp(_ulps(problem.q), row)
     block = M[rows][:, rows]
     inverse_times_size = _absolute_inverse_product(block, size[rows])
     with np.errstate(all="ignore"):
@@ -192,20 +190,16 @@ def _absolute_inverse_product(block: Any, size: FloatVector) -> FloatVector:
     return solution
 
 
-def _equilibration(problem: LCP) -> tuple[Any, Any]:
+def _equilibration(problem: LCP) -> Exponents:
     """Return exponents r, c such that 2^(r_i + c_j) m_ij has its largest entries near 1; then z_j = 2^c_j ẑ_j."""
     M = problem.csr
     exponent = np.frexp(M.data)[1].astype(np.int64)
-    of_row = _row_indices(problem)
+    of_row = row_numbers(M)
     row, column = np.zeros(problem.n, np.int64), np.zeros(problem.n, np.int64)
     for _ in range(3):
         row = -_largest_by(of_row, exponent + column[M.indices], problem.n)
         column = -_largest_by(M.indices, exponent + row[of_row], problem.n)
-    return row, column
-
-
-def _row_indices(problem: LCP) -> Any:
-    return np.repeat(np.arange(problem.n), np.diff(problem.csr.indptr))
+    return Exponents(row, column)
 
 
 def _largest_by(index: Any, values: Any, n: int) -> Any:
@@ -213,12 +207,6 @@ def _largest_by(index: Any, values: Any, n: int) -> Any:
     largest = np.full(n, lowest, np.int64)
     np.maximum.at(largest, index, values)
     return np.where(largest == lowest, 0, largest)
-
-
-def _ldexp_matrix(problem: LCP, row: Any, column: Any, entries: FloatVector | None = None) -> Any:
-    M = problem.csr
-    data = np.ldexp(M.data if entries is None else entries, row[_row_indices(problem)] + column[M.indices])
-    return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 
 # --- how far z is from it -------------------------------------------------------------------------------------------

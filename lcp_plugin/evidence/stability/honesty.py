@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import NamedTuple
 
 import numpy as np
 
-from ...certificates.residuals import scaled_residual
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...exact.rounding import compensated_product
 from ...problem.exactly import exact_slack
@@ -22,33 +21,26 @@ LARGEST_EXACT = 2000  # rows up to which all is done in fractions at once
 FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
 
 
-class Row(NamedTuple):
-    """|r_i| and what rounding explains of it, k_i ε (|M||z| + |q|)_i/d_i and underflow."""
+def exact_residuals(problem: LCP, z: FloatVector) -> list[Fraction]:
+    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z."""
+    rows = zip(
+        map(Fraction, z.tolist()), exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(),
+        problem.upper.tolist(), strict=True,
+    )
+    # The comparison of a fraction with ±∞ is exact as well.
+    return [abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper))) for x, w, d, lower, upper in rows]
 
-    residual: Fraction
-    floor: Fraction
 
-
-def exact_residuals(problem: LCP, z: FloatVector) -> list[Row]:
-    """Return every row's scaled residual and its rounding floor without any rounding, for a finite z."""
+def rounding_floors(problem: LCP, z: FloatVector) -> list[Fraction]:
+    """Return what rounding explains of each row's residual, k_i ε (|M||z| + |q|)_i/d_i and underflow, exactly."""
     M = problem.csr
-    exact = [Fraction(value) for value in z.tolist()]
-    entries, columns, starts = M.data.tolist(), M.indices.tolist(), M.indptr.tolist()
-    w = exact_slack(problem, exact)
-    scale, lower, upper = problem.residual_scale.tolist(), problem.lower.tolist(), problem.upper.tolist()
-    rows = []
-    for i, q in enumerate(problem.q.tolist()):
-        d, begin, end = Fraction(scale[i]), starts[i], starts[i + 1]
-        # The comparison of a fraction with ±∞ is exact as well.
-        target = exact[i] - w[i] / d
-        if target < lower[i]:
-            target = Fraction(lower[i])
-        elif target > upper[i]:
-            target = Fraction(upper[i])
-        size = abs(Fraction(q)) + sum(abs(Fraction(entries[k]) * exact[columns[k]]) for k in range(begin, end))
-        terms = end - begin + 2
-        rows.append(Row(abs(exact[i] - target), terms * (EPSILON * size + SMALLEST) / d + SMALLEST))
-    return rows
+    entries = [abs(Fraction(value) * Fraction(z[j])) for value, j in zip(M.data.tolist(), M.indices, strict=True)]
+    floors = []
+    for i, (q, d) in enumerate(zip(problem.q.tolist(), problem.residual_scale.tolist(), strict=True)):
+        row = entries[M.indptr[i] : M.indptr[i + 1]]
+        size = abs(Fraction(q)) + sum(row)
+        floors.append((len(row) + 2) * (EPSILON * size + SMALLEST) / Fraction(d) + SMALLEST)
+    return floors
 
 
 def lie_in(result: Result, exact: Answer | None) -> str:
@@ -86,13 +78,13 @@ def _lie_about_residual(result: Result) -> str:
     problem = result.certificate.problem
     if result.status is Status.SOLVED and problem.n > LARGEST_EXACT and _is_surely_solved(result):
         return ""
-    rows = exact_residuals(problem, result.z)
+    residuals = exact_residuals(problem, result.z)
     if result.status is Status.PRECISION_LIMIT:
-        explained = all(row.residual <= FLOORS_MEASURED * row.floor for row in rows)
+        floors = rounding_floors(problem, result.z)
+        explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
-    reference = max((row.residual for row in exact_residuals(problem, problem.nearest_to_zero)), default=Fraction(0))
-    largest = max((row.residual for row in rows), default=Fraction(0))
-    is_true = largest <= Fraction(result.tolerance) * reference
+    reference = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
+    is_true = max(residuals, default=0) <= Fraction(result.tolerance) * reference
     return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...kernels.compilation import compiled
+from ...peers.alone import Arrays
 
 Indices = NDArray[Any]
-Arrays = tuple[Indices, Indices, FloatVector]
 
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 
@@ -80,15 +80,15 @@ def count_products(indptr, indices, p_indptr):  # type: ignore[no-untyped-def]
 
 
 def galerkin_product(
-    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int | None = None
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int
 ) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored; P may have more columns than R rows."""
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows."""
     indptr, indices, _ = matrix
     n = restriction[0].size - 1
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
     c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
-    after = np.zeros(n if columns is None else columns, indptr.dtype)
+    after = np.zeros(columns, indptr.dtype)
     rows = _product_rows(*matrix, *prolongation, *restriction, longest, 0, after, c_indptr, c_indices, c_data)
     while rows < n:  # the room did not suffice
         size, room = int(c_indptr[rows]), room + room // 2 + n

@@ -7,14 +7,16 @@ in P and as many in its transpose; a run adds 8 bytes for each coarse entry, its
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...kernels import splitting_sweeps as kernels
-from ...peers.alone import ALONE, Peers
+from ...peers.alone import ALONE, NOBODY, Arrays, Peers
+from ..pivots import pivot_weight
 from . import coarsening, galerkin
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
@@ -22,6 +24,7 @@ NOTEWORTHY_POSITIVE = 0.02
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
+LARGEST_GROWTH_OF_PARTS = 2.0  # more where the coarse unknowns of several processes do not match
 LARGEST_COMPLEXITY = 8.0
 MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
 LARGEST_NARROW = 2**30  # entries; a coarser matrix may have more of them, which 32 bits must still count
@@ -88,6 +91,19 @@ class Grid:
         """Number of unknowns that the own rows meet."""
         return self.inverse.size + self.peers.foreign
 
+    @property
+    def own_entries(self) -> int:
+        """Number of entries of the own rows."""
+        return int(self.matrix.indptr[self.n])
+
+    @property
+    def own_arrays(self) -> Arrays:
+        """The own rows, where those of foreign unknowns stand behind them."""
+        matrix = self.matrix
+        if matrix.indptr.size == self.n + 1:
+            return matrix.arrays
+        return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
+
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
@@ -115,15 +131,34 @@ class Hierarchy:
         return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
 
 
+class Interpolation(NamedTuple):
+    """The rows of P: those of the own unknowns and, behind them, of the foreign ones whose rows are here.
+
+    `columns` counts the coarse unknowns over all processes; `own` is how many of them are own ones, `below` who
+    shares them.
+    """
+
+    indptr: NDArray[Any]
+    columns: NDArray[Any]
+    data: FloatVector
+    is_coarse: NDArray[np.bool_]
+    own: int
+    below: Peers
+
+
 def build_hierarchy(
-    matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False
+    matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
+    peers: Peers = ALONE,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
+    Where several processes share the rows, each chooses the coarse ones among its own unknowns. Interpolation and
+    Galerkin product then are those of one process: behind its own rows each holds those of the unknowns next to them.
+
     Parameters
     ----------
-    matrix : csr_array, shape (n, n)
-        Canonical: sorted, no duplicates, every diagonal entry positive.
+    matrix : csr_array, shape (own, width)
+        Canonical: sorted, no duplicates, every diagonal entry positive. The own rows, which are all by default.
     coarsest : int
         A grid with at most so many unknowns is not made coarser.
     strength : float, optional
@@ -132,6 +167,8 @@ def build_hierarchy(
     scales_rows : bool
         Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
         but coarse matrices of a symmetric M are not symmetric.
+    peers : Peers
+        Who has the other rows; all of them call.
 
     Examples
     --------
@@ -143,29 +180,36 @@ def build_hierarchy(
     indptr, indices = matrix.indptr, matrix.indices
     if matrix.data.size > LARGEST_NARROW:
         indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
-    finest = grid_of(Operator(indptr, indices, matrix.data))
-    entries = max(matrix.data.size, 1)
+    rows, everybody = (indptr, indices, matrix.data), peers
+    if not peers.is_empty:
+        rows, everybody = peers.overlapped(rows, peers.ghosts, NOBODY)
+    grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
+    entries = max(peers.total(grid.own_entries), 1)
     work = 0.0
     if strength is None:
-        share = coarsening.positive_share(*finest.matrix.arrays)
-        strength = STRENGTH if not share > NOTEWORTHY_POSITIVE else STRENGTH_AMONG_POSITIVE
+        strength = _usual_strength(grid)
         work += entries
-    grids, transfers = [finest], list[Transfer]()
-    grid = finest
-    stored, products = 0.0, 0.0
-    while grid.n > coarsest:
-        work += PASSES_TO_COARSEN * grid.matrix.data.size
-        transfer = _transfer(grid, strength, scales_rows)
-        if transfer is None:
+    alone, grids, transfers = (grid,), [grid], list[Transfer]()
+    growth = LARGEST_GROWTH if peers.is_empty else LARGEST_GROWTH_OF_PARTS
+    stored, products, size = 0.0, 0.0, peers.total(grid.n)
+    while size > coarsest:
+        work += PASSES_TO_COARSEN * grid.own_entries
+        interpolation = _interpolation(grid, strength)
+        if interpolation is None:
             break
-        stored += grid.matrix.data.size
-        products += galerkin.count_products(grid.matrix.indptr, grid.matrix.indices, transfer.prolongation.indptr)
-        is_too_large = transfer.restriction.indptr.size - 1 > LARGEST_GRID_SHARE * grid.n
-        if is_too_large or products > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
-            return Hierarchy((finest,), (), work, is_helpful=False)
-        finer, grid = grid, _coarser(grid, transfer)
-        if grid.matrix.data.size > LARGEST_GROWTH * finer.matrix.data.size:
-            return Hierarchy((finest,), (), work + products, is_helpful=False)
+        finer, own_indptr = grid, grid.own_arrays[0]
+        stored += peers.total(finer.own_entries)
+        products += galerkin.count_products(own_indptr, finer.matrix.indices, interpolation.indptr)
+        is_too_large = peers.total(interpolation.own) > LARGEST_GRID_SHARE * size
+        if is_too_large or peers.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
+            return Hierarchy(alone, (), work, is_helpful=False)
+        coarser = _coarser(finer, interpolation, scales_rows)
+        if coarser is None:
+            break
+        transfer, grid = coarser
+        if peers.total(grid.own_entries) > growth * peers.total(finer.own_entries):
+            return Hierarchy(alone, (), work + products, is_helpful=False)
+        size = peers.total(grid.n)
         grids.append(grid)
         transfers.append(transfer)
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
@@ -201,37 +245,110 @@ def chosen_kinds(
     return kind
 
 
-def _transfer(grid: Grid, strength: float, scales_rows: bool) -> Transfer | None:
-    """Return the way to the next coarser grid; None where nothing is coupled any more."""
-    indptr, indices, data = grid.matrix.arrays
-    n = grid.n
+def _weighted_grid(matrix: Operator, peers: Peers, own: int, scales_rows: bool) -> Grid:
+    """Return the grid, with larger pivots where M is symmetric: others need none, and have any unit in any row."""
+    if peers.is_empty or scales_rows:
+        return grid_of(matrix, peers, own)
+    indptr, indices, data = matrix.arrays
+    width = own + peers.foreign
+    rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, width))[:own]
+    weight = pivot_weight(rows, peers, 1.0)
+    weight.flags.writeable = False
+    return grid_of(matrix, peers, own, weight)
+
+
+def _usual_strength(grid: Grid) -> float:
+    positive, total = map(grid.peers.total, coarsening.positive_couplings(*grid.own_arrays))
+    return STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
+
+
+def _interpolation(grid: Grid, strength: float) -> Interpolation | None:
+    """Return the interpolation from coarse unknowns of any process; None where nothing is coupled any more."""
+    indptr, indices, data = grid.own_arrays
+    n, peers = grid.n, grid.peers
     is_strong = np.empty(data.size, np.bool_)
     kind = chosen_kinds(indptr, indices, data, strength, is_strong)
+    if not peers.is_empty:
+        kind = _mended(grid, strength, kind)
     is_coarse = kind == coarsening.COARSE
-    if not is_coarse.any():
+    is_coarse.flags.writeable = False
+    count = int(np.count_nonzero(is_coarse))
+    below = peers.coarser(count)
+    if peers.total(count) == 0:
         return None
     number = np.cumsum(is_coarse, dtype=indices.dtype)
-    coarse_count = int(number[-1])
-    number -= 1
+    number += indices.dtype.type(below.first - 1)
+    if not peers.is_empty:
+        coarsening.strong_couplings(
+            indptr, indices, data, strength, grid.width, is_strong, np.zeros(grid.width + 1, indptr.dtype)
+        )
+        kind, numbers = _kinds_of_all(grid, is_coarse), np.zeros(grid.width)
+        numbers[:n] = number
+        peers.fetch(numbers)
+        number = numbers.astype(indices.dtype)
     p_indptr = np.empty(n + 1, indptr.dtype)
-    p_indices = np.empty(data.size, indices.dtype)
-    p_data = np.empty(data.size)
+    p_indices, p_data = np.empty(data.size, indices.dtype), np.empty(data.size)
     size = coarsening.direct_interpolation(
         indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
-    )
-    is_coarse.flags.writeable = False
-    prolongation = Operator(p_indptr, p_indices[:size], p_data[:size])  # memory behind `size` was never touched
-    r_indptr, r_indices, r_data = galerkin.transposed(coarse_count, *prolongation.arrays)
+    )  # memory behind `size` was never touched
+    rows = peers.with_foreign_rows((p_indptr, p_indices[:size], p_data[:size]))
+    return Interpolation(*rows, is_coarse, count, below)
+
+
+def _mended(grid: Grid, strength: float, kind: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the choice with further coarse unknowns where those of two processes do not fit together."""
+    kinds, peers = _kinds_of_all(grid, kind == coarsening.COARSE), grid.peers
+    coarsening.mend_seams(*grid.matrix.arrays, strength, grid.n, peers.ghosts > peers.first, kinds)
+    return kinds[: grid.n]
+
+
+def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return who is COARSE and who FINE among the own and the foreign unknowns."""
+    flags = np.zeros(grid.width, np.bool_)
+    flags[: grid.n] = is_coarse
+    grid.peers.fetch_flags(flags)
+    return np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
+
+
+def _coarser(grid: Grid, interpolation: Interpolation, scales_rows: bool) -> tuple[Transfer, Grid] | None:
+    """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
+    peers = grid.peers
+    p_indptr, columns, p_data, is_coarse, count, below = interpolation
+    others = below.outside(columns)
+    p_indices = below.local(columns, others)
+    restriction = _restriction(grid, count, (p_indptr, p_indices, p_data))
     if scales_rows:
+        inverse = grid.inverse
+        if not peers.is_empty:
+            inverse = np.zeros(grid.width)
+            inverse[: grid.n] = grid.inverse
+            peers.fetch(inverse)
         with np.errstate(over="ignore"):
-            r_data *= grid.inverse[r_indices]
-        if not np.isfinite(r_data).all():
+            restriction[2][:] *= inverse[restriction[1]]
+        if not peers.everywhere(bool(np.isfinite(restriction[2]).all())):
             return None
-    return Transfer(prolongation, Operator(r_indptr, r_indices, r_data), is_coarse)
-
-
-def _coarser(grid: Grid, transfer: Transfer) -> Grid:
-    arrays = galerkin.galerkin_product(
-        grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays
+    prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
+    rows = galerkin.galerkin_product(
+        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size
     )
-    return grid_of(Operator(*arrays))
+    if not peers.is_empty:
+        met = p_indices[: int(p_indptr[grid.n])]
+        further = others[np.unique(met[met >= count]) - count]
+        rows, below = below.overlapped(rows, others, further)
+        # Rows of P far away need no right number.
+        prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
+    transfer = Transfer(prolongation, restricting, is_coarse)
+    return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
+
+
+def _restriction(grid: Grid, count: int, prolongation: Arrays) -> Arrays:
+    """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
+    p_indptr, p_indices, p_data = prolongation
+    if grid.peers.foreign:
+        rows = grid.matrix.indptr.size - 1
+        end = int(p_indptr[rows])
+        is_own = p_indices[:end] < count
+        counts = np.concatenate([[0], np.cumsum(is_own)])
+        p_indptr = counts[p_indptr[: rows + 1]].astype(p_indptr.dtype)
+        p_indices, p_data = p_indices[:end][is_own], p_data[:end][is_own]
+    return galerkin.transposed(count, *Operator(p_indptr, p_indices, p_data).arrays)

@@ -92,11 +92,11 @@ def _described(error: Exception) -> tuple[type[LCPError], str]:
 def require_same(
     comm: MPI.Comm, what: str, value: Any, remedy: str, error: type[LCPError] = InvalidProblem
 ) -> None:
-    """Raise that error on every rank unless all of them hold the same value."""
-    values = comm.allgather(value)
+    """Raise that error on every rank unless all of them hold the same value, as its `repr` tells."""
+    values = comm.allgather(repr(value))
     for rank, other in enumerate(values):
         if other != values[0]:
-            raise error(f"{what} differs: {values[0]!r} on rank 0, {other!r} on rank {rank}; {remedy}")
+            raise error(f"{what} differs: {values[0]} on rank 0, {other} on rank {rank}; {remedy}")
 
 
 def from_first(comm: MPI.Comm, attempt: Callable[[], T]) -> T:

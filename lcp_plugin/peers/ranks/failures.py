@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -127,3 +129,25 @@ def _voted(ballot: MPI.Comm, has_failed: bool, patience: float) -> Any:
             return None
         time.sleep(PAUSE)  # leaves the processor to the ranks that still work, and hears Ctrl-C
     return votes.astype(np.bool_)
+
+
+class Interruptions:
+    """Ctrl-C on any rank becomes a wish that all ranks hear of at the next step; a second one ends this rank."""
+
+    def __init__(self) -> None:
+        self._is_asked = False
+        self._before: Any = None
+
+    def __enter__(self) -> Callable[[], bool]:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._hear)
+        return lambda: self._is_asked
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _hear(self, *_: object) -> None:
+        if self._is_asked:
+            raise KeyboardInterrupt
+        self._is_asked = True

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from ...cross_check import cross_validate
-from ...exporting import csv_text, finite_content
+from ...exporting import csv_of, finite_content
 from ...gallery import parse
 from ...gallery.scene import Scene
 from ..section import Claim, Collected, Effort, Part, Say, Section, many
@@ -46,7 +46,7 @@ class CrossValidation(Section):
     def files(self, collected: Collected) -> dict[str, str]:
         """Return one row a scene."""
         checks = collected.of("check")
-        return {"cross_validation.csv": csv_text(checks[0], [row.values() for row in checks])} if checks else {}
+        return {"cross_validation.csv": csv_of(checks)} if checks else {}
 
 
 def _computed(text: str, effort: Effort, say: Say) -> dict[str, Any]:

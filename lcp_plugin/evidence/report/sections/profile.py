@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from ...performance_profile import Profile, performance_profile
+from ...curves import Profile, performance_profile
 from ..section import Claim, Collected, Section, figure, many, percent
 
 

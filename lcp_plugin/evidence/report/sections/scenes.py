@@ -62,7 +62,7 @@ class Scenes(Section):
     def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
         """Yield one part a scene; a misspelt one is refused before anything runs."""
         chosen = scenes or {text: text for text in (QUICK_SCENES if effort.is_quick else SCENES)}
-        for given in chosen.values():
+        for given in scenes.values():
             if isinstance(given, str):
                 parse(given)
         for name, given in chosen.items():

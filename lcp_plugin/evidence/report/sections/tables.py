@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from ...exporting import csv_text, finite_content
+from ...exporting import csv_of, finite_content
 from ...gallery.scene import Scene
 from ...paper_tables import cells
 from ..section import Claim, Collected, Effort, Part, Say, Section
@@ -42,7 +42,7 @@ class PaperTables(Section):
     def files(self, collected: Collected) -> dict[str, str]:
         """Return every cell."""
         every = _cells(collected)
-        return {"paper_tables.csv": csv_text(every[0], [cell.values() for cell in every])} if every else {}
+        return {"paper_tables.csv": csv_of(every)} if every else {}
 
 
 def _computed(say: Say) -> dict[str, Any]:

@@ -10,19 +10,19 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from ..checks import FloatVector
-from ..evidence import gallery
-from ..evidence.gallery.obstacle import HALF_SIDE, sphere_obstacle, sphere_solution
-from ..evidence.gallery.parameters import Parameter, parameters_of
-from ..evidence.gallery.stencil import dirichlet_terms, interior, nodes, stencil_matrix
-from ..peers.ranks.collective import together
-from .problem import DistributedLCP
+from ...checks import FloatVector
+from ...peers.ranks.collective import together
+from ...problem.lcp import LCP
+from .. import gallery
+from .obstacle import HALF_SIDE, sphere_obstacle, sphere_solution
+from .parameters import Parameter, parameters_of
+from .stencil import dirichlet_terms, interior, nodes, stencil_matrix
 
 DIMENSIONS = {"obstacle_2d": 2, "obstacle_3d": 3}
 BY_ROWS = tuple(DIMENSIONS)
 
 
-def build(name: str, comm: MPI.Comm, parameters: dict[str, Any]) -> DistributedLCP:
+def build(name: str, comm: MPI.Comm, parameters: dict[str, Any]) -> LCP:
     """Return the scene's problem with its rows spread over the ranks; all ranks call.
 
     Raises
@@ -34,7 +34,7 @@ def build(name: str, comm: MPI.Comm, parameters: dict[str, Any]) -> DistributedL
         values = together(comm, lambda: _checked(name, parameters))
         return sphere_obstacle_rows(comm, DIMENSIONS[name], **values)
     scene = together(comm, lambda: gallery.build(name, **parameters))
-    return DistributedLCP.from_problem(scene.problem, comm)
+    return LCP.from_problem(scene.problem, comm)
 
 
 def by_rows(text: str) -> tuple[str, dict[str, Any]] | None:
@@ -58,7 +58,7 @@ def by_rows(text: str) -> tuple[str, dict[str, Any]] | None:
     return name.strip(), _checked(name.strip(), {key: declared[key].read(value) for key, value in given.items()})
 
 
-def sphere_obstacle_rows(comm: MPI.Comm, dimension: int, size: int, *, shifted: bool = False) -> DistributedLCP:
+def sphere_obstacle_rows(comm: MPI.Comm, dimension: int, size: int, *, shifted: bool = False) -> LCP:
     """Return `obstacle_2d` or `obstacle_3d` of that size; every rank has some layers of the grid."""
     layer = size ** (dimension - 1)
     begin, end = size * comm.rank // comm.size, size * (comm.rank + 1) // comm.size
@@ -86,10 +86,10 @@ def sphere_obstacle_rows(comm: MPI.Comm, dimension: int, size: int, *, shifted: 
         return rows, q, lower
 
     rows, q, lower = together(comm, assembled)
-    return DistributedLCP.from_rows(comm, rows, q, lower, np.full(lower.size, np.inf), first_row=begin * layer)
+    return LCP.from_rows(comm, rows, q, lower, np.full(lower.size, np.inf), first_row=begin * layer)
 
 
-def continuum_error(problem: DistributedLCP, z: FloatVector, name: str, *, size: int, shifted: bool = False) -> float:
+def continuum_error(problem: LCP, z: FloatVector, name: str, *, size: int, shifted: bool = False) -> float:
     """Return the own largest distance of z from the membrane's closed form at the nodes."""
     dimension = DIMENSIONS[name]
     axis = nodes(-HALF_SIDE, HALF_SIDE, size)[1:-1]

@@ -8,17 +8,19 @@ import shutil
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
 from ..errors import InvalidOption, UnreadableFile
-from ..peers.ranks.collective import from_first, together
-from ..problem.files import VECTORS
+from ..peers.ranks.collective import as_mpi, from_first, together
+from ..peers.ranks.halo import Halo, numbered_over_all
+from .files import VECTORS
+from .lcp import LCP
+from .own_rows import equal_share
 from .petsc_binary import load_binary
-from .problem import DistributedLCP, equal_share
 
 CHUNK = re.compile(r"rows-(\d{5,})-of-(\d{5,})\.npz")
 MATRIX_KEYS = ("data", "indices", "indptr")
@@ -35,7 +37,7 @@ class Head(NamedTuple):
     save: str
 
 
-def save(problem: DistributedLCP, path: str | PathLike[str]) -> None:
+def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write one chunk a rank into a folder that all ranks see; the folder appears whole or not at all.
 
     A chunk ``rows-00000-of-00004.npz`` holds the own rows of M in CSR (data, indices counted over all ranks, indptr,
@@ -47,7 +49,7 @@ def save(problem: DistributedLCP, path: str | PathLike[str]) -> None:
     UnreadableFile
         On every rank, where one of them cannot write, or the folder holds something else.
     """
-    comm = problem.comm
+    comm = problem.peers.comm
     target = together(comm, lambda: _checked_path(path))
     name, folder = from_first(comm, lambda: (secrets.token_hex(8), _new_folder(target)))
     try:
@@ -58,7 +60,7 @@ def save(problem: DistributedLCP, path: str | PathLike[str]) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def load(path: str | PathLike[str], comm: MPI.Comm) -> DistributedLCP:
+def load(path: str | PathLike[str], communicator: Any) -> LCP:
     """Return the problem of a folder of chunks or of a file in PETSc's binary format, on any number of ranks.
 
     Raises
@@ -66,13 +68,14 @@ def load(path: str | PathLike[str], comm: MPI.Comm) -> DistributedLCP:
     UnreadableFile, InvalidProblem
         On every rank, where anything is missing or damaged on one of them.
     """
+    comm = as_mpi(communicator)
     source = together(comm, lambda: _checked_path(path))
     if not from_first(comm, lambda: _is_folder(source)):
         return load_binary(source, comm)
     heads = _heads(source, comm)
     first, last = equal_share(heads[0].columns, comm.size, comm.rank)
     rows, *vectors = together(comm, lambda: _read_rows(heads, first, last))
-    return DistributedLCP.from_rows(comm, rows, *vectors, first_row=first)
+    return LCP.from_rows(comm, rows, *vectors, first_row=first)
 
 
 # --- writing --------------------------------------------------------------------------------------------
@@ -92,13 +95,9 @@ def _new_folder(target: Path) -> Path:
     return folder
 
 
-def _write_chunk(problem: DistributedLCP, folder: Path, name: str) -> None:
-    rank, ranks = problem.comm.rank, problem.comm.size
-    rows, own = problem.rows, problem.layout.own
-    index_type = np.int32 if problem.n < 2**31 else np.int64
-    numbers = np.concatenate([np.arange(problem.first, problem.last), rows.ghosts]).astype(index_type)
-    M = sp.csr_array((rows.data.copy(), numbers[rows.indices], rows.indptr), shape=(own, problem.n))
-    M.sort_indices()
+def _write_chunk(problem: LCP, folder: Path, name: str) -> None:
+    rank, ranks = problem.peers.rank, problem.peers.size
+    M = numbered_over_all(problem.matrix.csr_rows, cast(Halo, problem.peers))
     try:
         with (folder / f"rows-{rank:05d}-of-{ranks:05d}.npz").open("xb") as file:
             np.savez(
@@ -157,7 +156,7 @@ def _complete(source: Path) -> list[Path]:
     found = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
     totals = sorted({match[2] for match in found})
     if not found:
-        raise UnreadableFile(f"{source} holds no chunk rows-…-of-….npz; write it with DistributedLCP.save")
+        raise UnreadableFile(f"{source} holds no chunk rows-…-of-….npz; write it with LCP.save")
     if len(totals) > 1:
         raise UnreadableFile(f"{source} holds chunks of several saves (of {', '.join(totals)}); keep one of them")
     names = [f"rows-{k:05d}-of-{totals[0]}.npz" for k in range(int(totals[0]))]
@@ -177,7 +176,7 @@ def _read(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     except Exception as error:  # a damaged archive raises whatever its decoders raise
         raise UnreadableFile(f"cannot read {path}: it is damaged or no .npz archive ({error})") from error
     if missing:
-        raise UnreadableFile(f"{path} lacks the keys {missing}; write it with DistributedLCP.save")
+        raise UnreadableFile(f"{path} lacks the keys {missing}; write it with LCP.save")
     return content
 
 

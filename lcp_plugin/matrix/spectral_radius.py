@@ -1,4 +1,4 @@
-"""Spectral radii between two numbers that are both proven, rounding included."""
+"""The spectral radius of a nonnegative matrix between two numbers that are both proven, rounding included."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product, lower_end, upper_end
-from ..matrix.factors import diagonal_pivot_factor, factor_fits
-from ..matrix.matrix import Matrix, fact
-from ..matrix.structure import row_numbers
+from .factors import diagonal_pivot_factor, factor_fits
+from .matrix import Matrix, fact
+from .structure import strong_blocks, within_blocks
 
 POWER_STEPS = 30
 NODA_STEPS = 40
 ENOUGH = 1e-9  # relative width at which nobody asks for better
 FACTOR_LIMIT = 2_000
-UNDERFLOW = 2.0**-1060  # more than what a product of complex numbers loses
-COMPLEX_ROUNDING = 8.0  # a complex product or sum errs at most so many times as much as a real one
 
 
 def nonnegative_radius(matrix: Any) -> tuple[float, float]:
@@ -48,17 +46,11 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     >>> lower <= 2.0 <= upper <= lower + 1e-6
     True
     """
-    from scipy.sparse.csgraph import connected_components
-
     B = sp.csr_array(matrix, copy=True)
+    B.eliminate_zeros()
     n = B.shape[0]
-    if B.nnz == 0:
-        return 0.0, 0.0
-    _, labels = connected_components(B, directed=True, connection="strong")
-    # What leads from block to block is not felt by the radius.
-    rows = row_numbers(B)
-    data = np.where(labels[rows] == labels[B.indices], B.data, 0.0)
-    B = sp.csr_array((data, B.indices, B.indptr), shape=B.shape)
+    _, labels = strong_blocks(B)
+    B = within_blocks(B, labels)  # what leads from block to block is not felt by the radius
     B.eliminate_zeros()
     if B.nnz == 0:
         return 0.0, 0.0
@@ -123,53 +115,6 @@ class _Blocks:
         lowest = np.minimum.reduceat(low[self.order], self.starts)
         highest = np.maximum.reduceat(high[self.order], self.starts)
         return max(0.0, float(np.nanmax(lowest))), float(np.max(highest))
-
-
-def radius_above_one(pivot: Any, numerator: Any, magnitude: Any = None) -> float | None:
-    """Return a proven lower bound > 1 of the spectral radius of P⁻¹N, or None where none was found.
-
-    Parameters
-    ----------
-    pivot, numerator : arrays, shape (n, n)
-        P and N, dense.
-    magnitude : array, shape (n, n), optional
-        Each entry of P and N is right to 8 units in the last place of it; |P| + |N| by default.
-
-    Notes
-    -----
-    LAPACK proposes eigenvectors X and eigenvalues Λ of P⁻¹N. With Z = PX, Y ≈ Z⁻¹ and E = I − YZ,
-
-        X⁻¹(P⁻¹N)X = Λ + G,   |G| ≤ (I − |E|)⁻¹ |Y| |NX − ZΛ|,
-
-    bounded with rounding counted. The discs of radius r = ‖G‖∞ around the Λ_i hold the eigenvalues, each connected
-    group as many as it has discs (Gerschgorin); the group of the largest |Λ_i| reaches at most 2nr further in.
-    """
-    import scipy.linalg
-
-    P, N = np.asarray(pivot), np.asarray(numerator)
-    n = P.shape[0]
-    if n == 0 or not (np.isfinite(P).all() and np.isfinite(N).all()):
-        return None
-    with np.errstate(all="ignore"):
-        try:
-            values, X = scipy.linalg.eig(np.linalg.solve(P, N))
-            Y = np.linalg.inv(P @ X)
-        except (np.linalg.LinAlgError, ValueError):  # singular, or eigenvectors that overflow
-            return None
-        unit = COMPLEX_ROUNDING * (n + 16) * 2.0**-52
-        Z = P @ X
-        size = np.abs(P) + np.abs(N) if magnitude is None else magnitude
-        around = unit * (size @ np.abs(X)) + n * UNDERFLOW  # of Z and of N X
-        residual = np.abs(N @ X - Z * values) + unit * (np.abs(Z) + around) * np.abs(values)
-        residual += around * (1.0 + np.abs(values))
-        error = np.abs(np.eye(n) - Y @ Z) + unit * (np.abs(Y) @ np.abs(Z) + np.eye(n)) + np.abs(Y) @ around
-        spread = float(np.abs(error).sum(axis=1).max())
-        if not spread < 0.5:
-            return None
-        G = np.abs(Y) @ residual
-        disc = float(G.sum(axis=1).max()) / (1.0 - spread) * (1.0 + unit)
-        lower = float(np.abs(values).max()) * (1.0 - unit) - 2.0 * n * disc
-    return lower if lower > 1.0 else None
 
 
 @fact

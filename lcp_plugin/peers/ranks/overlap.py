@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..matrix.hierarchy.levels import Operator
-from ..peers.ranks.rows import Halo, Layout
+from ...checks import FloatVector
+from ..alone import Arrays
+from .layout import Layout
 
 Integers = NDArray[Any]
 
@@ -61,31 +61,39 @@ def foreign_rows(
 
 
 def overlapped(
-    layout: Layout, matrix: Operator, ghosts: Integers, further: Integers
-) -> tuple[Operator, Halo]:
-    """Return the own rows with those of the foreign unknowns next to them behind, and the halo of all unknowns met.
+    layout: Layout, rows: Arrays, ghosts: Integers, further: Integers
+) -> tuple[Arrays, Integers, Integers | None]:
+    """Return the own rows with those of the foreign unknowns next to them behind, and whom all these rows meet.
 
     Parameters
     ----------
     layout : Layout
-    matrix : Operator
+    rows : CSR arrays
         The own rows, sorted; column own + k stands for the unknown ghosts[k].
     ghosts : array of int
         Ascending; not all of them need be met.
     further : array of int
         Foreign unknowns to be met in any case.
 
+    Returns
+    -------
+    rows : CSR arrays
+    ghosts : array of int
+        The foreign unknowns met: those whose rows are here, then the others.
+    entries : array of int, shape (k, 2), or None
+        Rank and place there of each entry of the foreign rows; None where there is nothing to send.
+
     Notes
     -----
     Next to the own unknowns is whoever an own row meets, or whose row meets an own unknown.
     """
     own = layout.own
-    indptr, indices, data = matrix.arrays
+    indptr, indices, data = rows
     at = np.flatnonzero(indices >= own)
     met = ghosts[indices[at] - own]
     near = np.union1d(met, _dependents(layout, np.searchsorted(indptr, at, side="right") - 1 + layout.first, met))
     if not any(layout.comm.allgather(near.size + further.size)):
-        return matrix, Halo(layout, near)
+        return rows, near, None
     if not np.array_equal(near, ghosts):  # both ascend: the rows stay sorted
         indices = indices.copy()
         indices[at] = own + np.searchsorted(near, met)
@@ -98,33 +106,16 @@ def overlapped(
         return columns
 
     found = foreign_rows(layout, near, indptr, data, global_columns)
-    is_far = (found.columns < layout.first) | (found.columns >= layout.last)
-    far = np.setdiff1d(np.concatenate([found.columns[is_far], further]), near)
+    far = np.setdiff1d(np.concatenate([found.columns[layout.is_foreign(found.columns)], further]), near)
     all_ghosts = np.concatenate([near, far])
-    local = renumbered(found.columns, layout, all_ghosts)
+    local = layout.local(found.columns, all_ghosts)
     order = np.lexsort((local, np.repeat(np.arange(near.size), found.counts)))
     entries = np.stack([np.repeat(layout.owners(near), found.counts), found.places], axis=1)[order]
-    operator = Operator(
+    overlapping = (
         np.concatenate([indptr, indptr[-1] + np.cumsum(found.counts, dtype=indptr.dtype)]),
         np.concatenate([indices, local[order]]), np.concatenate([data, found.values[order]]),
     )
-    return operator, Halo(layout, all_ghosts, data.size, entries)
-
-
-def renumbered(columns: Integers, layout: Layout, ghosts: Integers) -> Integers:
-    """Return local numbers of global columns: the own ones from 0 on, then the ghosts in their order, 0 for others."""
-    local = (columns - layout.first).astype(np.int32)
-    at = np.flatnonzero((local < 0) | (local >= layout.own))
-    if not at.size:
-        return local
-    foreign = columns[at]
-    local[at] = 0
-    if ghosts.size:
-        order = np.argsort(ghosts, kind="stable")
-        ascending = ghosts[order]
-        place = np.minimum(np.searchsorted(ascending, foreign), ghosts.size - 1)
-        local[at] = np.where(ascending[place] == foreign, layout.own + order[place], 0)
-    return local
+    return overlapping, all_ghosts, entries
 
 
 def _dependents(layout: Layout, rows: Integers, met: Integers) -> Integers:

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import UnreadableFile
 from ..peers.ranks.collective import from_first, together
-from ..problem.files import INFINITE_BOUND, VECTORS
-from .problem import DistributedLCP, equal_share
+from .files import INFINITE_BOUND, VECTORS
+from .lcp import LCP
+from .own_rows import equal_share
 
 MATRIX, VECTOR = 1211216, 1211214
 VALUE = np.dtype(">f8")
@@ -43,7 +44,7 @@ class Contents(NamedTuple):
     vectors: tuple[int, ...]
 
 
-def load_binary(path: Path, comm: MPI.Comm) -> DistributedLCP:
+def load_binary(path: Path, comm: MPI.Comm) -> LCP:
     """Return the problem of the file; all ranks call. A bound of 1e20 or more in absolute value means ∞.
 
     Raises
@@ -65,7 +66,7 @@ def load_binary(path: Path, comm: MPI.Comm) -> DistributedLCP:
     for bound in bounds:
         is_none = np.abs(bound) >= INFINITE_BOUND
         bound[is_none] = np.copysign(np.inf, bound[is_none])
-    return DistributedLCP.from_rows(comm, rows, q, *bounds, first_row=first)
+    return LCP.from_rows(comm, rows, q, *bounds, first_row=first)
 
 
 def _contents(path: Path) -> Contents:

@@ -1,0 +1,84 @@
+"""The residual of every row: as double precision measures it, and between bounds that rounding cannot leave."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector
+from ..exact.rounding import compensated_product, lower_end, read_only_views, upper_end
+from ..problem.lcp import LCP
+
+BLOCK = 2**14  # rows
+
+
+def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
+    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite.
+
+    It is computed as mid(z − upper, z − lower, w/d), the same number, but a small step is not lost beside a large z. A
+    w that overflowed on the way could have either sign, and says nothing.
+    """
+    residual, scale = np.empty(z.size), problem.residual_scale
+    for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
+        rows = slice(first, first + BLOCK)
+        step = w[rows] / scale[rows]
+        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
+        np.maximum(step, own, out=own)
+        np.minimum(own, z[rows] - problem.lower[rows], out=own)
+    if not np.isfinite(w.sum()):
+        residual[np.isinf(w)] = np.inf
+    return residual
+
+
+def measured_residual(problem: LCP, z: FloatVector) -> float:
+    """Return ‖r(z)‖∞ as double precision gives it; on ranks of the own part z, and all of them call."""
+    with np.errstate(all="ignore"):
+        residual = scaled_residual(problem, z, problem.slack(z))
+        return problem.peers.largest(float(np.abs(residual, out=residual).max(initial=0.0)))
+
+
+def residual_ends_of(
+    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector, *, q: FloatVector | None = None
+) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
+
+    Parameters
+    ----------
+    M : array or CSR array, shape (m, n)
+    x : array, shape (n,)
+        z, and whatever else the rows need.
+    rows : LCP
+        Its q, lower and upper, each of shape (m,).
+    z, scale : arrays, shape (m,)
+    q : array, shape (m,), optional
+        Instead of that of the rows.
+
+    Returns
+    -------
+    smallest, largest : arrays, shape (m,)
+    """
+    from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
+
+    if sp.issparse(M):
+        indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
+    else:
+        m, stride = M.shape
+        indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
+        data = np.ascontiguousarray(M).reshape(-1)
+    smallest, largest = np.empty(z.size), np.empty(z.size)
+    arrays = read_only_views(indptr, indices, data, x, rows.q if q is None else q, z, rows.lower, rows.upper, scale)
+    residual_ends(*arrays[:3], stride, *arrays[3:], smallest, largest)
+    return smallest, largest
+
+
+def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
+    matrix = problem.matrix
+    value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
+    low, high = lower_end(value, radius), upper_end(value, radius)
+    nothing = sp.csr_array((problem.own, problem.own))
+    below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
+    smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
+    return smallest, np.maximum(below[1], above[1])

@@ -1,0 +1,8 @@
+"""What a double is: the constants that rounding margins are made of."""
+
+from __future__ import annotations
+
+EPSILON = 2.0**-52  # from 1 to the next double
+UNIT = 2.0**-53  # the largest relative error of one rounding
+TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
+LARGEST = 1.7976931348623157e308  # the largest double

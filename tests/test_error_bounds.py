@@ -18,6 +18,7 @@ from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.matrix import comparison_certificate
+from lcp_plugin.matrix.equilibration import unit_diagonal
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
 property_test = settings(deadline=None, max_examples=60)  # the first example compiles
@@ -304,9 +305,9 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
-        exponent = np.round(-0.5 * np.log2(problem.diagonal)).astype(int)
-        part, blur = definite_bounds._symmetric_part(problem.csr, exponent)
-        value, scale = definite_bounds._proven_bound(part, blur), np.exp2(exponent)
+        exponents = unit_diagonal(problem.diagonal)
+        part, blur = definite_bounds._symmetric_part(problem.csr, exponents)
+        value, scale = definite_bounds._proven_bound(part, blur), np.exp2(exponents.row)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)

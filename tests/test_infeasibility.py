@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
 from lcp_plugin.algorithms.search import NoSolution, search
-from lcp_plugin.certificates.forced_bounds import ForcedContradiction, find_forced_contradiction
 from lcp_plugin.certificates.infeasibility import (
     Infeasibility,
     contradictory_row,
     decide_feasibility,
     margin_with_rounding,
 )
+from lcp_plugin.certificates.no_solution import ForcedContradiction, find_forced_contradiction
 from lcp_plugin.certificates.residuals import reference_residual
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.exact.rational import integers

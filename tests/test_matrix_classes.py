@@ -18,18 +18,19 @@ import scipy.sparse as sp
 from campaigns.graded_matrices import run_case
 
 from lcp_plugin import LCP, Certificate, error_bound
-from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from lcp_plugin.errors import InvalidProblem, UnsuitableMatrix
 from lcp_plugin.matrix import (
     analyze,
     comparison_certificate,
     comparison_solve,
     h_verdict,
     p_matrix,
-    prove_m_matrix,
     verdicts,
 )
+from lcp_plugin.matrix.comparison import ComparisonMatrix
 from lcp_plugin.matrix.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.matrix.factors import factor_fits
+from lcp_plugin.matrix.h_matrix import decide
 from lcp_plugin.matrix.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.policy.direct_methods import _seems_monotone
@@ -312,7 +313,7 @@ def test_evidence_cannot_be_written_to() -> None:
     no = analyze([[1.0, 2.0], [2.0, 1.0]])
     yes = analyze(laplacian(5))
     certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)).matrix)
-    proof = prove_m_matrix(np.array([2.0, 2.0]), sp.csr_array(np.array([[0.0, 1.0], [1.0, 0.0]]))).certificate
+    proof = decide(sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]])), None).certificate
     arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
     arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
     for array in arrays:
@@ -391,29 +392,13 @@ def test_certificate_is_shared() -> None:
 
 def test_m_matrix_proofs() -> None:
     """The cheap effort settles what is far from singular, on both sides, and leaves the rest to full."""
-    B = sp.csr_array(np.array([[9.0, -1.0], [3.0, 9.0]]))  # its diagonal is ignored
-    assert prove_m_matrix(np.array([1.0, 4.0]), B, "cheap").is_h is True
-    assert prove_m_matrix(np.array([1.0, 1.0]), B, "cheap").is_h is False
-    assert prove_m_matrix(np.array([1.0, -1.0]), B).is_h is False
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]])), None).is_h is True
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]])), None).is_h is False
     grid = laplacian(30)
-    assert prove_m_matrix(grid.diagonal(), grid, "cheap").is_h is None
-    proof = prove_m_matrix(grid.diagonal(), grid)
+    assert decide(grid, None).is_h is None
+    proof = decide(grid, lambda: ComparisonMatrix(grid))
     assert proof.is_h is True
     assert proof.lower <= np.cos(np.pi / 31) + 1e-12 <= proof.upper + 1e-12
-
-
-@pytest.mark.parametrize(
-    ("diagonal", "B", "effort", "error", "message"),
-    [
-        (np.ones(2), np.eye(3), "full", InvalidProblem, r"shape \(2, 2\), got \(3, 3\)"),
-        (np.array([1.0, np.nan]), np.eye(2), "full", InvalidProblem, "finite entries"),
-        (np.ones(2), np.eye(2), "some", InvalidOption, "got 'some'"),
-    ],
-)
-def test_m_matrix_rejections(diagonal, B, effort, error, message) -> None:
-    """Wrong shapes, numbers and efforts are told in words."""
-    with pytest.raises(error, match=message):
-        prove_m_matrix(diagonal, sp.csr_array(B), effort)
 
 
 @pytest.mark.parametrize("m", [6, 40, 90])

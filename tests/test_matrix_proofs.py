@@ -36,7 +36,7 @@ from lcp_plugin.matrix.h_matrix import _centred, _joined, is_nonpositive, positi
 from lcp_plugin.matrix.hierarchy.krylov import KrylovCorrection
 from lcp_plugin.matrix.matrix import Matrix
 from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.matrix.structure import row_excess_signs, row_numbers, scale_spread
+from lcp_plugin.matrix.structure import row_excess_signs, scale_spread
 from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 
 property_test = settings(deadline=None, max_examples=150)
@@ -495,9 +495,8 @@ def test_krylov_meets_its_tolerance_or_says_no(is_symmetric: bool, monkeypatch: 
 def equilibrated(M: np.ndarray, *, is_symmetric: bool = False) -> np.ndarray | None:
     """M scaled by its powers of two, or None where it needs none."""
     sparse = sp.csr_array(M)
-    rows = row_numbers(sparse)
-    exponents = scaling_exponents(sparse, rows, is_symmetric)
-    return None if exponents is None else scaled(sparse, rows, exponents).toarray()
+    exponents = scaling_exponents(sparse, is_symmetric)
+    return None if exponents is None else scaled(sparse, exponents).toarray()
 
 
 def test_moderate_matrices_are_not_scaled() -> None:

@@ -23,9 +23,9 @@ from ..checks import FloatVector
 from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..kernels.floats import TINY, UNIT
+from ..matrix.equilibration import Exponents, scaled, unit_diagonal
 from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.matrix import Matrix, fact
-from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .row_inequality import RowInequality
 
@@ -73,11 +73,11 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     diagonal = matrix.diagonal
     if not (diagonal > 0.0).all() or matrix.n == 0:
         return None
-    exponent = np.round(-0.5 * np.log2(diagonal)).astype(np.int64)
-    scale = np.ldexp(1.0, exponent)
+    exponents = unit_diagonal(diagonal)
+    scale = np.ldexp(1.0, exponents.row)
     is_dense = matrix.is_dense or matrix.n <= 200
     is_dense = is_dense and matrix.n <= DENSE_UP_TO
-    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponent)
+    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
     if not np.isfinite(blur):
         return None
     is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
@@ -120,16 +120,10 @@ def absolute_transpose(matrix: Matrix) -> sp.csr_array:
     return abs(matrix.transpose)
 
 
-def _symmetric_part(M: Any, exponent: Any) -> tuple[Any, float]:
+def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
     """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
-    if sp.issparse(M):
-        rows = row_numbers(M)
-        scaled: Any = sp.csr_array(
-            (np.ldexp(M.data, exponent[rows] + exponent[M.indices]), M.indices, M.indptr), shape=M.shape
-        )
-    else:
-        scaled = np.ldexp(M, exponent[:, None] + exponent)
-    part = 0.5 * (scaled + scaled.T)
+    even = scaled(M, exponents)
+    part = 0.5 * (even + even.T)
     size = float(abs(part).sum(axis=1).max())
     return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
 

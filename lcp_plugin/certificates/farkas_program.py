@@ -16,10 +16,12 @@ from ..checks import FloatVector
 from ..deadline import seconds_left
 from ..exact.linear_systems import solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
+from ..matrix.equilibration import evened
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
 from .residuals import reference_residual
 
+AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
 VIOLATED = 1e-6  # of the terms of its row
 LARGEST_REPAIR = 300  # unknowns of one exact solve: seconds
@@ -68,7 +70,7 @@ class FarkasProgram:
     weights: FloatVector = field(init=False)
 
     def __post_init__(self) -> None:
-        rows, columns = equilibration(self.problem.csr)
+        rows, columns = (np.ldexp(1.0, np.clip(side, -500, 500)) for side in evened(self.problem.csr, AIMS))
         scaled = sp.diags_array(rows) @ self.problem.csr @ sp.diags_array(columns)
         with np.errstate(over="ignore"):
             scale = self.problem.residual_scale if self.measure == "relative" else np.ones(self.problem.n)
@@ -216,25 +218,6 @@ class _StandardForm:
         y[self.plus] = v[: self.plus.size]
         y[self.minus] -= v[self.plus.size : self.plus.size + self.minus.size]
         return y
-
-
-def equilibration(csr: sp.csr_array, passes: int = 4) -> tuple[FloatVector, FloatVector]:
-    """Return powers of two r, c that bring the entries of diag(r) M diag(c) near 1, smallest and largest alike."""
-    n = csr.shape[0]
-    exponents = np.frexp(csr.data)[1].astype(float)
-    places = (np.repeat(np.arange(n), np.diff(csr.indptr)), csr.indices)
-    scales = [np.zeros(n), np.zeros(n)]
-    for share in (0.5,) * passes + (1.0,):
-        for axis, here in enumerate(places):
-            scaled = exponents + scales[0][places[0]] + scales[1][places[1]]
-            largest, smallest = np.full(n, -np.inf), np.full(n, np.inf)
-            np.maximum.at(largest, here, scaled)
-            np.minimum.at(smallest, here, scaled)
-            with np.errstate(invalid="ignore"):
-                middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
-            scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
-    rows, columns = (np.ldexp(1.0, np.clip(scale, -500, 500).astype(np.int64)) for scale in scales)
-    return rows, columns
 
 
 def _cut_off(values: FloatVector, unit: float) -> FloatVector:

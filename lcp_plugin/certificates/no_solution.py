@@ -1,16 +1,157 @@
-"""Proof that a problem has no solution: a tree of cases, each closed by a Farkas vector of its own."""
+"""Proofs that a problem has no solution which go beyond its linear constraints: chains of forced rows, trees of cases.
+
+A chain: rows whose slack has one sign force their z to a bound; followed to the end, that may contradict. A tree: every
+case of the complementarity conditions, each closed by a Farkas vector of its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..checks import FloatVector
+from ..kernels.floats import EPSILON, TINY
+from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .infeasibility import Infeasibility
 from .refutation import Closing, Refutation, closed_exactly, row_choices
+
+MOST_PASSES = 50
+
+
+@dataclass(frozen=True, eq=False)
+class ForcedContradiction(Refutation):
+    """A chain of rows, each forcing z_i to a bound for all z still possible, that ends in a row with no z left.
+
+    Attributes
+    ----------
+    steps : tuple of (row, sign)
+        sign +1: w_i > 0, so that z_i = lower_i; −1: w_i < 0, so that z_i = upper_i. The last one cannot be met: the
+        bound is infinite, or z_i stands at the other one. No problem with such a chain has a solution.
+    """
+
+    problem: LCP = field(repr=False)
+    steps: tuple[tuple[int, int], ...]
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield, for each step, what excludes every other choice of its row, in exact arithmetic.
+
+        A z_i that is forced to a bound stands within |r_i| of it.
+        """
+        problem = self.problem
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        forced: dict[int, int] = {}
+        for k, (i, sign) in enumerate(self.steps):
+            yield _exclusion(problem, i, sign, lower, upper, forced)
+            bound = problem.lower[i] if sign > 0 else problem.upper[i]
+            if np.isinf(bound) or not lower[i] <= bound <= upper[i]:
+                if k < len(self.steps) - 1:
+                    yield None
+                return
+            lower[i] = upper[i] = bound
+            forced[i] = sign
+        yield None
+
+    def __str__(self) -> str:
+        row, sign = self.steps[-1]
+        before = f" (given {len(self.steps) - 1} forced before)" * (len(self.steps) > 1)
+        relation = "> 0" if sign > 0 else "< 0"
+        return f"no solution: w[{row}] {relation} for every z still possible{before}, and no z[{row}] goes with that"
+
+
+def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
+    """Return a chain of forced bounds that contradicts itself, or None; a few passes over M.
+
+    Examples
+    --------
+    >>> proof = find_forced_contradiction(LCP([[1, 0], [-3, 1]], [2, -1], upper=[1, np.inf]))
+    >>> proof is None
+    True
+    >>> proof = find_forced_contradiction(LCP([[0, 0], [1, 0]], [1, -1]))
+    >>> print(proof)
+    no solution: w[1] < 0 for every z still possible (given 1 forced before), and no z[1] goes with that
+    >>> proof.verify()
+    True
+    """
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    is_forced = lower == upper
+    steps: list[tuple[int, int]] = []
+    for _ in range(MOST_PASSES):
+        low, high = slack_range(problem, lower, upper)
+        signs = (low > 0.0).astype(int) - (high < 0.0)
+        bound = np.where(signs > 0, problem.lower, problem.upper)
+        refuted = (signs != 0) & (np.isinf(bound) | (bound < lower) | (bound > upper))
+        if refuted.any():
+            i = int(np.flatnonzero(refuted)[0])
+            proof = ForcedContradiction(problem, (*_needed(problem, steps, i), (i, int(signs[i]))))
+            return proof if proof.verify() else None
+        new = np.flatnonzero((signs != 0) & ~is_forced)
+        if not new.size:
+            return None
+        lower[new] = upper[new] = bound[new]
+        is_forced[new] = True
+        steps.extend((int(i), int(signs[i])) for i in new)
+    return None
+
+
+def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
+    csr = problem.csr
+    rows = row_numbers(csr)
+    with np.errstate(all="ignore"):
+        bounds = lower[csr.indices], upper[csr.indices]
+        ends = [csr.data * bound for bound in bounds]
+        both = [_row_sums(np.minimum(*ends), rows, problem.n), _row_sums(np.maximum(*ends), rows, problem.n)]
+        # A product that overflows is no infinite bound: its size is infinite, and nothing is known of its row.
+        sizes = np.maximum(*(np.where(np.isinf(x), 0.0, np.abs(end)) for x, end in zip(bounds, ends, strict=True)))
+        size = _row_sums(sizes, rows, problem.n) + np.abs(problem.q)
+        terms = np.diff(csr.indptr) + 8
+        error = np.where(terms > 8, 2.0 * terms * (EPSILON * size + TINY), 0.0)
+        low, high = both[0] + problem.q - error, both[1] + problem.q + error
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def _row_sums(values: FloatVector, rows: NDArray[Any], n: int) -> FloatVector:
+    sums: FloatVector = np.bincount(rows, weights=values, minlength=n).astype(np.float64)
+    return sums
+
+
+def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[tuple[int, int]]:
+    """Yield the steps that the last row rests on, directly or through others."""
+    csr = problem.csr
+    sought, kept = {last, *csr.indices[csr.indptr[last] : csr.indptr[last + 1]].tolist()}, set()
+    for i, _ in reversed(steps):
+        if i in sought:
+            kept.add(i)
+            sought.update(csr.indices[csr.indptr[i] : csr.indptr[i + 1]].tolist())
+    return (step for step in steps if step[0] in kept)
+
+
+def _exclusion(
+    problem: LCP, i: int, sign: int, lower: FloatVector, upper: FloatVector, forced: dict[int, int]
+) -> Closing | None:
+    """Return what sign · w_i > 0 for all z within the bounds excludes w_i = 0 with; None where that is not so."""
+    csr = problem.csr
+    row = slice(csr.indptr[i], csr.indptr[i + 1])
+    total = sign * Fraction(float(problem.q[i]))
+    scaled, squares = Fraction(0), Fraction(0)
+    if i not in forced:
+        scaled, squares = Fraction(float(problem.residual_scale[i])), Fraction(1)
+    for j, entry in zip(csr.indices[row].tolist(), csr.data[row].tolist(), strict=True):
+        bound = float(lower[j] if entry * sign > 0 else upper[j])
+        if np.isinf(bound):
+            return None
+        total += sign * Fraction(entry) * Fraction(bound)
+        weight = -sign * Fraction(entry) * forced.get(j, 0)
+        if weight > 0:  # leaving the bound makes w_i smaller
+            scaled += weight
+            squares += weight * weight
+    return Closing(total, scaled, squares) if total > 0 else None
 
 
 @dataclass(slots=True)

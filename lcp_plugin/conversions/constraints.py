@@ -84,6 +84,19 @@ class Constraints:
             right = np.abs(self.limit / coefficient)
             return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
 
+    @property
+    def missing(self) -> FloatVector:
+        """By how much, in their units, x within the bounds are above and below what rows of G and A ask; shape (2, …).
+
+        To rounding; positive where no such x satisfies the row.
+        """
+        count, (_, _, below, above) = self.rows, self.split(self.limit)
+        limit, unit = self.limit[:count], self.unit[:count]
+        lowest, highest = activity(sp.csr_array(self.matrix[:count]), -below, above)
+        with np.errstate(invalid="ignore"):
+            short = np.where(self.is_equality[:count], limit - highest, -np.inf)
+            return np.stack([lowest - limit, short]) / unit
+
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
         excess = np.full(self.limit.size, -np.inf)
@@ -179,11 +192,7 @@ class FoldedRows:
 
     def contradict(self) -> bool:
         """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
-        rows, count = self.folded.constraints, self.left.size
-        lowest, highest = activity(sp.csr_array(rows.matrix[:count]), self.folded.lower, self.folded.upper)
-        limit, clearly = rows.limit[:count], CONSTRAINTS * rows.unit[:count]
-        too_high, too_low = lowest - clearly > limit, highest + clearly < limit
-        return bool(np.any(too_high | too_low & rows.is_equality[:count]))
+        return bool((self.folded.constraints.missing > CONSTRAINTS).any())
 
     def unfold(self, multipliers: Any) -> Any:
         """Return the multipliers of all constraints of the program, from those of the folded one.

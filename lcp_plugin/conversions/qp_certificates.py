@@ -20,7 +20,7 @@ from ..checks import FloatVector
 from ..exact.linear_systems import solved_nearby
 from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
 from ..kernels.floats import EPSILON
-from .constraints import FoldedRows, activity, fold_simple_rows, largest_entries
+from .constraints import FoldedRows, fold_simple_rows, largest_entries
 from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
 if TYPE_CHECKING:
@@ -102,15 +102,13 @@ def _unfolded(
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
-    rows, count = program.constraints, program.constraints.rows
-    stacked, limits, is_equality = rows.matrix[:count], rows.limit[:count], rows.is_equality[:count]
-    lowest, highest = activity(stacked, program.lower, program.upper)
-    with np.errstate(invalid="ignore"):
-        missing = np.maximum(lowest - limits, np.where(is_equality, limits - highest, -np.inf)) / rows.unit[:count]
+    rows = program.constraints
+    both = rows.missing
+    above, missing = both[0], both.max(axis=0)
     suspects = np.flatnonzero(missing > 0.0)
     for i in suspects[np.argsort(-missing[suspects], kind="stable")][:SUSPECTS].tolist():
-        y = [ZERO] * count
-        y[i] = Fraction(1 if lowest[i] > limits[i] else -1)
+        y = [ZERO] * rows.rows
+        y[i] = Fraction(1 if above[i] > 0.0 else -1)
         proof = _with_bounds(program, y, combination(rows, [i], [y[i]]))
         if proof.verify():
             return proof

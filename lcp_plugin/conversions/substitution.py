@@ -63,13 +63,15 @@ class Substitution:
     def recover(self, solution: QPSolution) -> QPSolution:
         """Return the solution of the program from that of the smaller one, all multipliers included."""
         program, x = self.program, self.expansion @ solution.x + self.offset
-        kept_rows, kept = _others(program.b.size, self.rows), _others(program.n, self.defined)
-        equality, lower, upper = np.zeros(program.b.size), np.zeros(program.n), np.zeros(program.n)
-        equality[kept_rows], lower[kept], upper[kept] = solution.equality, solution.lower, solution.upper
+        constraints, n = program.constraints, program.n
+        equations = program.h.size + self.rows
+        gone = [equations, constraints.rows + self.defined, constraints.rows + n + self.defined]
+        y = np.zeros(constraints.limit.size)
+        y[_others(y.size, np.concatenate(gone))] = solution.multipliers
         # Each defined column meets its own equation only, whose multiplier is what stationarity leaves to it.
-        gradient = (program.P @ x + program.c)[self.defined]
-        equality[self.rows] = -gradient / np.asarray(sp.csr_array(program.A)[self.rows, self.defined]).ravel()
-        return QPSolution(program, x, solution.inequality, equality, lower, upper)
+        pivots = np.asarray(constraints.matrix[equations, self.defined]).ravel()
+        y[equations] = -(program.P @ x + program.c)[self.defined] / pivots
+        return QPSolution(program, x, *constraints.split(y))
 
 
 def substitute_definitions(program: QuadraticProgram) -> Substitution | None:

@@ -30,8 +30,9 @@ from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean
 from ..kernels.floats import EPSILON
-from ..matrix.definiteness import factorised
+from ..matrix.definiteness import factorised, symmetric_part
 from ..matrix.factors import factorise
+from ..matrix.symmetry import mismatch
 from ..problem.lcp import LCP
 
 ACCURATE = 1e-7
@@ -148,7 +149,8 @@ class Formulation:
     def of(cls, problem: LCP) -> Formulation:
         """Return the formulation that symmetry and a factorisation of the symmetric part allow."""
         scaled = Equilibrated.of(problem)
-        place = _asymmetry(scaled.A)
+        largest = np.ravel(abs(scaled.A).max(axis=1).toarray() if sp.issparse(scaled.A) else abs(scaled.A).max(axis=1))
+        _, place = mismatch(scaled.A, np.maximum(largest, 1.0), ROUNDING_UNITS * EPSILON)
         if place is None:
             matrix = "M is symmetric"
         else:
@@ -160,37 +162,13 @@ class Formulation:
             return cls(None, f"{matrix} indefinite: M[{i}, {i}] = {problem.diagonal[i]:g}", scaled)
         # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
         shift = 4.0 * (problem.n + 2) * EPSILON * max(1.0, float(abs(scaled.A).max()))
-        solve = _factorised(_symmetric_part(scaled.A), shift)
-        if solve is None:
+        factor = factorised(symmetric_part(scaled.A), shift)
+        if factor is None:
             return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)
-        eigenvalue = _smallest_eigenvalue(solve, problem.n, shift)
+        eigenvalue = _smallest_eigenvalue(factor.solve, problem.n, shift)
         definite = "positive definite" if eigenvalue else "positive semidefinite"
         kind = PLAIN if place is None else GAP
         return cls(kind, f"{matrix} {definite}: factorised at shift {shift:.1e}", scaled, shift, eigenvalue)
-
-
-def _asymmetry(A: Any) -> tuple[int, int] | None:
-    """Return a place where A and Aᵀ differ by more than rounding, or None."""
-    allowed = ROUNDING_UNITS * EPSILON
-    excess = abs(A - A.T) - allowed * abs(A)
-    if sp.issparse(excess):
-        excess = excess.tocoo()
-        places = np.flatnonzero(excess.data > allowed)
-        return (int(excess.row[places[0]]), int(excess.col[places[0]])) if places.size else None
-    rows, columns = np.nonzero(excess > allowed)
-    return (int(rows[0]), int(columns[0])) if rows.size else None
-
-
-def _symmetric_part(A: Any) -> Any:
-    return 0.5 * (A + A.T)
-
-
-def _factorised(S: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
-    """Return x ↦ (S + shift I)⁻¹ x where all pivots are positive, else None; a sparse S stays sparse."""
-    if S.shape[0] == 0:
-        return lambda x: x
-    factor = factorised(S, shift)
-    return None if factor is None else factor.solve
 
 
 def _smallest_eigenvalue(solve: Callable[[FloatVector], FloatVector], n: int, shift: float) -> float:
@@ -337,7 +315,7 @@ def _unknown(scaled: Equilibrated) -> Any:
 
 
 def _convex(A: Any) -> Any:
-    return sp.csc_array(_symmetric_part(A))
+    return sp.csc_array(symmetric_part(A))
 
 
 def polished(certificate: Certificate) -> Certificate:

@@ -1,11 +1,11 @@
 """What kind of matrix is it? Verdicts with evidence, and the certificates that bounds and guarantees stand on.
 
-For other rooms: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0), :func:`prove_m_matrix` (the same for a
-matrix that is not the problem's), :func:`comparison_solve` (approximate solutions of systems with ⟨M⟩).
+For other rooms: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0), :func:`comparison_solve` (approximate
+solutions of systems with ⟨M⟩).
 """
 
 from .comparison import comparison_solve
-from .h_matrix import HCertificate, HVerdict, comparison_certificate, h_verdict, prove_m_matrix
+from .h_matrix import HCertificate, HVerdict, comparison_certificate, h_verdict
 from .report import MatrixReport, analyze
 
 __all__ = [
@@ -16,5 +16,4 @@ __all__ = [
     "comparison_certificate",
     "comparison_solve",
     "h_verdict",
-    "prove_m_matrix",
 ]

@@ -108,13 +108,12 @@ class ComparisonMatrix(LinearSystem):
     """
 
     def __init__(self, M: Any) -> None:
-        rows = row_numbers(M)
         is_symmetric = is_symmetric_entrywise(M)
-        self.exponents: Exponents | None = scaling_exponents(M, rows, is_symmetric)
+        self.exponents: Exponents | None = scaling_exponents(M, is_symmetric)
         magnitudes = np.abs(M.data)
-        signed = np.where(rows == M.indices, magnitudes, -magnitudes)
+        signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
         comparison = sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
-        super().__init__(scaled(comparison, rows, self.exponents), is_symmetric)
+        super().__init__(scaled(comparison, self.exponents), is_symmetric)
         self.diagonal: FloatVector = self.matrix.diagonal()
 
     def to_caller(self, x: FloatVector) -> FloatVector:

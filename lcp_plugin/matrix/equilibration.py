@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
+from .structure import row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
@@ -25,15 +27,13 @@ class Exponents(NamedTuple):
     column: IntVector
 
 
-def scaling_exponents(M: Any, rows: IntVector, is_symmetric: bool) -> Exponents | None:
+def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     """Return powers of two that bring the diagonal near 1 and balance the rest, or None where M needs none.
 
     Parameters
     ----------
     M : CSR array, shape (n, n)
         Its diagonal has no zero.
-    rows : array, shape (nnz,)
-        Row number of each entry.
     is_symmetric : bool
         Then the scaled matrix is symmetric too.
     """
@@ -43,34 +43,65 @@ def scaling_exponents(M: Any, rows: IntVector, is_symmetric: bool) -> Exponents 
     if largest - smallest <= DIAGONAL_SPREAD and largest_entry - smallest <= LARGEST_RATIO:
         return None
     diagonal: FloatVector = np.log2(pivots)
+    rows = row_numbers(M)
     off = (rows != M.indices) & (M.data != 0.0)
     ratios = np.log2(np.abs(M.data[off])) - diagonal[rows[off]]
     spread = float(np.ptp(diagonal))
     if spread <= DIAGONAL_SPREAD and (ratios.size == 0 or ratios.max() <= LARGEST_RATIO):
         return None
     if is_symmetric:
-        half = -np.rint(diagonal / 2.0).astype(np.int64)
-        return Exponents(half, half)
+        return unit_diagonal(pivots)
     position = _balanced(ratios, rows[off], M.indices[off], diagonal.size)
     column = np.rint(np.clip(position, -LARGEST_EXPONENT, LARGEST_EXPONENT)).astype(np.int64)
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
 
 
-def scaled(M: Any, rows: IntVector, exponents: Exponents | None) -> Any:
-    """Return the CSR array with entries m_ij 2^(row_i + column_j)."""
+def unit_diagonal(diagonal: FloatVector) -> Exponents:
+    """Return the powers of two, alike for rows and columns, that bring a positive diagonal near 1."""
+    half = -np.rint(np.log2(diagonal) / 2.0).astype(np.int64)
+    return Exponents(half, half)
+
+
+def evened(M: Any, aims: Sequence[float]) -> Exponents:
+    """Return powers of two that bring the entries of a CSR array near 1, rows and columns in turn.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+    aims : sequence of float
+        For each pass what is brought to 1 of a row or column: 1 its largest entry, ½ the middle of largest and
+        smallest.
+    """
+    exponents, places = np.frexp(M.data)[1].astype(float), (row_numbers(M), M.indices)
+    scales = [np.zeros(M.shape[0]), np.zeros(M.shape[0])]
+    for share in aims:
+        for axis, here in enumerate(places):
+            now = exponents + scales[0][places[0]] + scales[1][places[1]]
+            largest, smallest = np.full(M.shape[0], -np.inf), np.full(M.shape[0], np.inf)
+            np.maximum.at(largest, here, now)
+            np.minimum.at(smallest, here, now)
+            with np.errstate(invalid="ignore"):
+                middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
+            scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
+    return Exponents(*(scale.astype(np.int64) for scale in scales))
+
+
+def scaled(M: Any, exponents: Exponents | None) -> Any:
+    """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
     if exponents is None:
         return M
-    shift = exponents.row[rows] + exponents.column[M.indices]
-    with np.errstate(under="ignore", over="ignore"):
-        return sp.csr_array((_ldexp(M.data, shift), M.indices, M.indptr), shape=M.shape)
+    if not sp.issparse(M):
+        return _ldexp(M, exponents.row[:, None] + exponents.column)
+    shift = exponents.row[row_numbers(M)] + exponents.column[M.indices]
+    return sp.csr_array((_ldexp(M.data, shift), M.indices, M.indptr), shape=M.shape)
 
 
 def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
     """Return x_i 2^exponent_i, shape (n,)."""
-    return x if exponent is None else _ldexp(x, exponent)
+    return x if exponent is None else np.asarray(_ldexp(x, exponent))
 
 
-def _ldexp(x: FloatVector, exponent: IntVector) -> FloatVector:
+def _ldexp(x: Any, exponent: IntVector) -> Any:
     with np.errstate(under="ignore", over="ignore"):
         return np.ldexp(x, np.clip(exponent, -5000, 5000).astype(np.int32))
 

@@ -13,13 +13,12 @@ doi:10.1137/1.9781611971262.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
-from ..errors import InvalidOption, InvalidProblem
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
 from ..exact.rational import rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
@@ -101,61 +100,6 @@ def h_verdict(matrix: Matrix) -> HVerdict:
         certificate = None if found is None else HCertificate(*found)
         return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), certificate)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
-
-
-def prove_m_matrix(
-    diagonal: FloatVector, offdiagonal: Any, effort: Literal["cheap", "full"] = "full"
-) -> HVerdict:
-    """Return whether diag(diagonal) − |offdiagonal| is a nonsingular M-matrix, with its proof.
-
-    Parameters
-    ----------
-    diagonal : array, shape (n,)
-        Finite; the verdict is False where an entry is not positive.
-    offdiagonal : CSR array, shape (n, n)
-        Its magnitudes count; its diagonal is ignored.
-    effort : "cheap" or "full"
-        cheap: v = 1, then up to five sweeps. full: until it is decided, or cannot be.
-
-    Returns
-    -------
-    HVerdict
-        `is_h` True, False or None; `certificate` with v and margin; `lower`, `upper` around the spectral radius of
-        diag(diagonal)⁻¹|offdiagonal|.
-
-    Raises
-    ------
-    InvalidProblem
-        Where shapes do not fit or a number is not finite.
-    InvalidOption
-        Where `effort` is none of the two.
-
-    Examples
-    --------
-    >>> B = sp.csr_array(np.array([[0.0, -1.0], [3.0, 0.0]]))
-    >>> prove_m_matrix(np.array([1.0, 4.0]), B).is_h
-    True
-    >>> prove_m_matrix(np.array([1.0, 1.0]), B, effort="cheap").is_h
-    False
-    """
-    if effort not in ("cheap", "full"):
-        raise InvalidOption(f'effort must be "cheap" or "full", got {effort!r}')
-    diagonal = np.asarray(diagonal, dtype=np.float64)
-    if offdiagonal.shape != (diagonal.size, diagonal.size):
-        raise InvalidProblem(
-            f"a diagonal of shape {diagonal.shape} needs an off-diagonal part of shape "
-            f"({diagonal.size}, {diagonal.size}), got {offdiagonal.shape}"
-        )
-    if not (np.isfinite(diagonal).all() and np.isfinite(offdiagonal.data).all()):
-        raise InvalidProblem("an M-matrix needs finite entries; check the diagonal and the off-diagonal part")
-    if (diagonal <= 0.0).any():
-        row = int(np.flatnonzero(diagonal <= 0.0)[0])
-        return HVerdict(False, f"entry {row} of the diagonal is {diagonal[row]:.6g}")
-    rest = sp.csr_array(offdiagonal)
-    rest = rest - sp.diags_array(rest.diagonal(), format="csr")
-    whole = sp.csr_array(abs(rest) + sp.diags_array(diagonal, format="csr"))  # ⟨whole⟩ is what is asked about
-    whole.sort_indices()
-    return decide(whole, None if effort == "cheap" else lambda: ComparisonMatrix(whole))
 
 
 def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
@@ -359,5 +303,3 @@ def _centred(v: FloatVector) -> FloatVector:
         return v
     middle = int(np.frexp(positive.max())[1] + np.frexp(positive.min())[1]) // 2
     return np.ldexp(v, -middle)
-
-

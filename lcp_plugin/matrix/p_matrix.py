@@ -124,9 +124,7 @@ def _signed_pairs(M: Any, transposed: Any) -> tuple[Any, Any, FloatVector, Float
 
 def _equilibrated(M: Any) -> tuple[FloatArray, FloatArray]:
     """Return M scaled by powers of two, shape (1, n, n), and bounds of what that changed."""
-    rows = row_numbers(M)
-    exponents = scaling_exponents(M, rows, is_symmetric=False)
-    values = scaled(M, rows, exponents).toarray()
+    values = scaled(M, scaling_exponents(M, is_symmetric=False)).toarray()
     stored = M.toarray() != 0.0
     lost = stored & (np.abs(values) < SCALED_TO_NOTHING)
     return values[None], np.where(lost, SCALED_TO_NOTHING, 0.0)[None]

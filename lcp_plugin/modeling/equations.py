@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bip
 from ..checks import FloatVector
 from ..conversions.constraints import activity
 from ..conversions.substitution import put_in
+from ..kernels.floats import EPSILON
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -26,7 +27,7 @@ Mask = NDArray[np.bool_]
 SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
 MOST_FILL = 4  # times the entries there were
 MOST_DEFINITIONS = 500
-ROUNDING = 4.0 * 2.0**-52
+ROUNDING = 4.0 * EPSILON
 SAME = 1e-9
 
 

@@ -108,16 +108,13 @@ def _product(node: Any, arguments: list[Blocks], constants: Values) -> Blocks:
         return _scaled(node, right if is_left else left, arguments[is_left], constant)
     if max(left.ndim, right.ndim) > 2:
         return _applied(_batched(node, atoms.dense(constant), is_left), arguments[is_left])
-    if is_left:
-        matrix = sp.csr_array(np.atleast_2d(constant) if not sp.issparse(constant) else constant)
-        copies = right.shape[1] if right.ndim == 2 else 1
-        operator = matrix if copies == 1 else sp.kron(sp.eye_array(copies), matrix, format="csr")
-    else:
-        # The transpose of CSC is CSR on the same arrays.
-        transposed = constant.T if sp.issparse(constant) else np.atleast_2d(np.transpose(constant))
-        matrix = sp.csr_array(transposed)
-        copies = left.shape[0] if left.ndim == 2 else 1
-        operator = matrix if copies == 1 else sp.kron(matrix, sp.eye_array(copies), format="csr")
+    # vec(A X) = (I ⊗ A) vec X and vec(X A) = (Aᵀ ⊗ I) vec X; the transpose of CSC is CSR on the same arrays.
+    argument, factor = (right, constant) if is_left else (left, constant.T)
+    operator = sp.csr_array(factor if sp.issparse(factor) else np.atleast_2d(factor))
+    copies = argument.shape[1 if is_left else 0] if argument.ndim == 2 else 1
+    if copies > 1:
+        identity = sp.eye_array(copies)
+        operator = sp.kron(*((identity, operator) if is_left else (operator, identity)), format="csr")
     return _applied(operator, arguments[is_left])
 
 

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
-
-from ..algorithms.base import Step
-from ..checks import FloatVector
-from ..settings import Settings, Status
 
 FIRST_CHECK = 10
 CHECK_GROWTH = 1.5
@@ -15,7 +10,6 @@ FIRST_FLOOR_CHECK = 25
 PROGRESS = 0.99
 LONGEST_FRONT = 2000
 RISING = 10
-DIVERGED_BEYOND = 1e8
 
 
 class CheckSchedule:
@@ -88,63 +82,3 @@ class Progress:
         fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
         needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
         return needed > fall * (self.max_iterations - iteration)
-
-
-class Running(Protocol):
-    """What a run tells about itself; on many processes all of it is the same on each."""
-
-    settings: Settings
-    progress: Progress
-
-    @property
-    def iteration(self) -> int:
-        """The present iteration."""
-
-    @property
-    def best(self) -> float:
-        """The best residual so far."""
-
-    @property
-    def start_residual(self) -> float:
-        """The residual of the start."""
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds that count against the limit."""
-
-    @property
-    def unit(self) -> float:
-        """The size of a residual that is nothing to worry about: that of z°."""
-
-    def passes(self, z: FloatVector, residual: float) -> bool:
-        """Return whether z is what was asked for."""
-
-    def is_at_floor(self) -> bool:
-        """Return whether the best residual is no larger than rounding explains."""
-
-
-def reason_to_end(run: Running, step: Step, residual: float | None, *, is_monotone: bool) -> Status | None:
-    """Return why a run ends with this step, or None: one decision for one process and for many."""
-    settings, progress = run.settings, run.progress
-    if residual is not None:
-        if run.passes(step.z, residual):
-            return Status.SOLVED
-        is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
-        is_beyond = is_lost and not residual <= DIVERGED_BEYOND * run.start_residual
-        if is_beyond and not residual <= DIVERGED_BEYOND * run.unit:
-            return Status.DIVERGED
-    elif step.increment is not None and not math.isfinite(step.increment):
-        return Status.DIVERGED
-    if run.iteration >= settings.max_iterations:
-        return Status.MAX_ITERATIONS
-    if run.elapsed >= settings.max_seconds:
-        return Status.MAX_SECONDS
-    if step.is_settling:
-        progress.restart(run.iteration, run.best)
-    if residual is None:
-        return None
-    if progress.is_flat(run.iteration, run.best) and run.is_at_floor():
-        return Status.PRECISION_LIMIT
-    if is_monotone and progress.is_stalled(run.iteration, run.best, settings.tolerance):
-        return Status.STALLED
-    return None

@@ -17,7 +17,7 @@ from ..checks import FloatVector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..policy.choice import Policy, policy_for
-from ..policy.pacing import CheckSchedule, Progress, reason_to_end
+from ..policy.pacing import CheckSchedule, Progress
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
 from ..settings import CallersOwn, Settings, Status, checked_callback
@@ -30,6 +30,7 @@ from .state import Clock, Incumbent, Ledger
 Callback = Callable[[Sample, FloatVector], Any]
 
 SAMPLE_GROWTH = 1.05
+DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 
 
 def solve(
@@ -162,7 +163,7 @@ class _Run:
 
     def _follow(self, steps: Iterator[Step]) -> tuple[Status, Choice | None]:
         """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
-        self.progress.restart(max(self.iteration, 0), self.best)
+        self.progress.restart(max(self.ledger.iteration, 0), self.incumbent.residual)
         reason: Status | None = None
         try:
             for step in steps:
@@ -180,7 +181,7 @@ class _Run:
         reason = reason or Status.STALLED
         if reason not in (Status.STALLED, Status.DIVERGED):
             return reason, None
-        if self.is_at_floor():
+        if self.judge.is_at_floor(self.incumbent.z):
             return Status.PRECISION_LIMIT, None
         return reason, self._next(has_failed=True)
 
@@ -189,22 +190,23 @@ class _Run:
 
     def _observe(self, step: Step) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
-        is_first = self.ledger.enter(step, self.clock.read()) if isinstance(step, Step) else self._refuse(step)
-        self.incumbent.unmeasured = step.z
+        ledger, incumbent = self.ledger, self.incumbent
+        is_first = ledger.enter(step, self.clock.read()) if isinstance(step, Step) else self._refuse(step)
+        incumbent.unmeasured = step.z
         known = residual = self.judge.residual_of(step)
-        if known is None and (is_first or self.checks.is_due(self.iteration, step.increment)):
+        if known is None and (is_first or self.checks.is_due(ledger.iteration, step.increment)):
             residual = self.judge.measure(step.z)
-            self.ledger.work += 1.0 if self.iteration > 0 else 0.0  # the start is measured for every problem
+            ledger.work += 1.0 if ledger.iteration > 0 else 0.0  # the start is measured for every problem
         if residual is not None:
             if residual <= self.settings.tolerance:  # measured, not proved
                 residual = self.judge.certified(step.z)
             if known is None and step.increment is not None:
-                self.checks.learn(self.iteration, step.increment, residual)
-            self.incumbent.offer(step.z, residual)
-            self.ledger.stages[-1].note(residual)
-            if self.iteration == 0:
+                self.checks.learn(ledger.iteration, step.increment, residual)
+            incumbent.offer(step.z, residual)
+            ledger.stages[-1].note(residual)
+            if ledger.iteration == 0:
                 self.start_residual = residual
-        reason = reason_to_end(self, step, residual, is_monotone=self.ledger.stages[-1].algorithm.is_monotone)
+        reason = self._reason_to_end(step, residual)
         if reason is None and self.clock.is_interrupted:
             reason = Status.INTERRUPTED
         if self._is_watched and self._report(step, residual, reason is not None):
@@ -218,50 +220,47 @@ class _Run:
         name = self.ledger.stages[-1].algorithm.name
         raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
 
-    # --- what the ending asks ---------------------------------------------------------------------------
-
-    @property
-    def iteration(self) -> int:
-        """The present iteration."""
-        return self.ledger.iteration
-
-    @property
-    def best(self) -> float:
-        """The best residual so far."""
-        return self.incumbent.residual
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds that count against the limit."""
-        return self.clock.elapsed
-
-    @property
-    def unit(self) -> float:
-        """The size of a residual that is nothing to worry about."""
-        return self.judge.unit
-
-    def passes(self, z: FloatVector, residual: float) -> bool:
-        """Return whether z is what was asked for."""
-        return self.judge.passes(z, residual, self.iteration)
-
-    def is_at_floor(self) -> bool:
-        """Return whether the best residual is no larger than rounding explains."""
-        return self.judge.is_at_floor(self.incumbent.z)
+    def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
+        """Return why the run ends with this step, or None."""
+        iteration, best = self.ledger.iteration, self.incumbent.residual
+        progress, settings = self.progress, self.settings
+        is_monotone = self.ledger.stages[-1].algorithm.is_monotone
+        if residual is not None:
+            if self.judge.passes(step.z, residual, iteration):
+                return Status.SOLVED
+            is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
+            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
+            if is_beyond and not residual <= DIVERGED_BEYOND * self.judge.unit:
+                return Status.DIVERGED
+        elif step.increment is not None and not math.isfinite(step.increment):
+            return Status.DIVERGED
+        if iteration >= settings.max_iterations:
+            return Status.MAX_ITERATIONS
+        if self.clock.elapsed >= settings.max_seconds:
+            return Status.MAX_SECONDS
+        if step.is_settling:
+            progress.restart(iteration, best)
+        if residual is None:
+            return None
+        if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
+            return Status.PRECISION_LIMIT
+        is_stalled = is_monotone and progress.is_stalled(iteration, best, settings.tolerance)
+        return Status.STALLED if is_stalled else None
 
     # --- telling ----------------------------------------------------------------------------------------
 
     def _report(self, step: Step, residual: float | None, is_last: bool) -> bool:
         """Record and call back, the clock stopped; return whether the caller wants to stop."""
         ledger, name, wants_to_stop = self.ledger, self.ledger.stages[-1].algorithm.name, False
-        is_due = self.settings.record and (is_last or self.iteration >= self._next_sample)
+        is_due = self.settings.record and (is_last or self.ledger.iteration >= self._next_sample)
         with self.clock.paused():
-            sample = Sample(self.iteration, ledger.work, ledger.seconds, residual, name)
+            sample = Sample(self.ledger.iteration, ledger.work, ledger.seconds, residual, name)
             wants_to_stop = self._called_back(sample, step.z)
             if is_due or (self.settings.record and wants_to_stop):
-                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * SAMPLE_GROWTH))
+                self._next_sample = max(self.ledger.iteration + 1, math.ceil(self.ledger.iteration * SAMPLE_GROWTH))
                 residual = self.judge.measure(step.z) if residual is None else residual
                 bound = self.judge.bound_along_the_run(step.z, ledger.work)
-                ledger.samples.append(Sample(self.iteration, ledger.work, ledger.seconds, residual, name, bound))
+                ledger.samples.append(Sample(self.ledger.iteration, ledger.work, ledger.seconds, residual, name, bound))
         return wants_to_stop
 
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ class Judge:
         self._certificate = Certificate.of(self.problem, z)
         return self._certificate.measured(self.settings.measure)
 
-    @property
+    @cached_property
     def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
         return 1.0 if self.settings.measure == "relative" else self.measure(self.problem.nearest_to_zero)

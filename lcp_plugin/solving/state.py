@@ -95,17 +95,18 @@ class Ledger:
     def enter(self, step: Step, seconds: float) -> bool:
         """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
         stage, is_first = self.stages[-1], self._is_first
-        self._is_first = False
         self.seconds = seconds
         self.work += step.work
         stage.work += step.work
         stage.remark = step.remark or stage.remark
         if not is_first:
             stage.iterations += 1
-        if not is_first or len(self.stages) == 1:
             self.iteration += 1
-        if self.iteration == 0:
-            self.setup_seconds = seconds
+        else:
+            self._is_first = False
+            self.iteration = max(self.iteration, 0)
+            if self.iteration == 0:
+                self.setup_seconds = seconds
         return is_first
 
     def name(self, policy: str) -> str:

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...certificates.forced_bounds import find_forced_contradiction
 from ...certificates.infeasibility import decide_feasibility
+from ...certificates.no_solution import find_forced_contradiction
 from ...checks import FloatVector
 from ...crossovers import LINEAR_PROGRAM_UP_TO
 from ...errors import UnsuitableProblem

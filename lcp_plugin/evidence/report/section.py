@@ -15,6 +15,7 @@ from ..drawing import svg
 from ..gallery.scene import Scene
 
 Say = Callable[[str], object]
+Compute = Callable[[Say], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Part:
 
     kind: str
     name: str
-    compute: Callable[[Say], dict[str, Any]]
+    compute: Compute
     effort: Effort
     data: str = ""
 
@@ -93,6 +94,8 @@ class Section:
 
     Attributes
     ----------
+    kind : str
+        Of its parts, where it has any.
     place : int
         Sections stand, are computed and speak in this order.
     title, short : str
@@ -101,6 +104,7 @@ class Section:
         What jinja makes the section's body of; by default the file beside the module, with its name.
     """
 
+    kind: ClassVar[str] = ""
     place: ClassVar[int]
     title: ClassVar[str]
     short: ClassVar[str]
@@ -116,9 +120,14 @@ class Section:
         beside = resources.files(f"{__package__}.sections").joinpath(f"{self.anchor}.html")
         return self.template or beside.read_text(encoding="utf-8")
 
+    def work(self, effort: Effort) -> Mapping[str, Compute]:
+        """Return what the whole report has to compute, by name."""
+        return {}
+
     def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterable[Part]:
-        """Return what is to be computed, one by one, for the scenes asked for (none: for the whole report)."""
-        return ()
+        """Return what is to be computed one by one, for the scenes asked for or, without any, the whole report."""
+        work = {} if scenes else self.work(effort)
+        return [Part(self.kind, name, compute, effort) for name, compute in work.items()]
 
     def tell(self, collected: Collected) -> Iterable[Claim]:
         """Return what the measurements say, in sentences that can come out either way; nothing without data."""

@@ -13,8 +13,7 @@ from ...checks import FloatVector
 from ...errors import UnsuitableProblem
 from ...exact.linear_systems import solve_exactly
 from ...exact.rational import power_of_two, rational_rows
-from ...matrix.equilibration import Exponents, scaled
-from ...matrix.structure import row_numbers
+from ...matrix.equilibration import evened, scaled
 from ...problem.exactly import exact_slack, is_exact_solution
 from ...problem.lcp import LCP
 
@@ -25,6 +24,7 @@ AT_LOWER, FREE, AT_UPPER = -1, 0, 1
 LARGEST_DENSE = 400  # up to here a condition number comes from a dense inverse
 MOST_EXCHANGES = 100
 SMALLEST_NORMAL = 2.0**-1022
+ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
 def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
@@ -72,7 +72,7 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
     free = [i for i, state in enumerate(states) if state == FREE]
     right = exact_slack(problem, z)
-    _, column = _equilibration(problem)
+    column = evened(problem.csr, ALIKE).column
     rows, whole, integers = rational_rows(problem.csr), [], []
     for i in free:
         row = rows[i]
@@ -149,12 +149,12 @@ def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float
 
 def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
     rows = np.flatnonzero(free)
-    exponents = row, column = _equilibration(problem)
-    numbers, sizes = row_numbers(problem.csr), problem.csr.copy()
+    exponents = row, column = evened(problem.csr, ALIKE)
+    sizes = problem.csr.copy()
     sizes.data = _ulps(sizes.data)
-    M = scaled(problem.csr, numbers, exponents)
+    M = scaled(problem.csr, exponents)
     z = np.array([abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)])
-    size = scaled(sizes, numbers, exponents) @ z + np.ldexp(_ulps(problem.q), row)
+    size = scaled(sizes, exponents) @ z + np.ldexp(_ulps(problem.q), row)
     block = M[rows][:, rows]
     inverse_times_size = _absolute_inverse_product(block, size[rows])
     with np.errstate(all="ignore"):
@@ -188,25 +188,6 @@ def _absolute_inverse_product(block: Any, size: FloatVector) -> FloatVector:
     # The inverse of an M-matrix has no negative entry, so that one solve with it is one with its absolute value.
     solution: FloatVector = splu(block.tocsc()).solve(size)
     return solution
-
-
-def _equilibration(problem: LCP) -> Exponents:
-    """Return exponents r, c such that 2^(r_i + c_j) m_ij has its largest entries near 1; then z_j = 2^c_j ẑ_j."""
-    M = problem.csr
-    exponent = np.frexp(M.data)[1].astype(np.int64)
-    of_row = row_numbers(M)
-    row, column = np.zeros(problem.n, np.int64), np.zeros(problem.n, np.int64)
-    for _ in range(3):
-        row = -_largest_by(of_row, exponent + column[M.indices], problem.n)
-        column = -_largest_by(M.indices, exponent + row[of_row], problem.n)
-    return Exponents(row, column)
-
-
-def _largest_by(index: Any, values: Any, n: int) -> Any:
-    lowest = np.iinfo(np.int64).min
-    largest = np.full(n, lowest, np.int64)
-    np.maximum.at(largest, index, values)
-    return np.where(largest == lowest, 0, largest)
 
 
 # --- how far z is from it -------------------------------------------------------------------------------------------

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 from ...cross_check import cross_validate
 from ...exporting import csv_of, finite_content
 from ...gallery import parse
-from ...gallery.scene import Scene
-from ..section import Claim, Collected, Effort, Part, Say, Section, many
+from ..section import Claim, Collected, Compute, Effort, Say, Section, many
 
 CHECKED = (
     "paper_example_1:n=900", "half_active:n=900", "obstacle_2d:size=30", "obstacle_bumps:size=30",
     "optimal_stopping:size=20", "journal_bearing:size=30", "american_put:size=301", "rigid_stack", "market_equilibrium",
 )
-CHECKED_QUICKLY = CHECKED[:5]
 
 
 class CrossValidation(Section):
     """Our answer beside another's on some scenes."""
 
+    kind = "check"
     place = 6
     title = "Cross-validation"
     short = "Cross-validation"
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
-        """Yield one part a scene."""
-        for text in () if scenes else CHECKED_QUICKLY if effort.is_quick else CHECKED:
-            yield Part("check", text, partial(_computed, text, effort), effort)
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part a scene."""
+        return {text: partial(_computed, text, effort) for text in CHECKED[: 5 if effort.is_quick else None]}
 
     def tell(self, collected: Collected) -> Iterator[Claim]:
         """Yield the verdicts."""

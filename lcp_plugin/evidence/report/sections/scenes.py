@@ -55,6 +55,7 @@ TRIAL = 0.25  # of the work a run may do: the limit of one trial of the tuning
 class Scenes(Section):
     """Error against time and work on each scene."""
 
+    kind = "scene"
     place = 2
     title = "Scene by scene"
     short = "Scenes"
@@ -66,7 +67,7 @@ class Scenes(Section):
             if isinstance(given, str):
                 parse(given)
         for name, given in chosen.items():
-            yield Part("scene", name, partial(measured, name, given, effort), effort, _hash(given))
+            yield Part(self.kind, name, partial(measured, name, given, effort), effort, _hash(given))
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return an article a scene, and the colours of the families that occur."""

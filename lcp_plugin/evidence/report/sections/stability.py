@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from ...gallery.scene import Scene
 from ...stability import Atlas, Cell, stability_atlas
 from ...stability.stresses import FAMILIES
-from ..section import Claim, Collected, Effort, Part, Say, Section, many, percent
+from ..section import Claim, Collected, Compute, Effort, Say, Section, many, percent
 
 TOO_LONG_FOR_QUICK = ("sizes",)
 
@@ -17,15 +16,15 @@ TOO_LONG_FOR_QUICK = ("sizes",)
 class Stability(Section):
     """Algorithms against families of stress."""
 
+    kind = "atlas"
     place = 4
     title = "Stability atlas"
     short = "Stability"
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
-        """Yield one part a family."""
-        for family in () if scenes else FAMILIES:
-            if not (effort.is_quick and family in TOO_LONG_FOR_QUICK):
-                yield Part("atlas", family, partial(_computed, family, effort), effort)
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part a family."""
+        families = [one for one in FAMILIES if not (effort.is_quick and one in TOO_LONG_FOR_QUICK)]
+        return {family: partial(_computed, family, effort) for family in families}
 
     def tell(self, collected: Collected) -> Iterator[Claim]:
         """Yield the lies, the share of SOLVED, and the errors that a small residual hides."""

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 from ...exporting import csv_of, finite_content
-from ...gallery.scene import Scene
 from ...paper_tables import cells
-from ..section import Claim, Collected, Effort, Part, Say, Section
+from ..section import Claim, Collected, Compute, Effort, Say, Section
 
 
 class PaperTables(Section):
     """One row an algorithm, in each cell our count, and the paper's where it differs."""
 
+    kind = "tables"
     place = 5
     title = "The paper's tables, computed again"
     short = "Paper's tables"
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
-        """Yield one part: both tables."""
-        if not scenes:
-            yield Part("tables", "paper", _computed, effort)
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part: both tables."""
+        return {"paper": _computed}
 
     def tell(self, collected: Collected) -> Iterator[Claim]:
         """Yield how many counts agree."""

@@ -97,7 +97,10 @@ class Algorithm(ABC):
         return z
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return about how many passes over M an answer takes where npsor needs so many more sweeps; ∞ for no idea."""
+        """Return about how many passes over M an answer takes where npsor needs so many more sweeps.
+
+        ∞ where it is no rival of npsor, or none by its work: those come by their prospects.
+        """
         return math.inf
 
     def facts(self, problem: LCP) -> IterationFacts | None:

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -121,7 +122,8 @@ class Auto:
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
             self._direct = direct_methods(problem)
-            return next(self._direct, None)
+            first = next(self._direct, None)
+            return first and replace(first, because=f"{needs}; {first.because}")
         return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
 
 

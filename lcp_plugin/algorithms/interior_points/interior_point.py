@@ -15,7 +15,7 @@ from ...checks import FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
-from ..base import Algorithm, Step, direct_passes, without_warnings
+from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
@@ -73,10 +73,6 @@ class InteriorPoint(Algorithm):
     reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
-
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return those of a direct answer."""
-        return direct_passes(problem)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""

@@ -146,10 +146,6 @@ class ProjectedType(Algorithm):
                 z, new = new, z
             work = float(len(passes))
 
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return the sweeps to go."""
-        return sweeps
-
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise where a pivot is not positive."""
         alpha, beta = self.splitting()

@@ -6,6 +6,7 @@ Nothing here is rigorous: what is solved is verified by those who ask (:mod:`.h_
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..checks import FloatVector
 from ..errors import InvalidProblem
 from .equilibration import Exponents, scaled, scaling_exponents, times_power
 from .factors import factor_fits, solver_of
-from .matrix import HasFacts, Matrix, fact
+from .matrix import Matrix, fact
 from .structure import row_numbers
 from .symmetry import is_symmetric_entrywise
 
@@ -29,7 +30,7 @@ DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
 
 
-class LinearSystem(HasFacts):
+class LinearSystem:
     """A system that is solved approximately: by Krylov steps on its grids where it is large, else by a factor.
 
     Parameters
@@ -40,20 +41,17 @@ class LinearSystem(HasFacts):
     """
 
     def __init__(self, matrix: Any, is_symmetric: bool) -> None:
-        super().__init__()
         self.matrix, self.is_symmetric = matrix, is_symmetric
         self._multigrid_failed = False
 
-    @property
-    @fact
+    @cached_property
     def hierarchy(self) -> Hierarchy:
         """The grids of the matrix."""
         from .hierarchy.levels import build_hierarchy
 
         return build_hierarchy(self.matrix)
 
-    @property
-    @fact
+    @cached_property
     def direct_solver(self) -> Solver | None:
         """Rhs ↦ matrix⁻¹ rhs by a factor, or None where the matrix is singular or too large for one."""
         return solver_of(self.matrix) if factor_fits(self.matrix) else None

@@ -41,7 +41,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: HasFacts, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the value, computed where nobody has asked before."""
         key = (self, *args)
         try:
@@ -53,20 +53,12 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
                 value = matrix._facts[key]
         return value
 
-    def is_known(self, matrix: HasFacts, *args: Hashable) -> bool:
+    def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
         """Return whether it was asked for before."""
         return (self, *args) in matrix._facts
 
 
-class HasFacts:
-    """What facts are kept with, under a lock of its own."""
-
-    def __init__(self) -> None:
-        self._facts: dict[Hashable, Any] = {}
-        self._lock = Lock()
-
-
-class Matrix(HasFacts):
+class Matrix:
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
     It is its own rows and its peers, the processes that hold the others; usually it is whole, and there are none.
@@ -98,7 +90,11 @@ class Matrix(HasFacts):
         self.peers: Peers = ALONE
         self.n: int = self.rows.shape[0]
         self.own: int = self.n
-        super().__init__()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._facts: dict[Hashable, Any] = {}
+        self._lock = Lock()
 
     @classmethod
     def of_own_rows(cls, rows: sp.csr_array, peers: Peers) -> Matrix:
@@ -106,7 +102,7 @@ class Matrix(HasFacts):
         matrix = object.__new__(cls)
         matrix._csr, matrix._dense, matrix.peers, matrix.own = rows, None, peers, rows.shape[0]
         matrix.n = int(peers.total(matrix.own))
-        HasFacts.__init__(matrix)
+        matrix._begin()
         matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
         return matrix
 
@@ -210,7 +206,7 @@ class Matrix(HasFacts):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        super().__init__()
+        self._begin()
         # Unpickled arrays are writable again.
         if self._dense is not None:
             self._dense.flags.writeable = False

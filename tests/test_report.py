@@ -27,7 +27,7 @@ from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.error_against_time import best_answer
 from lcp_plugin.evidence.report.collect import collect
 from lcp_plugin.evidence.report.page import write_report
-from lcp_plugin.evidence.report.section import FULL, QUICK, Claim, Collected, Part, Section, claims, plan, sections
+from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Finding, Part, Section, claims, plan, sections
 from lcp_plugin.evidence.report.sections.scenes import QUICK_SCENES, SCENES
 from lcp_plugin.evidence.stability import stability_atlas
 
@@ -329,8 +329,8 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
         def parts(self, scenes: Any, effort: Any) -> list[Part]:
             return [Part("size", name, lambda say: {"n": 7}, effort) for name in scenes]
 
-        def tell(self, collected: Collected) -> list[Claim]:
-            return [Claim("Size", f"The largest has {max(one['n'] for one in collected.of('size'))} unknowns.")]
+        def tell(self, collected: Collected) -> list[Finding]:
+            return [Finding("Size", f"The largest has {max(one['n'] for one in collected.of('size'))} unknowns.")]
 
         def draw(self, collected: Collected) -> dict[str, Any]:
             return {"largest": 7}

@@ -82,7 +82,7 @@ class Collected:
 
 
 @dataclass(frozen=True)
-class Claim:
+class Finding:
     """A heading of a few words and the sentence with the figures."""
 
     heading: str
@@ -129,7 +129,7 @@ class Section:
         work = {} if scenes else self.work(effort)
         return [Part(self.kind, name, compute, effort) for name, compute in work.items()]
 
-    def tell(self, collected: Collected) -> Iterable[Claim]:
+    def tell(self, collected: Collected) -> Iterable[Finding]:
         """Return what the measurements say, in sentences that can come out either way; nothing without data."""
         return ()
 
@@ -174,7 +174,7 @@ def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Par
     return [part for section in sections() for part in section.parts(chosen, effort)]
 
 
-def claims(collected: Collected) -> list[Claim]:
+def claims(collected: Collected) -> list[Finding]:
     """Return what the collected parts say, the paper's promise first; nothing is said where data are missing."""
     return [claim for section in sections() for claim in section.tell(collected)]
 

@@ -10,7 +10,7 @@ from typing import Any
 from ...cross_check import cross_validate
 from ...exporting import csv_of, finite_content
 from ...gallery import parse
-from ..section import Claim, Collected, Compute, Effort, Say, Section, many
+from ..section import Collected, Compute, Effort, Finding, Say, Section, many
 
 CHECKED = (
     "paper_example_1:n=900", "half_active:n=900", "obstacle_2d:size=30", "obstacle_bumps:size=30",
@@ -30,12 +30,12 @@ class CrossValidation(Section):
         """Return one part a scene."""
         return {text: partial(_computed, text, effort) for text in CHECKED[: 5 if effort.is_quick else None]}
 
-    def tell(self, collected: Collected) -> Iterator[Claim]:
+    def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield the verdicts."""
         verdicts = Counter(content["verdict"] for content in collected.of("check"))
         if verdicts:
             said = ", ".join(f"{number} {verdict}" for verdict, number in verdicts.most_common())
-            yield Claim("Against convex solvers", f"Cross-validation of {many(verdicts.total(), 'scene')}: {said}.")
+            yield Finding("Against convex solvers", f"Cross-validation of {many(verdicts.total(), 'scene')}: {said}.")
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return one row a scene."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...curves import Curve, Report
 from ...drawing import COLOURS
-from ..section import Claim, Collected, Section, count, many, percent
+from ..section import Collected, Finding, Section, count, many, percent
 
 SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")
 WORTH_A_WORD = 1.1
@@ -27,7 +27,7 @@ class Comparison(Section):
     title = "The comparison the paper promises"
     short = "Comparison"
 
-    def tell(self, collected: Collected) -> Iterator[Claim]:
+    def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield what the passes say, the paper's promise first."""
         reports = collected.reports()
         yield from _promised(reports)
@@ -71,7 +71,7 @@ def with_active(reports: Sequence[Report]) -> list[Report]:
     return [report for report in reports if ACTIVE[0] <= report.active_share <= ACTIVE[1]]
 
 
-def _promised(reports: Sequence[Report]) -> Iterator[Claim]:
+def _promised(reports: Sequence[Report]) -> Iterator[Finding]:
     active = with_active(reports)
     chosen = [report for report in active if _splittings(report)]
     if not chosen:
@@ -87,7 +87,7 @@ def _promised(reports: Sequence[Report]) -> Iterator[Claim]:
                  f"passes of the best splitting{_in_the_median(finite)}.")
     if len(active) > len(chosen):
         text += f" On {len(active) - len(chosen)} more no splitting arrives."
-    yield Claim("The comparison the paper promises", text)
+    yield Finding("The comparison the paper promises", text)
 
 
 def _in_the_median(values: Sequence[float]) -> str:
@@ -104,7 +104,7 @@ def _behind(report: Report, family: str) -> float:
     return min(own, default=math.inf) / min(map(_passes, every))
 
 
-def _own_examples(reports: Sequence[Report]) -> Iterator[Claim]:
+def _own_examples(reports: Sequence[Report]) -> Iterator[Finding]:
     own = [report for report in reports if report.title.startswith("paper_example") and "delta=4.0" in report.title]
     pairs = [(*_work(report, "PGS"), *_work(report, "NPGS paper")) for report in own]
     complete = [pair for pair in pairs if len(pair) == 2]
@@ -118,10 +118,10 @@ def _own_examples(reports: Sequence[Report]) -> Iterator[Claim]:
         text = f"NPGS beats plain projected Gauss–Seidel (PGS) on the paper's own examples: PGS {figures}."
     else:
         text = f"PGS beats NPGS on {ahead} of {len(complete)} of the paper's own examples: {figures}."
-    yield Claim("On the paper's own examples", text)
+    yield Finding("On the paper's own examples", text)
 
 
-def _slow_on_active(reports: Sequence[Report]) -> Iterator[Claim]:
+def _slow_on_active(reports: Sequence[Report]) -> Iterator[Finding]:
     free = {(report.n, _delta(report)): report for report in reports if report.title.startswith("paper_example_1")}
     for report in reports:
         other = free.get((report.n, _delta(report)))
@@ -134,7 +134,7 @@ def _slow_on_active(reports: Sequence[Report]) -> Iterator[Claim]:
         if sentences:
             text = f"From no constraint active to {percent(report.active_share)} of them, with the same matrix"
             text = f"{text} (n = {report.n}): {'; '.join(sentences)}."
-            yield Claim(f"Active constraints, δ = {_delta(report):g}", text)
+            yield Finding(f"Active constraints, δ = {_delta(report):g}", text)
 
 
 def _ratio(label: str, free: list[float], active: list[float]) -> str:
@@ -156,7 +156,7 @@ def _delta(report: Report) -> float:
     return math.nan
 
 
-def _tuning(reports: Sequence[Report]) -> Iterator[Claim]:
+def _tuning(reports: Sequence[Report]) -> Iterator[Finding]:
     for family, tuned, printed, rival in (
         ("MSOR", "MSOR tuned", "MSOR paper", "PSOR"), ("NPSOR", "NPSOR tuned", "NPSOR paper", "PSOR"),
     ):
@@ -165,7 +165,7 @@ def _tuning(reports: Sequence[Report]) -> Iterator[Claim]:
         if gains and against:
             behind = sum(factor > 1.0 for factor in against)
             measured = f"median of {len(gains)} scenes" if len(gains) > 1 else "on 1 scene"
-            yield Claim(
+            yield Finding(
                 f"What tuning {family} buys",
                 f"Its parameters tuned on each very problem, {family} needs {statistics.median(gains):.1f} times fewer "
                 f"passes than with the paper's ({measured}). {rival}, which finds its relaxation "
@@ -173,7 +173,7 @@ def _tuning(reports: Sequence[Report]) -> Iterator[Claim]:
             )
 
 
-def _no_room(chosen: Sequence[Report]) -> Iterator[Claim]:
+def _no_room(chosen: Sequence[Report]) -> Iterator[Finding]:
     if not chosen:
         return
 
@@ -194,7 +194,7 @@ def _no_room(chosen: Sequence[Report]) -> Iterator[Claim]:
     lost = sum(not _splittings(report) for report in chosen)
     if lost:
         text += f" On {lost} of them no splitting arrives within the limit of work."
-    yield Claim("Multigrid and δ = 0", text)
+    yield Finding("Multigrid and δ = 0", text)
 
 
 # --- What is shown --------------------------------------------------------------------------------------------

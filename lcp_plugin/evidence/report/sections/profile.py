@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...curves import Profile, performance_profile
-from ..section import Claim, Collected, Section, figure, many, percent
+from ..section import Collected, Finding, Section, figure, many, percent
 
 
 class PerformanceProfile(Section):
@@ -26,12 +26,12 @@ it is the best; the name stands where it solves its last scene, with a ✕ if th
 </div>
 </div>"""
 
-    def tell(self, collected: Collected) -> Iterator[Claim]:
+    def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield who is first how often, and who solved every scene."""
         for work, seconds in _profiles(collected):
             by_work, by_time = (max(one.labels, key=one.share) for one in (work, seconds))
             every = [label for label in work.labels if work.share(label, math.inf) == 1.0]
-            yield Claim(
+            yield Finding(
                 "Over all scenes",
                 f"Of {many(len(work.problems), 'scene')} {by_work} has the fewest passes on "
                 f"{percent(work.share(by_work))}, {by_time} the least time on {percent(seconds.share(by_time))}. "

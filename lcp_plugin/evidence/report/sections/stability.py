@@ -8,7 +8,7 @@ from typing import Any
 
 from ...stability import Atlas, Cell, stability_atlas
 from ...stability.stresses import FAMILIES
-from ..section import Claim, Collected, Compute, Effort, Say, Section, many, percent
+from ..section import Collected, Compute, Effort, Finding, Say, Section, many, percent
 
 TOO_LONG_FOR_QUICK = ("sizes",)
 
@@ -26,7 +26,7 @@ class Stability(Section):
         families = [one for one in FAMILIES if not (effort.is_quick and one in TOO_LONG_FOR_QUICK)]
         return {family: partial(_computed, family, effort) for family in families}
 
-    def tell(self, collected: Collected) -> Iterator[Claim]:
+    def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield the lies, the share of SOLVED, and the errors that a small residual hides."""
         atlas = _whole(collected)
         if not atlas.cells:
@@ -38,7 +38,7 @@ class Stability(Section):
             well_posed = sum(cell.is_well_posed for cell in atlas.misleading)
             text += (f" {len(atlas.misleading)} of the SOLVED ones hide an error of more than a thousandth behind a "
                      f"small residual, {well_posed} of them well-posed.")
-        yield Claim("Stability", text)
+        yield Finding("Stability", text)
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return the table of algorithms against families, and every cell worth a word."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...exporting import csv_of, finite_content
 from ...paper_tables import cells
-from ..section import Claim, Collected, Compute, Effort, Say, Section
+from ..section import Collected, Compute, Effort, Finding, Say, Section
 
 
 class PaperTables(Section):
@@ -23,12 +23,12 @@ class PaperTables(Section):
         """Return one part: both tables."""
         return {"paper": _computed}
 
-    def tell(self, collected: Collected) -> Iterator[Claim]:
+    def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield how many counts agree."""
         if every := _cells(collected):
             equal = sum(cell["iterations"] == cell["paper_iterations"] for cell in every)
             text = f"The iteration counts agree in {equal} of {len(every)} cells, computed now."
-            yield Claim("The paper's tables", text)
+            yield Finding("The paper's tables", text)
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return the rows of each example by algorithm and relaxation."""

@@ -531,13 +531,17 @@ def test_terminal_without_unicode() -> None:
     assert b"Traceback" not in solved.stderr + listed.stderr + refused.stderr
 
 
+BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
+
+
 @pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
     """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [sys.executable, "-m", "lcp_plugin", *arguments.split()], stdout=writer, stderr=subprocess.PIPE, check=False
+        [sys.executable, "-m", "lcp_plugin", *arguments.split()], stdout=writer, stderr=subprocess.PIPE, check=False,
+        env=BUFFERED,
     )
     os.close(writer)
     assert done.stderr == b""
@@ -550,7 +554,8 @@ def test_full_device_is_told() -> None:
         pytest.skip("there is no device that is always full")
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE, check=False
+            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE, check=False,
+            env=BUFFERED,
         )
     assert done.returncode == 2
     assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)

@@ -253,7 +253,7 @@ MEMORY = """
 def test_where_memory_ends_it_is_said() -> None:
     """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
     done = in_a_process(MEMORY)
-    assert done.stdout.splitlines()[-1:] == ["finished"], done.stdout + done.stderr
+    assert "finished" in done.stdout.splitlines(), done.stdout + done.stderr  # what SuperLU prints may come later
     assert "MemoryError" in done.stdout
 
 

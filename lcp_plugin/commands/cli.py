@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import json as json_module
+import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -74,17 +76,20 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         @functools.wraps(command)
         def wrapped(*args: Any, **kwargs: Any) -> None:
             try:
-                if command(*args, **kwargs) is False:
+                is_done = command(*args, **kwargs) is not False
+                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
+                if not is_done:
                     raise typer.Exit(EXIT_UNSOLVED)
                 return
             except LCPError as error:
                 message = str(error)
             except MemoryError as error:
                 message = f"not enough memory ({error}); choose a smaller problem"
-            except BrokenPipeError:
-                sys.stderr.close()  # the reader has gone; nothing is left to tell
+            except BrokenPipeError:  # the reader has gone; nothing is left to tell
+                _drop_output()
                 raise typer.Exit(EXIT_UNSOLVED) from None
             except OSError as error:
+                _drop_output()
                 message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT)
@@ -93,6 +98,12 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         return command
 
     return registered
+
+
+def _drop_output() -> None:
+    """Let go of what stdout could not write: Python would try once more at its end, and exit with 120."""
+    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 @app.callback(invoke_without_command=True)

@@ -554,8 +554,8 @@ def test_full_device_is_told() -> None:
         pytest.skip("there is no device that is always full")
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE, check=False,
-            env=BUFFERED,
+            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE,
+            check=False, env=BUFFERED,
         )
     assert done.returncode == 2
     assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)

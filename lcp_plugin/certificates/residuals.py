@@ -19,10 +19,10 @@ from ..exact.rounding import gamma
 from ..kernels.floats import EPSILON, TINY
 from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
+from ..settings import MEASURES
 from .row_residuals import residual_ends_of, scaled_residual, sharp_residual_ends
 
 Ends = tuple[float, float]  # a lower and an upper bound
-MEASURES = ("relative", "euclidean")
 MEASURED = (
     "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
     "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",

@@ -7,8 +7,10 @@ import re
 import numpy as np
 import pytest
 
+from lcp_plugin import crossovers
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.benchmarks import BENCHMARKS, load
+from lcp_plugin.evidence.benchmarks.crossovers import MEASURED
 from lcp_plugin.evidence.benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
 from lcp_plugin.evidence.paper_tables import cells, published
 
@@ -36,3 +38,9 @@ def test_paper_tables_are_reproduced() -> None:
     assert [cell for cell in computed if not cell.same_iterations] == []
     assert sum(cell.same_residual for cell in computed) >= 44
     assert published()["n"] == sorted({cell.n for cell in computed})
+
+
+def test_every_crossover_is_measured() -> None:
+    """Each constant of `crossovers` has its line in the benchmark, and nothing else has."""
+    constants = {name for name in vars(crossovers) if name.isupper()}
+    assert set(MEASURED) == constants

@@ -11,6 +11,9 @@ from ... import crossovers
 from ...algorithms.splittings.projected_relaxation import PSOR
 from ...algorithms.splittings.projected_type import NPSOR
 from ...certificates.error_bounds import error_bound
+from ...certificates.infeasibility import decide_feasibility
+from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
+from ...matrix.factors import factorise, solver_of
 from ...problem.lcp import LCP
 from ...solving.driver import solve
 from ..contestants import fresh
@@ -85,14 +88,54 @@ def _factor_or_multigrid(repeats: int) -> str:
     return f"newton is the faster one up to {last} rows"
 
 
+def _once(what: str, problem: LCP, work: Callable[[LCP], object]) -> str:
+    seconds = medians({"once": lambda: work(fresh(problem))}, 1)["once"]
+    return f"{seconds:.2f} s for {what} with n = {problem.n}"
+
+
+def _factor(repeats: int) -> str:
+    return _once("newton", _grid(141), lambda problem: solve(problem, "newton"))
+
+
+def _program(repeats: int) -> str:
+    return _once("the linear program of feasibility", _grid(70), decide_feasibility)
+
+
+def _pivoted(repeats: int) -> str:
+    return f"{8e-9 * crossovers.PIVOTED_UP_TO**2:.1f} GB of inverse, by its size"
+
+
+def _semidefiniteness(repeats: int) -> str:
+    def look(problem: LCP) -> bool | None:
+        return is_semidefinite_to_rounding(symmetric_part(problem.M))
+
+    return _once("a factor of M + Mᵀ", _grid(141), look)
+
+
+def _sweep_or_change(repeats: int) -> str:
+    problem = _dense(crossovers.SWEEPS_FIRST_UP_TO)
+    solved = solver_of(problem.M, dense_up_to=problem.n) or np.copy
+    seconds = medians({"sweep": lambda: problem.M @ problem.q, "change": lambda: solved(problem.q)}, repeats)
+    return f"a product with M costs {seconds['sweep'] / seconds['change']:.1f} solves with its factor, n = {problem.n}"
+
+
+def _dense_or_sparse(repeats: int) -> str:
+    M = _grid(31).csr
+    factors = {name: partial(factorise, A, is_symmetric=True) for name, A in (("dense", M.toarray()), ("sparse", M))}
+    seconds = medians(factors, repeats)
+    ratio = seconds["dense"] / seconds["sparse"]
+    return f"a dense factor costs {ratio:.1f} sparse ones on a grid of {M.shape[0]} rows, where fill is small"
+
+
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
-    seconds = medians({"bound": lambda: error_bound(fresh(problem), z)}, min(repeats, 3))["bound"]
-    return f"{seconds:.2f} s for a sharp bound with n = {problem.n}"
+    return _once("a sharp bound", problem, lambda problem: error_bound(problem, z))
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct, "DIRECT_PASSES_DENSE": _direct_dense, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
-    "DIRECT_UP_TO": _factor_or_multigrid, "SHARP_SAMPLES_UP_TO": _sharp_bound,
+    "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
+    "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
+    "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,
 }

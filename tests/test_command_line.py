@@ -275,6 +275,13 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
     assert list(Path().iterdir()) == []
 
 
+@pytest.mark.parametrize("option", ["max_pivots=50", "restarts=1"])
+def test_options_that_count_take_whole_numbers(option: str) -> None:
+    """A whole number on the command line is one for the algorithm, too."""
+    done = lcp_plugin("solve", "murty:n=4", "-a", "lemke", "-o", option)
+    assert done.exit_code == 0, done.stderr
+
+
 # --- bad input -------------------------------------------------------------------------------------------------
 
 

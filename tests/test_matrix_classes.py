@@ -20,6 +20,7 @@ from campaigns.graded_matrices import run_case
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.errors import InvalidProblem, UnsuitableMatrix
 from lcp_plugin.matrix import (
+    MatrixReport,
     analyze,
     comparison_certificate,
     comparison_solve,
@@ -533,3 +534,13 @@ def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
     M[0, 1] = M[1, 0] = np.finfo(np.float64).max
     assert analyze(M).is_positive_definite is None
     assert "ends of the range" in analyze(M).evidence["is_positive_semidefinite"]
+
+
+def test_a_report_takes_what_analyze_takes() -> None:
+    """``MatrixReport`` of a problem, an array or a list says what ``analyze`` says."""
+    M = [[2.0, -1.0], [-1.0, 2.0]]
+    for given in (LCP(M, [0.0, 0.0]), M, np.array(M), sp.csr_array(M)):
+        assert MatrixReport(given).is_m_matrix is True
+        assert str(MatrixReport(given)) == str(analyze(given))
+    with pytest.raises(InvalidProblem):
+        MatrixReport("a matrix")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from dataclasses import fields
+
 import numpy as np
 
 from ..certificates.residuals import Certificate
@@ -9,14 +12,14 @@ from ..locks import Lock
 from ..problem.lcp import LCP
 from .base import Algorithm
 
-_rehearsed: set[tuple[type[Algorithm] | None, str]] = set()
+_rehearsed: set[tuple[Hashable, str]] = set()
 _lock = Lock()
 
 
 def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
     """Run the algorithm, where it is compiled, and the judge once on a 1 × 1 problem of the same index width."""
     width = problem.matrix.index_width
-    key = (None if algorithm is None else type(algorithm), width)
+    key = (None if algorithm is None else _kind(algorithm), width)
     if key in _rehearsed:
         return
     with _lock.held():
@@ -31,3 +34,9 @@ def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
                 next(steps, None)
             rehearsal.finish(tiny, np.zeros(1))
         _rehearsed.add(key)
+
+
+def _kind(algorithm: Algorithm) -> Hashable:
+    """Return what decides which kernels run: the class, and its options but for the values of numbers."""
+    options = [getattr(algorithm, field.name) for field in fields(algorithm)]
+    return type(algorithm), *(value if value is None or isinstance(value, str) else type(value) for value in options)

@@ -72,11 +72,18 @@ def options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
             raise InvalidOption(f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}")
         if key in options:
             raise InvalidOption(f"the option {key} is given twice; once is enough")
-        try:
-            options[key] = float(text)
-        except ValueError:
-            options[key] = words.get(text.lower(), text)
+        options[key] = _number(text) if _number(text) is not None else words.get(text.lower(), text)
     return options
+
+
+def _number(text: str) -> float | None:
+    """Return a whole number as an int, which some options ask for, any other as a float, None for a word."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return None
 
 
 def chosen(algorithm: str, options: dict[str, Any]) -> Any:

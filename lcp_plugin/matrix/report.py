@@ -55,8 +55,8 @@ class MatrixReport:
 
     Parameters
     ----------
-    matrix : Matrix
-        The one examined; :func:`analyze` makes the report.
+    matrix : LCP, array or sparse array, shape (n, n)
+        The one examined; :func:`analyze` makes the report, once a matrix.
 
     Attributes
     ----------
@@ -120,9 +120,9 @@ class MatrixReport:
     scale_spread = View(structure.scale_spread)
     semidefinite_delta = View(lambda matrix: verdicts.positive_semidefinite(matrix).delta)
 
-    def __init__(self, matrix: Matrix) -> None:
-        self.matrix = matrix
-        self.n = matrix.n
+    def __init__(self, matrix: Any) -> None:
+        self.matrix = matrix_of(matrix)
+        self.n = self.matrix.n
         self.evidence: Mapping[str, str] = _Evidence(self)
 
     def verdict(self, name: str) -> Verdict:
@@ -219,8 +219,13 @@ def analyze(M: Any) -> MatrixReport:
     >>> analyze([[1, 2], [2, 1]]).evidence["is_p_matrix"]
     'symmetric: the principal minor of rows 0, 1 is not positive'
     """
+    return _report(matrix_of(M))
+
+
+def matrix_of(M: Any) -> Matrix:
+    """Return a problem's matrix, a matrix as it is, or what an array states."""
     matrix = getattr(M, "matrix", M)
-    return _report(matrix if isinstance(matrix, Matrix) else Matrix(M))
+    return matrix if isinstance(matrix, Matrix) else Matrix(M)
 
 
 def wrapped(title: str, text: str) -> list[str]:

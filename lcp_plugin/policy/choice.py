@@ -113,7 +113,8 @@ class Auto:
         if not (failed or _is_asked(problem, now)):
             return None
         name, sweeps = now.algorithm.name, math.inf if failed else now.steps_to_go(target)
-        needs = f"{name} came to an end" if failed else f"{name} needs {sweeps:.0f} more sweeps"
+        needs = f"{name} needs {sweeps:.0f} more sweeps" if sweeps < math.inf else f"{name} does not get nearer"
+        needs = f"{name} came to an end" if failed else needs
         if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
             return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}

@@ -144,7 +144,7 @@ class LCP:
             On several ranks the own part, and so is what is returned; all ranks call.
         """
         matrix = self.matrix
-        is_vector = isinstance(z, np.ndarray) and z.dtype == np.float64 and z.shape == (matrix.own,)
+        is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.own,)
         # On ranks all hear of a wrong part on one of them.
         own: Any = z if is_vector and matrix.peers.is_alone else self.own_part(z)
         w: FloatVector = matrix.rows @ matrix.whole(own)

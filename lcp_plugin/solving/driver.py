@@ -101,7 +101,7 @@ def solve(
     ('SOLVED', array([0.75, 0.  ]))
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write solve(LCP(M, q))")
+        raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write {_remedy(problem)}")
     peers, clock = problem.peers, Clock(problem.peers)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), peers.interruptions() as clock.hears:
@@ -128,6 +128,10 @@ def solve(
                 raise  # the second one: the other ranks have not heard of it
             run = run or _Run(problem, policy, settings, own, clock)
             return run.judged(start, Status.INTERRUPTED)
+
+
+def _remedy(given: Any) -> str:
+    return "solve(scene.problem)" if isinstance(getattr(given, "problem", None), LCP) else "solve(LCP(M, q))"
 
 
 class _Run:

@@ -315,3 +315,10 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
     for stage in result.stages:
         assert f"  {stage.name}: {stage.iterations} iterations" in result.explain()
         assert stage.because in result.explain()
+
+
+def test_a_stage_that_gains_nothing_is_told_in_words() -> None:
+    """Where npsor has no rate to reckon with, the next stage says so, and names no infinite number."""
+    choice = Auto().next_step(cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False)
+    assert choice is not None
+    assert choice.because.startswith("npsor does not get nearer; ")

@@ -602,3 +602,9 @@ def test_a_refused_matrix_leaves_no_problem() -> None:
     M.data[:] = 1.0
     M.resize((3, 3))
     assert LCP(M, np.ones(3)).nonzeros == 7
+
+
+def test_a_masked_z_is_refused_in_words() -> None:
+    """``slack`` of a masked array is refused as it is everywhere else."""
+    with pytest.raises(InvalidProblem, match="masked"):
+        LCP(A, Q).slack(np.ma.array(np.ones(4), mask=[0, 1, 0, 0]))

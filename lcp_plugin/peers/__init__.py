@@ -44,7 +44,7 @@ Measured on the two cores of one machine, 2-D obstacle (``python tests/distribut
 
 | n | what | measured |
 |---|---|---|
-| 10⁶ | one process · 1 rank · 2 ranks | 0.97–1.04 s · 1.13–1.15 s · 0.76 s, and 8 · 8 · 10 cycles |
+| 10⁶ | one process · 1 rank · 2 ranks | 0.84 s · 0.98 s · 0.66 s, the least of four runs, and 8 · 8 · 10 cycles |
 | 2.5·10⁵ | PETSc's SNESVI with CG and GAMG from z = 0 ÷ ours, 2 ranks | 14.9 s ÷ 0.17 s, 63 Newton steps |
 | 1.6·10⁷ | 2 ranks | 29–31 s, 10 cycles, 5.5 GB a rank at the peak (5.9 GB from the command line) |
 

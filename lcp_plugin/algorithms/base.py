@@ -73,7 +73,9 @@ class Sprint:
         An upper bound of ‖r(z)‖∞, by :mod:`lcp_plugin.kernels.enclosures`.
     least_reference : float
         A lower bound of ‖r(z°)‖∞.
-    parts : tuple of (label, iterations, work in passes over M)
+    work : float
+        In passes over M, summed step by step.
+    parts : tuple of (label, iterations, work)
         What ran, in order.
     """
 
@@ -81,6 +83,7 @@ class Sprint:
     w: FloatVector
     largest: float
     least_reference: float
+    work: float
     parts: tuple[tuple[str, int, float], ...]
 
 

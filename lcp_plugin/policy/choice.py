@@ -34,6 +34,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
+from ..algorithms.short_road import ShortRoad, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
@@ -94,8 +95,11 @@ class Auto:
     def first(self, problem: LCP) -> Choice:
         """Return PSOR where the first look at the rows proves it quick, otherwise NPSOR.
 
-        NPSOR at that row scaling is proved to converge for every H₊-matrix and costs no look at M.
+        NPSOR at that row scaling is proved to converge for every H₊-matrix and costs no look at M. On a small dense
+        problem its sweeps, and what follows them, are compiled into one.
         """
+        if is_short(problem):
+            return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
             return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")

@@ -38,7 +38,7 @@ def sprinted(
     return Result(
         z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
         tolerance=settings.tolerance, measure=settings.measure, algorithm=name_of(policy.name, stages),
-        iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
+        iterations=sum(stage.iterations for stage in stages), work=sprint.work,
         seconds=clock.read(), setup_seconds=0.0, stages=stages, chosen=policy.chosen,
     )
 

@@ -616,10 +616,11 @@ def test_counterexamples_are_small() -> None:
         (lambda: positive_definite_matrices(margin=0.0), r"margin must be a power of two from 2\*\*-30 to 1, got 0.0"),
         (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
         (lambda: indefinite_matrices(1), "size must be a whole number ≥ 2 or a strategy of such, got 1"),
-        (lambda: positive_semidefinite_matrices(2, rank=3), "rank must be at most the size, got rank 3 for size 2"),
+        (lambda: positive_semidefinite_matrices(2, rank=3), "size must be a whole number ≥ 3 or a strategy"),
         (lambda: positive_semidefinite_matrices(rank=-1), "rank must be a whole number ≥ 0, got -1"),
         (lambda: solved_lcps(active=0.8, degenerate=0.4), "active \\+ degenerate must be at most 1, got 0.8 \\+ 0.4"),
         (lambda: lcps(bounds=-0.5), r"bounds must lie in \[0, 1\], got -0.5"),
+        (lambda: h_plus_matrices(densty=1), "h_plus_matrices: .*'densty'; it takes size, density, row_scale, column"),
         (lambda: solved_lcps(row_scale=True), "row_scale must be a whole number from 0 to 400, got True"),
     ],
 )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .errors import InvalidProblem
 
 FloatVector = NDArray[np.float64]
+BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000

@@ -21,14 +21,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.rounding import comparison_product, compensated_pair, compensated_product
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..problem.lcp import LCP
-
-BoolVector = NDArray[np.bool_]
 
 
 class Branches(NamedTuple):

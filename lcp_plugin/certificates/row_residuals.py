@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.rounding import compensated_product, lower_end, read_only_views, upper_end
 from ..problem.lcp import LCP
 
@@ -82,3 +82,14 @@ def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, Floa
     below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
+
+
+def is_at_bound(problem: LCP, z: FloatVector) -> BoolVector:
+    """Return where z has reached a bound, shape (n,), by its own value; what a step would do is not asked.
+
+    Examples
+    --------
+    >>> is_at_bound(LCP([[2, 0], [0, 1]], [-2, 1], upper=[5, 0]), np.array([1.0, 0.0]))
+    array([False,  True])
+    """
+    return (z <= problem.lower) | (z >= problem.upper)

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import typer
 
+from ..certificates.row_residuals import is_at_bound
 from ..checks import FloatVector
 from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
@@ -197,7 +198,7 @@ def _story(results: list[Result], task: Task, more: list[str]) -> str:
         seconds = sum(one.seconds for one in results)
         count = f"{len(results)} of {task.steps} steps, {total} iterations, {seconds:.3g} s"
         lines.insert(2, f"march: {count}; the last step:")
-    at_bound = problem.peers.total(float(np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))))
+    at_bound = problem.peers.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
     lines.append(f"{'at a bound':<18} {at_bound:.0f} of {problem.n}")
     for name, distance in task.references.items():
         lines.append(f"{name:<18} {problem.peers.largest(distance(result.z)):.3e}")

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...kernels.floats import EPSILON
-
-BoolVector = NDArray[np.bool_]
 
 LARGEST_BORDER = 48  # changed rows beyond which a new factor is cheaper than a wider border
 FIRST_SHIFT = 1e-13  # of the largest diagonal entry, where a block is not positive definite to working precision

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from fresh_process import printed_by
 
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
@@ -128,8 +127,7 @@ def test_import_loads_nothing_heavy() -> None:
         "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])\n"
         "print([m for m in heavy if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 def test_a_solve_loads_no_package_it_does_not_use() -> None:
@@ -139,8 +137,7 @@ def test_a_solve_loads_no_package_it_does_not_use() -> None:
         "solve(LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()\n"
         f"print([m for m in {HEAVY!r} if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "['numba']"
+    assert printed_by(code) == "['numba']"
 
 
 def test_public_names_resolve() -> None:
@@ -161,8 +158,7 @@ def test_star_import_needs_no_hypothesis() -> None:
         "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
         "try:\n    from lcp_plugin import strategies\nexcept ImportError as error:\n    print(error)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    solved, asked = run.stdout.splitlines()
+    solved, asked = printed_by(code).splitlines()
     assert solved == "SOLVED"
     assert asked == "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
 

@@ -24,6 +24,14 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
+def restored(thing: Any, state: dict[str, Any]) -> None:
+    """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
+    vars(thing).update(state)
+    for value in state.values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+
+
 def frozen(matrix: sp.csr_array) -> sp.csr_array:
     """Return the CSR array on read-only views of its own arrays, canonical flags set."""
     index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64

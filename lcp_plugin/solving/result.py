@@ -12,7 +12,7 @@ import numpy as np
 
 from ..certificates.conditioning import estimated_error
 from ..certificates.residuals import Certificate, reference_residual
-from ..checks import FloatVector
+from ..checks import FloatVector, restored
 from ..errors import NotConverged
 from ..settings import PROVEN, Status
 from .error_watch import Bounded
@@ -135,6 +135,8 @@ class Result:
     tolerance_on: str = "residual"
     chosen: Any = field(default="auto", repr=False)
     bounded: Bounded | Callable[[], Bounded] = field(default=Bounded(), repr=False)
+
+    __setstate__ = restored
 
     @property
     def error_bound(self) -> ErrorBound | None:

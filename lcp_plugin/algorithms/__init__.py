@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..settings import OF_SOLVE
 from .base import Algorithm, Step
 
 if TYPE_CHECKING:
@@ -185,7 +186,8 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
         required = {field.name: field.default is field.default_factory is MISSING for field in fields(kind)}
         for option in options:
             if option not in required:
-                raise InvalidOption(f"{name} has no option {option!r}{did_you_mean(option, list(required))}") from None
+                hint = did_you_mean(option, required, OF_SOLVE)
+                raise InvalidOption(f"{name} has no option {option!r}{hint}") from None
         missing = [option for option, is_required in required.items() if is_required and option not in options]
         if not missing:
             raise

@@ -262,6 +262,11 @@ class LCP:
         Parameters
         ----------
         path : str or PathLike
+
+        Raises
+        ------
+        UnreadableFile
+            Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
         if self.is_distributed:
             from .files_on_ranks import save

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from fresh_process import printed_by
 
+from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parent.parent
@@ -149,6 +150,15 @@ def test_public_names_resolve() -> None:
     assert callable(lcp_plugin.solve)
     with pytest.raises(AttributeError, match="no attribute 'sovle'"):
         lcp_plugin.sovle  # noqa: B018
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_classes_are_had_where_readme_says(name: str) -> None:
+    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class, so for all; a wrong name is refused."""
+    kind = algorithm_class(name)
+    assert getattr(algorithms, kind.__name__) is kind
+    with pytest.raises(AttributeError, match=f"no attribute '{kind.__name__}s'"):
+        getattr(algorithms, f"{kind.__name__}s")
 
 
 def test_star_import_needs_no_hypothesis() -> None:

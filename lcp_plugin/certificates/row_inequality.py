@@ -123,8 +123,8 @@ class RowInequality:
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
 
         def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
-            own = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
-            return sum_above(negative_slack, sum_above(own, coupling)) < 0.0
+            direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
+            return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
 
         is_exact = (y == 0.0) & (self.low == 0.0)
         active = (

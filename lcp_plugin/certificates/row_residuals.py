@@ -24,9 +24,9 @@ def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector
     for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
         rows = slice(first, first + BLOCK)
         step = w[rows] / scale[rows]
-        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
-        np.maximum(step, own, out=own)
-        np.minimum(own, z[rows] - problem.lower[rows], out=own)
+        block = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
+        np.maximum(step, block, out=block)
+        np.minimum(block, z[rows] - problem.lower[rows], out=block)
     if not np.isfinite(w.sum()):
         residual[np.isinf(w)] = np.inf
     return residual

@@ -89,8 +89,8 @@ class BorderedFactor:
         self.work += self.block.size**2
         if k:
             V, joined, rows = self._columns[:, :k], self._joined[:k], self._row_array[:k]
-            own = np.where(joined, right[rows], 0.0) - half @ V
-            _, _, multiplier, info = self._lapack.dgesv(self._products[:k, :k], own)
+            border = np.where(joined, right[rows], 0.0) - half @ V
+            _, _, multiplier, info = self._lapack.dgesv(self._products[:k, :k], border)
             if info != 0:
                 raise NotConvex
             half -= V @ multiplier

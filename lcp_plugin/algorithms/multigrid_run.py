@@ -276,7 +276,8 @@ class MultigridRun:
         top, fine = self.truncation.grids[k], self.problems[k]
         fine.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *fine.arrays, fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed, fine.residual[: fine.q.size]
+            *fine.arrays, fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed,
+            fine.residual[: fine.q.size],
         )
         self.work += fine.entries
         largest, changed = fine.peers.largest(own_largest), fine.peers.total(own_changed)

@@ -67,8 +67,6 @@ class Sprint:
     ----------
     z : ndarray, shape (n,)
         Within the bounds; the caller's own from now on.
-    w : ndarray, shape (n,)
-        M z + q in double precision, likewise.
     largest : float
         An upper bound of ‖r(z)‖∞, by :mod:`lcp_plugin.kernels.enclosures`.
     least_reference : float
@@ -80,7 +78,6 @@ class Sprint:
     """
 
     z: FloatVector
-    w: FloatVector
     largest: float
     least_reference: float
     work: float
@@ -218,7 +215,7 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
     value = getattr(algorithm, option)
     if not (value is None or isinstance(value, str)) or value not in choices:
         raise InvalidOption(
-            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, [str(c) for c in choices])}"
+            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, choices)}"
         )
 
 

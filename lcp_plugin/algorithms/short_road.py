@@ -55,7 +55,10 @@ def _as_dense(matrix: Matrix) -> Any:
 
 
 def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
-    """Yield the start and then a step of the planned phases each, until nothing is left to be tried."""
+    """Yield the start and then a step of the planned phases each, until nothing is left to be tried.
+
+    Nothing at all where the numbers are not usual.
+    """
     from ..kernels import small_problems as kernels
     from ..kernels.desk import LOWER, UPPER, Q, Z, sizes
 
@@ -65,10 +68,9 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     for row, values in ((Q, problem.q), (LOWER, problem.lower), (UPPER, problem.upper), (Z, z0)):
         real[row, :n] = values
     nonzeros, is_usual, may_sweep, is_symmetric = kernels.look_at(M, 0, real)
-    z = real[Z, :n]
     if not is_usual:
-        yield Step(z, work=0.0)
         return
+    z = real[Z, :n]
     is_cold = np.array_equal(z0, problem.nearest_to_zero)
     residual = kernels.begin(M, 0, real, whole, *plan, may_sweep, is_cold)
     phase, touched = kernels.next_phase(whole), float(n * n)
@@ -99,7 +101,7 @@ class Answers:
 
     Attributes
     ----------
-    z, w : arrays, shape (count, n)
+    z : array, shape (count, n)
     found : array, shape (count, 2)
         An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞.
     made, work : arrays, shapes (count, 3) and (count, 4)
@@ -109,14 +111,14 @@ class Answers:
     """
 
     def __init__(self, count: int, n: int) -> None:
-        self.z, self.w, self.found = np.empty((count, n)), np.empty((count, n)), np.empty((count, 2))
+        self.z, self.found = np.empty((count, n)), np.empty((count, 2))
         self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
         self.has_arrived = np.empty(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
-        return self.z, self.w, self.found, self.made, self.work, self.has_arrived
+        return self.z, self.found, self.made, self.work, self.has_arrived
 
     def sprint(self, k: int) -> Sprint | None:
         """Return the answer of problem k, None where there is none."""
@@ -125,7 +127,7 @@ class Answers:
         largest, least = self.found[k].tolist()
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return Sprint(self.z[k], self.w[k], largest, least, self.work[k, 3].item(), parts)
+        return Sprint(self.z[k], largest, least, self.work[k, 3].item(), parts)
 
 
 def as_batch(array: Any) -> Any:

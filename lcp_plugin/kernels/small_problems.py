@@ -167,7 +167,7 @@ def advance(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-d
         free = solve_free(M, k, real, whole, room, is_symmetric)
         if free >= 0:
             slack(M, k, real, FOUND)
-            _judge_round(classify(real, whole, n, FOUND), whole)
+            _judge_round(classify(real, whole, n, FOUND), whole, n)
             size = moved(M, k, real, FOUND)
             return ROUND, size, 2.0 * n * n + free * free * (free / (6.0 if is_symmetric else 3.0))
         whole[STATE, PHASE] = whole[STATE, LAST]
@@ -186,14 +186,15 @@ def next_phase(whole: Any) -> int:
 
 
 @compiled_into_others
-def _judge_round(changes, whole):  # type: ignore[no-untyped-def]
+def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
     """Note what a round has changed, and whether another one is worth its work."""
     whole[STATE, MADE] += 1
     whole[STATE, IDLE] = 0 if changes < whole[STATE, FEWEST] else whole[STATE, IDLE] + 1
     whole[STATE, FEWEST] = min(changes, whole[STATE, FEWEST])
+    is_long = whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS
     if changes == 0:
         whole[STATE, PHASE] = OVER
-    elif whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS:
+    elif is_long if whole[STATE, LAST] == PIVOT else whole[STATE, MADE] > n + 1:  # enough where M is an M-matrix
         whole[STATE, PHASE] = whole[STATE, LAST]
 
 
@@ -284,11 +285,11 @@ def _run(  # type: ignore[no-untyped-def]
 @compiled
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end,
-    z, w, found, made, work, has_arrived,
+    z, found, made, work, has_arrived,
 ):
     """Solve the problems first ≤ k < end of a batch; an array with one row in front stands for all of them.
 
-    Written are z and w, shape (B, n), `found` (B, 2): an upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, `made`
+    Written are z, shape (B, n), `found` (B, 2): an upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, `made`
     (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all, and `has_arrived` (B,).
     """
     n = M.shape[1]
@@ -305,4 +306,4 @@ def run_all(  # type: ignore[no-untyped-def]
             found, made, work, k,
         )
         for i in range(n):
-            z[k, i], w[k, i] = real[Z, i], real[W, i]
+            z[k, i] = real[Z, i]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .compilation import compiled, compiled_into_others
-from .desk import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SIDE, UPPER, Q
+from .desk import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
@@ -20,10 +20,10 @@ def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untype
         if whole[SIDE, i] == BETWEEN:
             whole[FREE, free] = i
             free += 1
-    _gather(M, k, real, whole, room, free)
+    _gather(M, k, real, whole, room, is_symmetric, free)
     if not (is_symmetric and _eliminate_symmetric(room, n, free)):
         if is_symmetric:
-            _gather(M, k, real, whole, room, free)
+            _gather(M, k, real, whole, room, False, free)
         if not _eliminate(room, n, free):
             return -1
     for p in range(free - 1, -1, -1):
@@ -47,18 +47,22 @@ def _bound(real, whole, i):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _gather(M, k, real, whole, room, free):  # type: ignore[no-untyped-def]
-    """Copy the rows and columns between the bounds, and the right-hand side behind them."""
+def _gather(M, k, real, whole, room, is_symmetric, free):  # type: ignore[no-untyped-def]
+    """Copy the rows and columns between the bounds, and the right-hand side behind them.
+
+    A symmetric block stays as it is; rows of another are divided by their SCALE, so that they may have any unit.
+    """
     for p in range(free):
         i = whole[FREE, p]
+        unit = 1.0 if is_symmetric else real[SCALE, i]
+        total = -real[Q, i]
         for j in range(free):
-            room[p, j] = M[k, i, whole[FREE, j]]
-        room[p, free] = -real[Q, i]
-    for j in range(M.shape[1]):
-        bound = _bound(real, whole, j)
-        if bound != 0.0:
-            for p in range(free):
-                room[p, free] -= M[k, whole[FREE, p], j] * bound
+            room[p, j] = M[k, i, whole[FREE, j]] / unit
+        for j in range(M.shape[1]):
+            bound = _bound(real, whole, j)
+            if bound != 0.0:
+                total -= M[k, i, j] * bound
+        room[p, free] = total / unit
 
 
 @compiled_into_others

@@ -30,7 +30,7 @@ def sprinted(
     sprint = algorithm.sprint(problem, start, settings.tolerance, settings.max_iterations)
     if sprint is None:
         return None
-    certificate = Certificate.enclosed(problem, sprint.z, sprint.w, sprint.largest, sprint.least_reference)
+    certificate = Certificate.enclosed(problem, sprint.z, sprint.largest, sprint.least_reference)
     stages = tuple(
         StageRecord(name, "" if k else first.because, iterations, work)
         for k, (name, iterations, work) in enumerate(sprint.parts)

@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
 from ..base import Algorithm, Sprint, Step, direct_passes, without_warnings
 from ..short_road import ROUNDS_ONLY, is_short, sprint, steps
-from .active_set import BoolVector, classify
+from .active_set import classify
 from .damped_newton import damped_steps
 from .newton_state import LARGE_PATIENCE, NewtonState
 
@@ -61,6 +61,7 @@ class Newton(Algorithm):
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
         "doi:10.1007/BF02592192"
     )
+    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:

@@ -28,7 +28,7 @@ from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.exact.rational import integers
 from lcp_plugin.problem.exactly import exact_slack, farkas_margin, is_exact_solution
 from lcp_plugin.problem.farkas import CONTRADICTION, FarkasProgram
-from lcp_plugin.problem.linear_system import LinearSystem
+from lcp_plugin.problem.linear_constraints import LinearConstraints
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -401,10 +401,10 @@ def test_the_optimum_is_the_least_miss(seed: int) -> None:
     upper = np.where(rng.random(n) < 0.6, lower + rng.integers(0, 3, n), np.inf)
     upper[np.isinf(lower)] = np.inf
     weights, unit = 10.0 ** rng.integers(-1, 2, m), float(seed % 2)
-    system = LinearSystem(
+    constraints = LinearConstraints(
         sp.csr_array(matrix), q, needs_rise, needs_fall, lower, upper, weights, (np.full(n, unit), np.full(n, unit)),
     )
-    answer = FarkasProgram(system, 1.0).solve()
+    answer = FarkasProgram(constraints, 1.0).solve()
     t, low, high = weights[:, None], np.isfinite(lower), np.isfinite(upper)
     inequalities = np.vstack([
         np.hstack([-matrix, -t])[needs_rise], np.hstack([matrix, -t])[needs_fall],

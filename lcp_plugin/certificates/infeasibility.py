@@ -16,7 +16,7 @@ from ..exact.rounding import compensated_product, lower_end, upper_end
 from ..kernels.floats import EPSILON, TINY
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
-from ..problem.linear_system import LinearSystem
+from ..problem.linear_constraints import LinearConstraints
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
 from .residuals import reference_residual
 
@@ -157,16 +157,16 @@ def decide_feasibility(
 def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     from ..problem.farkas import FarkasProgram
 
-    system, unit = _linear_constraints(problem), None
+    constraints, unit = _linear_constraints(problem), None
     if measure == "relative":
         reference = reference_residual(problem)
-        system = replace(system, reference=reference)
+        constraints = replace(constraints, reference=reference)
         unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
     else:  # within a factor √n, y is then best for that residual
-        system = replace(system, weights=np.ones(problem.n))
+        constraints = replace(constraints, weights=np.ones(problem.n))
     contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
-        program = FarkasProgram(system, unit, effort)
+        program = FarkasProgram(constraints, unit, effort)
         answer = program.solve()
         if answer is None:
             return contradiction or Feasibility(
@@ -187,10 +187,10 @@ def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     )
 
 
-def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearSystem:
+def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
     """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
     kept = np.zeros(problem.n)
-    return LinearSystem(
+    return LinearConstraints(
         problem.csr[rows], problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
         problem.lower, problem.upper, problem.residual_scale[rows], (kept, kept),
     )

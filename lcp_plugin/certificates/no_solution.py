@@ -16,7 +16,7 @@ from ..checks import FloatVector
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
-from ..problem.linear_system import activity
+from ..problem.linear_constraints import activity
 from .infeasibility import Infeasibility
 from .refutation import Closing, Refutation, closed_exactly, row_choices
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product
-from ..problem.linear_system import LinearSystem
+from ..problem.linear_constraints import LinearConstraints
 from .presolve import like
 
 if TYPE_CHECKING:
@@ -86,11 +86,11 @@ class Constraints:
             return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
 
     @cached_property
-    def system(self) -> LinearSystem:
+    def within_bounds(self) -> LinearConstraints:
         """The rows of G and A within the bounds, with w = d − C x."""
         rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
         units = self.split(self.unit)
-        return LinearSystem(
+        return LinearConstraints(
             -sp.csr_array(self.matrix[rows]), self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
             -below, above, self.unit[rows], (units[2], units[3]),
         )
@@ -179,9 +179,9 @@ class FoldedRows:
 
     def contradict(self) -> bool:
         """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
-        system = self.folded.constraints.system
+        rows = self.folded.constraints.within_bounds
         with np.errstate(invalid="ignore"):
-            return bool((system.missing / system.weights > CONSTRAINTS).any())
+            return bool((rows.missing / rows.weights > CONSTRAINTS).any())
 
     def unfold(self, multipliers: Any) -> Any:
         """Return the multipliers of all constraints of the program, from those of the folded one.

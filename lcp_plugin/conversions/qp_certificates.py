@@ -20,7 +20,7 @@ from ..exact.rational import ZERO, Row, Vector, products, rational, rational_row
 from ..kernels.floats import EPSILON
 from ..matrix.equilibration import evened
 from ..problem.farkas import FarkasProgram, Multipliers, linear_program
-from ..problem.linear_system import LinearSystem
+from ..problem.linear_constraints import LinearConstraints
 from .constraints import FoldedRows, fold_simple_rows
 from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
@@ -99,7 +99,7 @@ def _unfolded(
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
     rows = program.constraints
-    for i, sign in rows.system.contradictory_rows():
+    for i, sign in rows.within_bounds.contradictory_rows():
         y = [ZERO] * rows.rows
         y[i] = Fraction(sign)
         proof = _with_bounds(program, y, combination(rows, [i], [y[i]]))
@@ -122,7 +122,7 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
     constraints = program.constraints
     if not np.isfinite(constraints.unit[constraints.finite]).all():
         return None
-    farkas = FarkasProgram(constraints.system, 1.0)
+    farkas = FarkasProgram(constraints.within_bounds, 1.0)
     answer = farkas.solve()
     if answer is None or not answer.is_contradiction:
         return None
@@ -143,7 +143,7 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
     """
     P = sp.csr_array(program.P)
     P = P[_independent_rows(P)]
-    farkas = FarkasProgram(_dual_system(program, P))
+    farkas = FarkasProgram(_stationarity(program, P))
     answer = farkas.solve()
     if answer is None or not answer.is_contradiction:
         return None
@@ -164,13 +164,13 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
     return farkas.proof(answer, proven, lambda proof: proof.margin)
 
 
-def _dual_system(program: QuadraticProgram, P: sp.csr_array) -> LinearSystem:
+def _stationarity(program: QuadraticProgram, P: sp.csr_array) -> LinearConstraints:
     """Return P x + Gᵀy + Aᵀv + c with the signs that the bounds ask for, y ≥ 0; of P the rows that span the others."""
     rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
     matrix = sp.csr_array(sp.vstack([P, rows, program.A], format="csr").T)
     free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
     is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
-    return LinearSystem(
+    return LinearConstraints(
         matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
         np.where(is_inequality, 0.0, -np.inf), free, program.dual_unit, (nothing, nothing),
     )

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bip
 from ..checks import FloatVector
 from ..conversions.substitution import put_in
 from ..kernels.floats import EPSILON
-from ..problem.linear_system import activity
+from ..problem.linear_constraints import activity
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

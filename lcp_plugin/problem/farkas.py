@@ -18,10 +18,10 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..deadline import seconds_left
-from ..exact.linear_systems import solved_nearby
+from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
 from ..matrix.equilibration import Exponents, evened, scaled
-from .linear_system import LinearSystem
+from .linear_constraints import LinearConstraints
 
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
@@ -43,7 +43,7 @@ Multipliers = FloatVector | Sequence[Rational]
 
 @dataclass(frozen=True)
 class FarkasAnswer:
-    """Optimum and multipliers in the scale of the program, the point in the scale of the system."""
+    """Optimum and multipliers in the scale of the program, the point in the scale of the constraints."""
 
     optimum: float
     multipliers: FloatVector
@@ -73,7 +73,7 @@ class FarkasProgram:
         A linear program that takes more has no answer.
     """
 
-    system: LinearSystem
+    constraints: LinearConstraints
     unit: float | None = None
     pivots: int | None = None
     rows: FloatVector = field(init=False)
@@ -81,25 +81,24 @@ class FarkasProgram:
     matrix: sp.csr_array = field(init=False)
 
     def __post_init__(self) -> None:
-        exponents = Exponents(*(np.clip(side, -500, 500) for side in evened(self.system.matrix, AIMS)))
+        matrix = self.constraints.matrix
+        exponents = Exponents(*(np.clip(side, -500, 500) for side in evened(matrix, AIMS)))
         rows, columns = (np.ldexp(1.0, side) for side in exponents)
-        for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(self.system.matrix, exponents))):
+        for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
             object.__setattr__(self, name, value)
 
     @cached_property
     def _scaled_unit(self) -> float:
-        system = self.system
-        asked = system.needs_rise | system.needs_fall
-        sizes = np.abs(np.concatenate([
-            (self.rows * system.q)[asked], system.lower / self.columns, system.upper / self.columns
-        ]))
+        asked = self.constraints
+        q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
+        sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
         largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
         return float(np.ldexp(0.5, np.frexp(max(largest, 2.0**-900))[1]))
 
     def margin_of(self, optimum: float) -> float:
-        """Return the margin beside the system's reference, as far as an optimum of the program can be trusted."""
+        """Return the margin beside their reference, as far as an optimum of the program can be trusted."""
         with np.errstate(all="ignore"):
-            margin = float(-optimum * self._scaled_unit / np.float64(self.system.reference))
+            margin = float(-optimum * self._scaled_unit / np.float64(self.constraints.reference))
         return margin if np.isfinite(margin) else 0.0
 
     def solve(self) -> FarkasAnswer | None:
@@ -118,7 +117,7 @@ class FarkasProgram:
         Parameters
         ----------
         proven : callable
-            Gives the proof by a y in the scale of the system, or None where that is none.
+            Gives the proof by a y in the scale of the constraints, or None where that is none.
         margin : callable
             Of a proof.
         """
@@ -154,7 +153,7 @@ class FarkasProgram:
     def _rooms(self) -> list[sp.csr_array]:
         """Which multipliers share a room: those of bounds without another opposite one room, then each its own."""
         form = self._form
-        is_open = np.isinf(self.system.lower) != np.isinf(self.system.upper)
+        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]
         own = sp.eye_array(form.cost.size, format="csr")
         return [sp.csr_array(shares[:, None]), own] if shares.any() else [own]
@@ -162,14 +161,14 @@ class FarkasProgram:
     @cached_property
     def _form(self) -> _StandardForm:
         """The program in nonnegative parts of y and multipliers of finite bounds."""
-        system, unit, (m, n) = self.system, self._scaled_unit, self.matrix.shape
+        asked, unit, (m, n) = self.constraints, self._scaled_unit, self.matrix.shape
         kinds = [np.flatnonzero(kind) for kind in (
-            system.needs_rise, system.needs_fall, np.isfinite(system.upper), np.isfinite(system.lower)
+            asked.needs_rise, asked.needs_fall, np.isfinite(asked.upper), np.isfinite(asked.lower)
         )]
         with np.errstate(over="ignore"):
-            q, weights = self.rows * system.q, self.rows * system.weights
-            values = q, q, system.upper / self.columns, system.lower / self.columns
-            units = weights, weights, *(weight / self.columns for weight in reversed(system.bound_weights))
+            q, weights = self.rows * asked.q, self.rows * asked.weights
+            values = q, q, asked.upper / self.columns, asked.lower / self.columns
+            units = weights, weights, *(weight / self.columns for weight in reversed(asked.bound_weights))
         cost, norm = (np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)]) for side in (values, units))
         place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
         scale = np.ldexp(1.0, 1 - np.frexp(np.clip(norm, 1.0, MOST_SHRUNK))[1])
@@ -181,11 +180,11 @@ class FarkasProgram:
 
     def unit_of_violation(self, x: FloatVector) -> float | None:
         """Return the largest size, in the scale of the program, of a row that x leaves violated; None if none is."""
-        system = self.system
+        asked = self.constraints
         with np.errstate(all="ignore"):
-            w = system.matrix @ x + system.q
-            size = abs(system.matrix) @ np.abs(x) + np.abs(system.q)
-            missing = np.maximum(np.where(system.needs_rise, -w, -np.inf), np.where(system.needs_fall, w, -np.inf))
+            w = asked.matrix @ x + asked.q
+            size = abs(asked.matrix) @ np.abs(x) + np.abs(asked.q)
+            missing = np.maximum(np.where(asked.needs_rise, -w, -np.inf), np.where(asked.needs_fall, w, -np.inf))
             violated = missing > VIOLATED * size
             size *= self.rows
         if not np.isfinite(size).all():  # a sum that overflows has no sign: nothing can be called feasible
@@ -193,14 +192,13 @@ class FarkasProgram:
         return float(size[violated].max()) if violated.any() else None
 
     def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
-        """Yield vectors near y, in the scale of the program, that may be Farkas vectors, in the scale of the system.
+        """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
 
         With signs and negligible entries put right; then rounded to few digits; then solved for.
         """
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
-        y = np.clip(
-            y, np.where(self.system.needs_fall, -np.inf, 0.0), np.where(self.system.needs_rise, np.inf, 0.0)
-        )
+        asked = self.constraints
+        y = np.clip(y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0))
         if not y.any():
             return
         y = y / np.abs(y).max()
@@ -227,8 +225,10 @@ class FarkasProgram:
         """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
         support = np.flatnonzero(np.abs(y) > tight).tolist()
         size = abs(self.matrix).T @ np.abs(y)
-        is_unbounded = np.isinf(self.system.lower) | np.isinf(self.system.upper)
+        is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
+        if min(len(support), int(is_tight.sum())) > MOST_UNKNOWNS:
+            return None
         columns = rational_rows(self.matrix.T.tocsr()[np.flatnonzero(is_tight)][:, support])
         # Any nearby value will do: short ones keep the exact solve short.
         exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * len(support))
@@ -242,7 +242,7 @@ class _StandardForm:
     Attributes
     ----------
     m : int
-        Number of rows of the system.
+        Number of rows of the asked.
     place : array of int
         The row that each entry of v is a part of the multiplier of, or m + the unknown with that bound.
     signed : array

@@ -18,7 +18,7 @@ MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are chec
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSystem:
+class LinearConstraints:
     """The x within their bounds for which w = M x + q has the signs that its rows ask for.
 
     Attributes

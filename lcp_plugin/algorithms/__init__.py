@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from .base import Algorithm, Step
+from .base import Algorithm, Sprint, Step
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -23,6 +23,7 @@ __all__ = [
     "ENTRY_POINT_GROUP",
     "REGISTRY",
     "Algorithm",
+    "Sprint",
     "Step",
     "algorithm_class",
     "create",

@@ -44,6 +44,8 @@ class Step:
         Of `certificates`: that the problem has no solution. The driver verifies it before it believes it.
     remark : str
         A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
+    label : str
+        The name of the part at work, where an algorithm has several; the result shows them as its stages.
     """
 
     z: FloatVector
@@ -54,6 +56,32 @@ class Step:
     is_settling: bool = False
     proof: Any = None
     remark: str = ""
+    label: str = ""
+
+
+@dataclass(slots=True)
+class Sprint:
+    """Where all steps of a run at once have arrived: an answer within the tolerance.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        Within the bounds; the caller's own from now on.
+    w : ndarray, shape (n,)
+        M z + q in double precision, likewise.
+    largest : float
+        An upper bound of ‖r(z)‖∞, by :mod:`lcp_plugin.kernels.enclosures`.
+    least_reference : float
+        A lower bound of ‖r(z°)‖∞.
+    parts : tuple of (label, iterations, work in passes over M)
+        What ran, in order.
+    """
+
+    z: FloatVector
+    w: FloatVector
+    largest: float
+    least_reference: float
+    parts: tuple[tuple[str, int, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +119,23 @@ class Algorithm(ABC):
         UnsuitableMatrix, UnsuitableProblem
             Before the first step, naming the row that stands in the way.
         """
+
+    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
+        """Return where the steps of `iterates`, taken without Python between them, arrive within the tolerance.
+
+        z, iterations and work are those that single steps give, bit for bit. None where they do not arrive, or where
+        there is no such loop for this problem: then the steps are taken one by one.
+
+        Parameters
+        ----------
+        problem : LCP
+        z0 : ndarray, shape (n,)
+            A start within the bounds; not overwritten.
+        tolerance : float
+            On the relative residual, enclosed.
+        max_iterations : int
+        """
+        return None
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""

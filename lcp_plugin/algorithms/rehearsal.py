@@ -33,6 +33,7 @@ def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
             for _ in range(3):
                 next(steps, None)
             rehearsal.finish(tiny, np.zeros(1))
+            rehearsal.sprint(tiny, np.zeros(1), 1e-8, 10)
         _rehearsed.add(key)
 
 

@@ -40,7 +40,11 @@ class Choice:
 
 @dataclass
 class Stage:
-    """What one algorithm of a chain has done so far; `residuals` holds (iteration of this stage, residual)."""
+    """What one algorithm of a chain has done so far.
+
+    `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
+    several.
+    """
 
     algorithm: Algorithm
     because: str = ""
@@ -48,6 +52,17 @@ class Stage:
     work: float = 0.0
     remark: str = ""
     residuals: list[tuple[int, float]] = field(default_factory=list)
+    parts: list[tuple[str, int, float]] = field(default_factory=list)
+
+    def take(self, label: str, iterations: int, work: float) -> None:
+        """Count iterations and work, for the part of that label where there is one."""
+        self.iterations += iterations
+        self.work += work
+        if label and self.parts and self.parts[-1][0] == label:
+            _, before, spent = self.parts.pop()
+            self.parts.append((label, before + iterations, spent + work))
+        elif label:
+            self.parts.append((label, iterations, work))
 
     def note(self, residual: float) -> None:
         """Keep the residual of the present iteration: of the first 512 measured all, then the latest."""

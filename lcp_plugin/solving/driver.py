@@ -25,7 +25,8 @@ from .error_watch import Bounded
 from .guarantees import warn_where_known_to_be_uncovered
 from .judge import Judge
 from .result import Result, Sample, status_of
-from .state import Clock, Incumbent, Ledger
+from .sprint import sprinted
+from .state import Clock, Incumbent, Ledger, name_of
 
 Callback = Callable[[Sample, FloatVector], Any]
 
@@ -116,12 +117,15 @@ def solve(
         try:
             with clock.paused(to_compile=True):
                 rehearse(None, problem)  # the judge
+            warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
+            first = policy.first(problem)
+            if own is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
+                return arrived
             run = _Run(problem, policy, settings, own, clock)
             if settings.is_on_error:
                 run.judge.require_rigorous_bounds()
-            warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
             with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
-                reason = run.drive(start)
+                reason = run.drive(start, first)
             return run.judged(start, reason)
         except KeyboardInterrupt:
             if problem.is_distributed:
@@ -152,9 +156,9 @@ class _Run:
         """When to measure what the algorithm does not tell."""
         return CheckSchedule(self.judge.per_increment, self.settings.tolerance)
 
-    def drive(self, start: FloatVector) -> Status:
+    def drive(self, start: FloatVector, first: Choice) -> Status:
         """Run the chain of algorithms; return why it ended."""
-        following: Choice | None = self.policy.first(self.problem)
+        following: Choice | None = first
         if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         while following is not None:
@@ -281,11 +285,12 @@ class _Run:
         last = ledger.stages[-1].algorithm if ledger.stages else None
         certificate = self.judge.final(start if incumbent.z is None else incumbent.z, reason, last)
         status = self.judge.verdict(certificate, reason, is_chain=len(ledger.stages) > 1)
+        stages = ledger.records()
         return Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,
-            algorithm=ledger.name(self.policy.name), iterations=max(ledger.iteration, 0), work=ledger.work,
+            algorithm=name_of(self.policy.name, stages), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
-            stages=ledger.records(), infeasibility=self.judge.proof, chosen=self.policy.chosen,
+            stages=stages, infeasibility=self.judge.proof, chosen=self.policy.chosen,
             bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else Bounded(),
         )

@@ -97,10 +97,9 @@ class Ledger:
         stage, is_first = self.stages[-1], self._is_first
         self.seconds = seconds
         self.work += step.work
-        stage.work += step.work
+        stage.take(step.label, 0 if is_first else 1, step.work)
         stage.remark = step.remark or stage.remark
         if not is_first:
-            stage.iterations += 1
             self.iteration += 1
         else:
             self._is_first = False
@@ -109,14 +108,19 @@ class Ledger:
                 self.setup_seconds = seconds
         return is_first
 
-    def name(self, policy: str) -> str:
-        """Return what ran: the policy, and the chain of what it chose where that says more."""
-        chain = [stage.algorithm.name for stage in self.stages]
-        return policy if "".join(chain) in ("", policy) else f"{policy}: {', '.join(chain)}"
-
     def records(self) -> tuple[StageRecord, ...]:
-        """Return the stages as a result shows them."""
-        return tuple(
-            StageRecord(stage.algorithm.name, stage.because, stage.iterations, stage.work, stage.remark)
-            for stage in self.stages
-        )
+        """Return the stages, and their parts, as a result shows them."""
+        return tuple(record for stage in self.stages for record in _records(stage))
+
+
+def name_of(policy: str, stages: tuple[StageRecord, ...]) -> str:
+    """Return what ran: the policy, and the chain of what it chose where that says more."""
+    chain = [stage.name for stage in stages]
+    return policy if "".join(chain) in ("", policy) else f"{policy}: {', '.join(chain)}"
+
+
+def _records(stage: Stage) -> list[StageRecord]:
+    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+    reasons, remarks = [stage.because] + [""] * (len(parts) - 1), [""] * (len(parts) - 1) + [stage.remark]
+    return [StageRecord(name, because, iterations, work, remark)
+            for (name, iterations, work), because, remark in zip(parts, reasons, remarks, strict=True)]

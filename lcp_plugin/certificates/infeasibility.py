@@ -16,7 +16,7 @@ from ..exact.rounding import compensated_product, lower_end, upper_end
 from ..kernels.floats import EPSILON, TINY
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
-from ..problem.linear_constraints import LinearConstraints
+from ..problem.linear_constraints import DECISIVE, LinearConstraints
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
 from .residuals import reference_residual
 
@@ -29,7 +29,6 @@ EXACT_NONZEROS = 1_000_000  # about half a second
 LARGEST_EXACT = 500  # above, floating point with margins is tried first
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
-DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
 
 
 @dataclass(frozen=True, eq=False)

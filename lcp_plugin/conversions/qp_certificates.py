@@ -20,7 +20,7 @@ from ..exact.rational import ZERO, Row, Vector, products, rational, rational_row
 from ..kernels.floats import EPSILON
 from ..matrix.equilibration import evened
 from ..problem.farkas import FarkasProgram, Multipliers, linear_program
-from ..problem.linear_constraints import LinearConstraints
+from ..problem.linear_constraints import DECISIVE, LinearConstraints
 from .constraints import FoldedRows, fold_simple_rows
 from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
 
@@ -32,7 +32,6 @@ MOST_NONZEROS = 300_000
 LARGEST_DENSE = 1500
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 NARROW, MET = 1e-7, 1e-8  # a room that may be none, and what is then left of a row that is an equation
-DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
 
 
 def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
@@ -45,8 +44,8 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
 
     Notes
     -----
-    Cost: a look at each row, at any size; then up to three linear programs, and an elimination in rationals among the
-    constraints that matter. None is no proof that there is a minimum.
+    Cost: a look at each row, at any size; then two linear programs and, where they find something, up to five more and
+    eliminations in rationals among the constraints that matter. None is no proof that there is a minimum.
 
     References
     ----------

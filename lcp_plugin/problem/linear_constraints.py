@@ -14,6 +14,7 @@ from ..matrix.structure import row_numbers
 
 BoolVector = NDArray[np.bool_]
 
+DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 

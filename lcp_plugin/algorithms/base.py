@@ -20,6 +20,7 @@ from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
 from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
+Plan = tuple[bool, bool, bool]  # sweeps, rounds, pivots
 
 
 @dataclass(slots=True)
@@ -135,6 +136,10 @@ class Algorithm(ABC):
             On the relative residual, enclosed.
         max_iterations : int
         """
+        return None
+
+    def short_plan(self) -> Plan | None:
+        """Return the phases of the compiled road that this algorithm takes on small problems from z°, or None."""
         return None
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:

@@ -12,11 +12,10 @@ from ..checks import FloatVector, read_only
 from ..crossovers import COMPILED_UP_TO
 from ..matrix.matrix import Matrix, fact
 from ..problem.lcp import LCP
-from .base import Algorithm, Sprint, Step
+from .base import Algorithm, Plan, Sprint, Step
 
 PARTS = ("npsor", "newton", "lemke")  # the phases of `kernels.small_problems`, by the methods that they are
 EVERYTHING, ROUNDS_ONLY, PIVOTS_ONLY = (True, True, True), (False, True, False), (False, False, True)
-Plan = tuple[bool, bool, bool]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +33,10 @@ class ShortRoad(Algorithm):
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
+    def short_plan(self) -> Plan:
+        """Return all phases."""
+        return EVERYTHING
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a sweep, a round and a path; end where nothing is left to be tried."""
         return steps(problem, z0, EVERYTHING)
@@ -49,7 +52,7 @@ def is_short(problem: LCP) -> bool:
 
 
 @fact
-def _as_dense(matrix: Matrix) -> Any:
+def as_dense(matrix: Matrix) -> Any:
     """Return M as a batch of one ndarray, shape (1, n, n), read-only."""
     return as_batch(matrix.array if matrix.is_dense else matrix.csr.toarray())
 
@@ -62,7 +65,7 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     from ..kernels import small_problems as kernels
     from ..kernels.desk import LOWER, UPPER, Q, Z, sizes
 
-    M, n = _as_dense(problem.matrix), problem.n
+    M, n = as_dense(problem.matrix), problem.n
     of_real, of_whole, of_room = sizes(n)
     real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
     for row, values in ((Q, problem.q), (LOWER, problem.lower), (UPPER, problem.upper), (Z, z0)):
@@ -90,7 +93,7 @@ def sprint(problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int,
     answers = Answers(1, n)
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
     run_all(
-        _as_dense(problem.matrix), as_batch(problem.q), as_batch(problem.lower), as_batch(problem.upper), start,
+        as_dense(problem.matrix), as_batch(problem.q), as_batch(problem.lower), as_batch(problem.upper), start,
         *plan, tolerance, max_iterations, 0, 1, *answers.arrays,
     )
     return answers.sprint(0)
@@ -102,8 +105,8 @@ class Answers:
     Attributes
     ----------
     z : array, shape (count, n)
-    found : array, shape (count, 2)
-        An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞.
+    found : array, shape (count, 3)
+        An upper bound of ‖r(z)‖∞, a lower one of ‖r(z°)‖∞, and the relative residual.
     made, work : arrays, shapes (count, 3) and (count, 4)
         Steps of each phase; passes over M of each phase and of all.
     has_arrived : array of bool, shape (count,)
@@ -111,9 +114,9 @@ class Answers:
     """
 
     def __init__(self, count: int, n: int) -> None:
-        self.z, self.found = np.empty((count, n)), np.empty((count, 2))
+        self.z, self.found = np.empty((count, n)), np.empty((count, 3))
         self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
-        self.has_arrived = np.empty(count, np.bool_)
+        self.has_arrived = np.zeros(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -124,7 +127,7 @@ class Answers:
         """Return the answer of problem k, None where there is none."""
         if not self.has_arrived[k]:
             return None
-        largest, least = self.found[k].tolist()
+        largest, least, _ = self.found[k].tolist()
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
         return Sprint(self.z[k], largest, least, self.work[k, 3].item(), parts)

@@ -261,7 +261,7 @@ def _run(  # type: ignore[no-untyped-def]
             real[Z, i] = starts[at, i]
     size = begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold)
     work[item, whole[STATE, PHASE]] = work[item, TOTAL] = n * n / nonzeros
-    found[item, 0], found[item, 1] = most, least
+    found[item, 0], found[item, 1], found[item, 2] = most, least, 0.0
     if most == 0.0:
         return True
     if not (least > 0.0 and USUAL[0] < most < USUAL[1]):
@@ -269,7 +269,8 @@ def _run(  # type: ignore[no-untyped-def]
     for count in range(max_iterations + 1):
         if size / most <= tolerance:
             _, largest = _ends(M, k, real, False, is_dense)
-            if _ratio_upwards(largest, least) <= tolerance:
+            found[item, 2] = _ratio_upwards(largest, least)
+            if found[item, 2] <= tolerance:
                 found[item, 0] = largest
                 return True
         if count < max_iterations:
@@ -289,8 +290,8 @@ def run_all(  # type: ignore[no-untyped-def]
 ):
     """Solve the problems first ≤ k < end of a batch; an array with one row in front stands for all of them.
 
-    Written are z, shape (B, n), `found` (B, 2): an upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, `made`
-    (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all, and `has_arrived` (B,).
+    Written are z, shape (B, n), `found` (B, 3): an upper bound of ‖r(z)‖∞, a lower one of ‖r(z°)‖∞, their quotient;
+    `made` (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all, and `has_arrived` (B,).
     """
     n = M.shape[1]
     of_real, of_whole, of_room = sizes(n)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
-from ..base import Algorithm, Sprint, Step, direct_passes, without_warnings
+from ..base import Algorithm, Plan, Sprint, Step, direct_passes, without_warnings
 from ..short_road import ROUNDS_ONLY, is_short, sprint, steps
 from .active_set import classify
 from .damped_newton import damped_steps
@@ -80,6 +80,10 @@ class Newton(Algorithm):
         if problem.n > PATIENT_ROWS or not is_one_sided or analyze(problem).is_m_matrix is not True:
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
+
+    def short_plan(self) -> Plan:
+        """Return full steps only."""
+        return ROUNDS_ONLY
 
     def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
         """Return where compiled full steps arrive on a small dense problem."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -350,9 +349,10 @@ def ratio_upwards(numerator: float, denominator: float) -> float:
     (0.25, 5e-324, inf)
     """
     quotient = ratio(numerator, denominator)
-    if not quotient < np.inf or Fraction(quotient) * Fraction(denominator) >= Fraction(numerator):
+    if not quotient < np.inf:
         return quotient
-    return float(np.nextafter(quotient, np.inf))
+    (a, b), (c, d), (e, f) = (x.as_integer_ratio() for x in (quotient, float(denominator), float(numerator)))
+    return quotient if a * c * f >= e * b * d else math.nextafter(quotient, math.inf)
 
 
 def ratio(numerator: float, denominator: float) -> float:

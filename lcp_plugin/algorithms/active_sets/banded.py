@@ -1,0 +1,131 @@
+"""Active sets of banded problems, in compiled rounds: O(n) each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ...checks import FloatVector
+from ...errors import UnsuitableMatrix
+from ...exact.rounding import read_only_views
+from ...matrix.bands import Bands, bands
+from ...problem.lcp import LCP
+from ..base import Algorithm, Sprint, Step
+
+
+@dataclass(frozen=True, kw_only=True)
+class Banded(Algorithm):
+    """Active sets of a banded M, by compiled rounds: solve for the rows off their bounds, then change what is wrong.
+
+    Notes
+    -----
+    A round is a factorisation of the free block, with pivots from the column, within the band: O(n) on a narrow one.
+    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign; where that no longer
+    makes them fewer only the last one, a bounded number of times. On M-matrices bounded on one side the changes are
+    monotone and finite. Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on
+    the one side are found directly for given ones on the other, in O(n): with bounds on one side there is one round,
+    with boxes on an M-matrix the rows at the other side only leave it after the first, so that they end, too. That is
+    the method of Brennan and Schwartz where the contact set is one interval at an end, Cryer's in general. An active
+    set that comes out again has its z refined once. A start says which bounds hold at first.
+
+    References
+    ----------
+    Cryer 1983, *ACM Trans. Math. Software* 9, 199–214, doi:10.1145/357456.357458. Brennan, Schwartz 1977, *J. Finance*
+    32, 449–462, doi:10.2307/2326779. Chandrasekaran 1970, *Opsearch* 7, 263–268. Júdice, Pires 1994,
+    doi:10.1016/0305-0548(94)90106-6.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[2, -1, 0], [-1, 2, -1], [0, -1, 2]], [-3, 4, 1])
+    >>> lcp_plugin.solve(problem, Banded()).z
+    array([1.5, 0. , 0. ])
+    """
+
+    name: ClassVar[str] = "banded"
+    assumption: ClassVar[str] = "a narrow band"
+    converges_on: ClassVar[str] = "M, bounds on one side; tridiagonal M"
+    cost: ClassVar[str] = "1 factorisation of the band"
+    reference: ClassVar[str] = (
+        "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"
+    )
+    is_compiled: ClassVar[bool] = True
+    is_monotone: ClassVar[bool] = False
+
+    def theorem(self, problem: LCP) -> str | None:
+        """Return the theorem on M-matrices."""
+        from ...matrix import analyze
+
+        is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+        band = bands(problem.matrix)
+        is_covered = is_one_sided or (band is not None and band.is_tridiagonal_z)
+        if not is_covered or analyze(problem).is_m_matrix is not True:
+            return None
+        what = "bounded on one side" if is_one_sided else "tridiagonal"
+        return f"M is an M-matrix, {what}: the changes are monotone and finite (Chandrasekaran 1970, Cryer 1983)"
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, and then z of one active set after the other; end where no other is to be tried."""
+        from ...kernels import bands as kernels
+
+        band, n = self._bands(problem), problem.n
+        if n == 0:
+            yield Step(z0, 0.0)
+            return
+        costs = _costs(band, problem)
+        vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(kernels.SLOTS, np.int64)
+        rows = np.empty((n, band.entries.shape[0]))
+        entries, weights, scale, q, lower, upper = read_only_views(
+            band.entries, band.weights, problem.residual_scale, problem.q, problem.lower, problem.upper
+        )
+        z = z0
+        sign = kernels.begin(band.is_tridiagonal_z, lower, upper, memory)
+        residual, goes_on = kernels.measure(entries, band.below, q, lower, upper, scale, z, vectors[0], sets[1]), True
+        yield Step(z, residual, work=1.0)
+        while goes_on:
+            residual, goes_on = kernels.advance(
+                entries, band.below, sign, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+            )
+            yield Step(z, residual, work=costs[memory[kernels.LAST_WAY]])
+
+    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
+        """Return the answer of the same rounds in one call."""
+        if problem.is_dense or problem.n == 0:
+            return None
+        from ...kernels.bands import run_all
+
+        band, M = self._bands(problem), problem.csr
+        arrays = read_only_views(
+            band.entries, band.weights, problem.residual_scale, M.indptr, M.indices, M.data, problem.q[None],
+            problem.lower, problem.upper, problem.nearest_to_zero,
+        )
+        z, w = z0[None].copy(), np.empty((1, problem.n))
+        rounds, ends = np.empty((1, 2), np.int64), np.empty((1, 2))
+        kind = band.below, band.is_tridiagonal_z
+        run_all(arrays[0], *kind, *arrays[1:], tolerance, max_iterations, z, w, rounds, ends)
+        if rounds[0, 0] < 0:
+            return None
+        work, costs = 1.0, _costs(band, problem)
+        for way in (0, 1):
+            for _ in range(rounds[0, way]):
+                work += costs[way]
+        return Sprint(z[0], w[0], ends[0, 0], ends[0, 1], ((self.name, int(rounds.sum()), work),))
+
+    def _bands(self, problem: LCP) -> Bands:
+        band = bands(problem.matrix)
+        if band is None:
+            raise UnsuitableMatrix(
+                f"{self.name} needs a narrow band, but a factor of that of M is too large: "
+                f'its {problem.n} rows reach too far beside the diagonal; try algorithm="newton"'
+            )
+        return band
+
+
+def _costs(band: Bands, problem: LCP) -> tuple[float, float]:
+    """Return the work of a round on the direct way and on the other, in passes over M."""
+    width, n = band.entries.shape
+    passes = width * n / max(problem.nonzeros, 1)
+    return 3.0 * passes, (band.below + 2.0) * passes

@@ -15,8 +15,8 @@ from .tridiagonal import find_contacts, substitute
 # What `memory` holds: how rounds go on, and for how long.
 WAY, LAST_WAY, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(9)
 DIRECT, BLOCKS = 0, 1
-LEAST_PIVOT = 1e-14  # of a row of size 1: what stands for the pivot of a singular block, whose z then leaves the bounds
-TRIES = 10  # changes of all wrong rows that make neither them nor the rows at bounds fewer, before only half of them are
+LEAST_PIVOT = 1e-14  # of a row of size 1: stands for the pivot of a singular block, whose z then leaves the bounds
+TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what arrives needed less than 100
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,11 +10,16 @@ from typing import ClassVar
 import numpy as np
 
 from ...checks import FloatVector
+from ...crossovers import BANDED_ROUNDS, BOXED_ROUNDS, MULTIGRID_PASSES
 from ...errors import UnsuitableMatrix
 from ...exact.rounding import read_only_views
 from ...matrix.bands import Bands, bands
+from ...matrix.matrix import Matrix, fact
+from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP
 from ..base import Algorithm, Sprint, Step
+
+DIRECT_COST = 3.0  # passes over a tridiagonal M: the contacts, the other rows, the residual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +61,15 @@ class Banded(Algorithm):
     is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of as many rounds as there usually are; ∞ where M is dense."""
+        return math.inf if problem.is_dense else _predicted_passes(problem.matrix)
+
     def theorem(self, problem: LCP) -> str | None:
         """Return the theorem on M-matrices."""
         from ...matrix import analyze
 
-        is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+        is_one_sided = _is_one_sided(problem)
         band = bands(problem.matrix)
         is_covered = is_one_sided or (band is not None and band.is_tridiagonal_z)
         if not is_covered or analyze(problem).is_m_matrix is not True:
@@ -124,8 +134,25 @@ class Banded(Algorithm):
         return band
 
 
+def _is_one_sided(problem: LCP) -> bool:
+    return bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+
+
+@fact
+def _predicted_passes(matrix: Matrix) -> float:
+    M, middle = matrix.csr, matrix.n // 2
+    columns = M.indices[M.indptr[middle]:M.indptr[middle + 1]] if matrix.n else np.zeros(0)
+    if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > MULTIGRID_PASSES:
+        return math.inf  # a look at one row spares most matrices the look at all
+    below, above = bandwidth(matrix) or (0, 0)
+    rounds, cost = BANDED_ROUNDS, below + 2.0
+    if max(below, above) <= 1 and (band := bands(matrix)) is not None and band.is_tridiagonal_z:
+        rounds, cost = BOXED_ROUNDS, DIRECT_COST
+    return rounds * cost * (below + above + 1.0) * matrix.n / max(matrix.nonzeros, 1)
+
+
 def _costs(band: Bands, problem: LCP) -> tuple[float, float]:
     """Return the work of a round on the direct way and on the other, in passes over M."""
     width, n = band.entries.shape
     passes = width * n / max(problem.nonzeros, 1)
-    return 3.0 * passes, (band.below + 2.0) * passes
+    return DIRECT_COST * passes, (band.below + 2.0) * passes

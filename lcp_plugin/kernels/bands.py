@@ -212,28 +212,30 @@ def run_all(  # type: ignore[no-untyped-def]
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
     Q, Z, W : arrays, shape (k, n)
         Offsets; starts, then answers; their slacks.
-    lower, upper, nearest : arrays, shape (n,)
+    lower, upper, nearest : arrays, shape (k, n), or (1, n) for all
         Bounds, and the point between them that is nearest to 0.
     rounds : array of int, shape (k, 2)
         How many there were on the direct way and on the other; −1 where they did not arrive.
     ends : array, shape (k, 2)
         An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, where they did.
     """
-    n = nearest.size
+    n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, origin = np.empty((n, bands.shape[0])), nearest.copy()
+    rows, origin = np.empty((n, bands.shape[0])), np.empty(n)
     smallest, largest = np.empty(n), np.empty(n)
     for k in range(Q.shape[0]):
-        q, z = Q[k], Z[k]
-        residual_ends(indptr, indices, data, 0, origin, q, origin, lower, upper, scale, smallest, largest)
+        q, z, bound = Q[k], Z[k], min(k, lower.shape[0] - 1)
+        low, high = lower[bound], upper[bound]
+        origin[:] = nearest[bound]
+        residual_ends(indptr, indices, data, 0, origin, q, origin, low, high, scale, smallest, largest)
         least, most = smallest.max(), largest.max()
-        sign = begin(is_direct, lower, upper, memory)
-        residual = measure(bands, below, q, lower, upper, scale, z, vectors[0], sets[1])
+        sign = begin(is_direct, low, high, memory)
+        residual = measure(bands, below, q, low, high, scale, z, vectors[0], sets[1])
         direct = blocks = 0
         goes_on = least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = advance(
-                bands, below, sign, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+                bands, below, sign, weights, scale, q, low, high, z, vectors, sets, memory, rows
             )
             if memory[LAST_WAY] == DIRECT:
                 direct += 1
@@ -241,7 +243,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 blocks += 1
         rounds[k] = -1
         if least > 0.0 and residual / most <= tolerance:
-            residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
+            residual_ends(indptr, indices, data, 0, z, q, z, low, high, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = largest.max(), least
             if ends[k, 0] / least < tolerance:
                 W[k], rounds[k, 0], rounds[k, 1] = vectors[0], direct, blocks

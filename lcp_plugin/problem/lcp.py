@@ -193,6 +193,10 @@ class LCP:
         """
         other = object.__new__(LCP)
         other.origin, other.matrix = None, self.matrix
+        if lower is None and upper is None:  # they have been checked, and cannot be written to
+            other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
+            other.q = self.peers.together(lambda: finite_vector(q, "q", self.own))
+            return other
         bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
         self.peers.together(lambda: other._set_vectors(q, *bounds))
         return other

@@ -12,7 +12,6 @@ import numpy as np
 from ...checks import FloatVector
 from ...crossovers import BANDED_ROUNDS, BOXED_ROUNDS, MULTIGRID_PASSES
 from ...errors import UnsuitableMatrix
-from ...exact.rounding import read_only_views
 from ...matrix.bands import Bands, bands
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import bandwidth
@@ -88,10 +87,8 @@ class Banded(Algorithm):
         costs = _costs(band, problem)
         vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(kernels.SLOTS, np.int64)
         rows = np.empty((n, band.entries.shape[0]))
-        entries, weights, scale, q, lower, upper = read_only_views(
-            band.entries, band.weights, problem.residual_scale, problem.q, problem.lower, problem.upper
-        )
-        z = z0
+        entries, weights, scale = band.entries, band.weights, problem.residual_scale
+        q, lower, upper, z = problem.q, problem.lower, problem.upper, z0
         sign = kernels.begin(band.is_tridiagonal_z, lower, upper, memory)
         residual, goes_on = kernels.measure(entries, band.below, q, lower, upper, scale, z, vectors[0], sets[1]), True
         yield Step(z, residual, work=1.0)
@@ -108,14 +105,13 @@ class Banded(Algorithm):
         from ...kernels.bands import run_all
 
         band, M = self._bands(problem), problem.csr
-        arrays = read_only_views(
-            band.entries, band.weights, problem.residual_scale, M.indptr, M.indices, M.data, problem.q[None],
-            problem.lower, problem.upper, problem.nearest_to_zero,
-        )
         z, w = z0[None].copy(), np.empty((1, problem.n))
         rounds, ends = np.empty((1, 2), np.int64), np.empty((1, 2))
-        kind = band.below, band.is_tridiagonal_z
-        run_all(arrays[0], *kind, *arrays[1:], tolerance, max_iterations, z, w, rounds, ends)
+        run_all(
+            band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
+            M.data, problem.q[None], problem.lower[None], problem.upper[None], problem.nearest_to_zero[None], tolerance,
+            max_iterations, z, w, rounds, ends,
+        )
         if rounds[0, 0] < 0:
             return None
         work, costs = 1.0, _costs(band, problem)

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from .solving.batch import solve_many as solve_many
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.march import march as march
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -63,6 +64,7 @@ _HOME = {
     "solve": "solving.driver",
     "prepare": "solving.batch",
     "solve_many": "solving.batch",
+    "march": "solving.march",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

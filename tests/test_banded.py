@@ -12,14 +12,13 @@ from exact import exact_solution
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Status, gallery, prepare, solve
-from lcp_plugin.algorithms import Step, create
-from lcp_plugin.errors import UnsuitableMatrix
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
+from lcp_plugin.algorithms import Step
+from lcp_plugin.algorithms.active_sets.banded import Banded
 from lcp_plugin.kernels.tridiagonal import find_contacts
 from lcp_plugin.matrix.bands import bands
 
 Generator = np.random.Generator
-BANDED = create("banded", {})
 MANY = 10_000
 
 
@@ -243,7 +242,7 @@ def test_steps_are_within_the_bounds_and_know_their_residual() -> None:
     """As the driver asks: z is never outside, and the residual that goes with it is that of this z."""
     for problem in problems(True):
         steps: list[Step] = []
-        for step in BANDED.iterates(problem, problem.nearest_to_zero.copy()):
+        for step in Banded().iterates(problem, problem.nearest_to_zero.copy()):
             assert np.array_equal(step.z, np.clip(step.z, problem.lower, problem.upper))
             r = step.z - np.clip(step.z - problem.slack(step.z) / problem.residual_scale, problem.lower, problem.upper)
             assert step.residual == pytest.approx(np.abs(r).max(), abs=1e-9 * (1.0 + np.abs(problem.q).max()))
@@ -274,3 +273,92 @@ def test_one_round_a_step_prices_an_american_put() -> None:
         z = result.z
         problem = problem.with_q(scene.advance(z))
     assert 0.1 < np.mean(z == problem.lower) < 0.9
+
+
+def test_a_march_is_its_steps_one_by_one() -> None:
+    """Where all steps run in one loop, and where another method drives each, bit for bit; results included."""
+    scene = gallery.build("american_put_march", size=101, steps=25)
+    assert scene.advance is not None
+    forcing = np.broadcast_to(scene.advance(np.zeros(101)), (25, 101))
+    for algorithm in ("auto", "banded", "psor"):
+        steps = march(scene.problem, forcing, z0=scene.problem.lower, algorithm=algorithm)
+        problem, z = scene.problem, np.array(scene.problem.lower)
+        for step, state in zip(steps, steps.z, strict=True):
+            alone = solve(problem, algorithm, z0=z)
+            assert np.array_equal(step.certificate.problem.q, problem.q)
+            assert np.array_equal(state, step.z)
+            assert np.array_equal(step.z, alone.z)
+            assert np.array_equal(step.w, alone.w)
+            assert (step.status, step.iterations, step.work) == (alone.status, alone.iterations, alone.work)
+            assert step.certificate.relative_residual == alone.certificate.relative_residual
+            z = step.z
+            problem = problem.with_q(scene.advance(z))
+        assert steps[-1].is_solved
+        assert [step.iterations for step in steps[:3]] == [steps[k].iterations for k in range(3)]
+
+
+def test_a_march_carries_a_matrix_and_forces_that_change() -> None:
+    """Crank–Nicolson: (2I + A) z = (2I − A) z_before + f_k, between bounds; each step solves its own problem."""
+    rng = np.random.default_rng(4)
+    n, k = 60, 30
+    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
+    explicit = sp.csr_array(2.0 * sp.eye_array(n) - A)
+    problem = LCP(2.0 * sp.eye_array(n) + A, np.zeros(n), lower=-1.0, upper=1.0)
+    force = rng.normal(scale=3.0, size=(k, n)).cumsum(axis=0)
+    z = rng.normal(scale=5.0, size=n)  # outside the bounds
+    for before in (explicit, explicit.toarray()):
+        steps = march(problem, -force, -before, z0=z)
+        state = z
+        for step, f in zip(steps, force, strict=True):
+            np.testing.assert_allclose(step.certificate.problem.q, -f - explicit @ state, atol=1e-12)
+            state = step.require_solved().z
+        assert all(0.0 < np.mean(np.abs(state) == 1.0) < 1.0 for state in steps.z[3:])
+
+
+def test_a_march_ends_where_a_step_is_not_solved() -> None:
+    """The steps after it would start from nothing; what cannot be taken in one loop is taken by itself."""
+    problem = LCP(sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0)
+    forcing = np.random.default_rng(0).normal(size=(5, 30))
+    assert len(march(problem, forcing, 0.0)) == 5
+    cut = march(problem, forcing, 0.0, max_iterations=1)
+    assert len(cut) == 1
+    assert not cut.all_solved
+    assert cut[0].status is Status.MAX_ITERATIONS
+    idle = march(problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0)  # z° solves the third
+    assert idle.all_solved
+    assert len(idle) == 6
+    assert not idle.z[2].any()
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), n = 3, a row a step, got shape \(3,\)"),
+    ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
+    ({"carry": np.eye(2)}, r"carry must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
+    ({"carry": np.full((3, 3), np.inf)}, "carry must be .* got NaN or infinite entries; repair them"),
+    ({"z0": np.zeros(2)}, "z0 must be"),
+])
+def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
+    """Data of another shape, or not finite, in words and before the first step."""
+    with pytest.raises(InvalidProblem, match=message):
+        march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
+    with pytest.raises(InvalidOption, match="march needs an LCP, got ndarray"):
+        march(np.eye(3), np.zeros((1, 3)))
+
+
+def test_many_offsets_of_one_matrix_in_one_loop() -> None:
+    """Row k is what the sprint of problem k alone is, each with bounds of its own; one that does not arrive is None."""
+    rng = np.random.default_rng(6)
+    for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
+        made = [planted(M, rng, boxes=True)[0] for _ in range(8)]
+        made[3] = made[3].with_q(np.full(40, 1e308), lower=made[3].lower, upper=made[3].upper)
+        names = ("q", "lower", "upper", "nearest_to_zero")
+        Q, lower, upper, Z = (np.array([getattr(problem, name) for problem in made]) for name in names)
+        together = Banded().sprints(made[0], Q, Z, 1e-8, 100, bounds=(lower, upper))
+        for problem, sprint in zip(made, together, strict=True):
+            alone = Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 100)
+            assert (sprint is None) == (alone is None)
+            if sprint is not None and alone is not None:
+                assert np.array_equal(sprint.z, alone.z)
+                assert (sprint.largest, sprint.least_reference, sprint.parts) == (
+                    alone.largest, alone.least_reference, alone.parts)
+        assert sum(sprint is not None for sprint in together) >= 7

@@ -197,10 +197,20 @@ def begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
     return 1.0 if lowers >= uppers else -1.0
 
 
+@njit
+def _add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
+    """Add A x to y."""
+    for i in range(y.size):
+        total = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            total += data[k] * x[indices[k]]
+        y[i] += total
+
+
 @compiled
 def run_all(  # type: ignore[no-untyped-def]
-    bands, below, is_direct, weights, scale, indptr, indices, data, Q, lower, upper, nearest, tolerance, most_rounds,
-    Z, W, rounds, ends
+    bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
+    Q, lower, upper, nearest, tolerance, most_rounds, Z, W, rounds, ends
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -210,6 +220,9 @@ def run_all(  # type: ignore[no-untyped-def]
         M: its bands, what `advance` asks for, and its entries by rows.
     is_direct : bool
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
+    carry_indptr, carry_indices, carry_data
+        C by rows, or nothing: C z of each row is added to the q of the next, which starts from that z, in a march that
+        ends where it does not arrive.
     Q, Z, W : arrays, shape (k, n)
         Offsets; starts, then answers; their slacks.
     lower, upper, nearest : arrays, shape (k, n), or (1, n) for all
@@ -223,27 +236,29 @@ def run_all(  # type: ignore[no-untyped-def]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
     rows, origin = np.empty((n, bands.shape[0])), np.empty(n)
     smallest, largest = np.empty(n), np.empty(n)
+    rounds[:] = -1
     for k in range(Q.shape[0]):
         q, z, bound = Q[k], Z[k], min(k, lower.shape[0] - 1)
-        low, high = lower[bound], upper[bound]
+        low, high, direct, blocks = lower[bound], upper[bound], 0, 0
+        if carry_indptr.size > 0 and k > 0:
+            z[:] = Z[k - 1]
+            _add_product(carry_indptr, carry_indices, carry_data, z, q)
+            for i in range(n):
+                z[i] = min(max(z[i], low[i]), high[i])
         origin[:] = nearest[bound]
         residual_ends(indptr, indices, data, 0, origin, q, origin, low, high, scale, smallest, largest)
         least, most = smallest.max(), largest.max()
         sign = begin(is_direct, low, high, memory)
-        residual = measure(bands, below, q, low, high, scale, z, vectors[0], sets[1])
-        direct = blocks = 0
-        goes_on = least > 0.0
+        residual, goes_on = measure(bands, below, q, low, high, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = advance(
                 bands, below, sign, weights, scale, q, low, high, z, vectors, sets, memory, rows
             )
-            if memory[LAST_WAY] == DIRECT:
-                direct += 1
-            else:
-                blocks += 1
-        rounds[k] = -1
+            direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, low, high, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = largest.max(), least
             if ends[k, 0] / least < tolerance:
                 W[k], rounds[k, 0], rounds[k, 1] = vectors[0], direct, blocks
+        if carry_indptr.size > 0 and rounds[k, 0] < 0:
+            return

@@ -52,9 +52,7 @@ class LCP:
     array([0. , 3.5])
     """
 
-    def __init__(
-        self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
-    ) -> None:
+    def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = Matrix(M)
         self._set_vectors(q, lower, upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..algorithms import Algorithm
+from ..algorithms import Algorithm, Sprint
 from ..algorithms.rehearsal import rehearse
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
@@ -30,6 +30,13 @@ def sprinted(
     sprint = algorithm.sprint(problem, start, settings.tolerance, settings.max_iterations)
     if sprint is None:
         return None
+    return result_of(problem, policy, first, settings, sprint, clock.read())
+
+
+def result_of(
+    problem: LCP, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
+) -> Result:
+    """Return what a sprint of the first algorithm has arrived at."""
     certificate = Certificate.enclosed(problem, sprint.z, sprint.w, sprint.largest, sprint.least_reference)
     stages = tuple(
         StageRecord(name, "" if k else first.because, iterations, work)
@@ -39,7 +46,7 @@ def sprinted(
         z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
         tolerance=settings.tolerance, measure=settings.measure, algorithm=name_of(policy.name, stages),
         iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
-        seconds=clock.read(), setup_seconds=0.0, stages=stages, chosen=policy.chosen,
+        seconds=seconds, setup_seconds=0.0, stages=stages, chosen=policy.chosen,
     )
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...checks import FloatVector
 from ...crossovers import BANDED_ROUNDS, BOXED_ROUNDS, MULTIGRID_PASSES
 from ...errors import UnsuitableMatrix
+from ...exact.rounding import read_only_views
 from ...matrix.bands import Bands, bands
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import bandwidth
@@ -100,25 +101,52 @@ class Banded(Algorithm):
 
     def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
         """Return the answer of the same rounds in one call."""
-        if problem.is_dense or problem.n == 0:
-            return None
+        return self.sprints(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
+
+    def sprints(
+        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int, *,
+        bounds: tuple[FloatVector, FloatVector] | None = None, carry: Any = None,
+    ) -> list[Sprint | None]:
+        """Return the sprint of each row of Q, one after the other in one compiled loop.
+
+        Parameters
+        ----------
+        problem : LCP
+            Gives M and the bounds.
+        Q, Z : arrays, shape (k, n)
+            Offsets, and starts within the bounds; the latter are overwritten.
+        tolerance, max_iterations
+            As for `sprint`, of each.
+        bounds : pair of arrays, shape (k, n), optional
+            Of each row, instead of those of the problem.
+        carry : CSR array, shape (n, n), optional
+            The march in time: Q[k] becomes Q[k] + carry @ z of the row before, and that z its start. Where a row does
+            not arrive, the next ones have to wait, None.
+        """
+        k, n = Q.shape
+        if problem.is_dense or n == 0:
+            return [None] * k
         from ...kernels.bands import run_all
 
         band, M = self._bands(problem), problem.csr
-        z, w = z0[None].copy(), np.empty((1, problem.n))
-        rounds, ends = np.empty((1, 2), np.int64), np.empty((1, 2))
+        W, rounds, ends = np.empty((k, n)), np.empty((k, 2), np.int64), np.empty((k, 2))
+        lower, upper, nearest = problem.lower[None], problem.upper[None], problem.nearest_to_zero[None]
+        if bounds is not None:
+            lower, upper, nearest = read_only_views(*bounds, np.clip(0.0, *bounds))
+        carried = [M.indptr[:0], M.indices[:0], M.data[:0]]
+        if carry is not None:
+            index = M.indptr.dtype
+            carried = read_only_views(carry.indptr.astype(index), carry.indices.astype(index), carry.data)
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, problem.q[None], problem.lower[None], problem.upper[None], problem.nearest_to_zero[None], tolerance,
-            max_iterations, z, w, rounds, ends,
+            M.data, *carried, Q, lower, upper, nearest, tolerance, max_iterations, Z, W, rounds, ends,
         )
-        if rounds[0, 0] < 0:
-            return None
-        work, costs = 1.0, _costs(band, problem)
-        for way in (0, 1):
-            for _ in range(rounds[0, way]):
-                work += costs[way]
-        return Sprint(z[0], w[0], ends[0, 0], ends[0, 1], ((self.name, int(rounds.sum()), work),))
+        costs = _costs(band, problem)
+        found: list[Sprint | None] = []
+        for z, w, (largest, least), (direct, blocks) in zip(Z, W, ends.tolist(), rounds.tolist(), strict=True):
+            part = self.name, direct + blocks, _work(costs, direct, blocks)
+            found.append(None if direct < 0 else Sprint(z, w, largest, least, (part,)))
+        return found
 
     def _bands(self, problem: LCP) -> Bands:
         band = bands(problem.matrix)
@@ -145,6 +173,15 @@ def _predicted_passes(matrix: Matrix) -> float:
     if max(below, above) <= 1 and (band := bands(matrix)) is not None and band.is_tridiagonal_z:
         rounds, cost = BOXED_ROUNDS, DIRECT_COST
     return rounds * cost * (below + above + 1.0) * matrix.n / max(matrix.nonzeros, 1)
+
+
+def _work(costs: tuple[float, float], direct: int, blocks: int) -> float:
+    """Return the work of a run, added up as single steps are."""
+    work = 1.0
+    for cost, count in zip(costs, (direct, blocks), strict=True):
+        for _ in range(count):
+            work += cost
+    return work
 
 
 def _costs(band: Bands, problem: LCP) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
 from lcp_plugin.algorithms.active_sets.banded import Banded
+from lcp_plugin.kernels import bands as kernels
 from lcp_plugin.kernels.tridiagonal import find_contacts
 from lcp_plugin.matrix.bands import bands
 
@@ -151,6 +152,40 @@ def test_boxes_take_few_rounds_from_any_start() -> None:
             rounds.append(result.iterations)
     assert np.median(rounds) <= 3
     assert max(rounds) <= 12
+
+
+def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
+    """A string between two walls, 20 000 nodes: the sides take turns, and no front moves row by row."""
+    n = 20_000
+    x = np.linspace(0.0, 1.0, n + 2)[1:-1]
+    M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (n + 1.0) ** 2
+    for q, lower, upper in ((-200.0 * np.sin(9.0 * np.pi * x), -0.05, 0.05), (-30.0, -0.3, np.minimum(x, 1.0 - x))):
+        problem = LCP(M, np.full(n, q), lower=lower, upper=upper)
+        result = solve(problem, "banded").require_solved()
+        assert result.iterations <= 10
+        assert 0.1 < np.mean((result.z == problem.lower) | (result.z == problem.upper)) < 0.95
+
+
+def test_one_side_alone_ends_too() -> None:
+    """What comes after 30 turns: rows only leave the side that is held, and not more than n + 2 rounds are needed."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        problem, z = planted(tridiagonal_m(30, rng), rng, boxes=True)
+        band, scale = band_of(problem.csr), problem.residual_scale
+        vectors, sets, memory = np.empty((4, 30)), np.empty((2, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
+        kernels.begin(True, problem.lower, problem.upper, memory)
+        memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]
+        data = problem.q, problem.lower, problem.upper
+        now = rng.normal(scale=50.0, size=30)
+        kernels.measure(band.entries, 1, data[0], *data[1:], scale, now, vectors[0], sets[1])
+        held: list[int] = []
+        while not held or not np.allclose(now, z, atol=1e-9):
+            kernels.advance(band.entries, 1, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3)))
+            assert memory[kernels.SIDE] == side
+            assert memory[kernels.LAST_WAY] == kernels.DIRECT
+            held.append(int(np.count_nonzero(sets[1] == side)))
+        assert held == sorted(held, reverse=True)
+        assert len(held) <= 32
 
 
 def test_without_an_m_matrix_nothing_false_is_said() -> None:

@@ -13,9 +13,10 @@ from .enclosures import residual_ends
 from .tridiagonal import find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
-WAY, LAST_WAY, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(9)
+WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)
 DIRECT, BLOCKS = 0, 1
 LEAST_PIVOT = 1e-14  # of a row of size 1: stands for the pivot of a singular block, whose z then leaves the bounds
+TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what arrives needed less than 100
 
@@ -93,19 +94,20 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
 
 
 @njit
-def _choose(n, bands, q, sign, lower, upper, value, state, target, memory):  # type: ignore[no-untyped-def]
+def _choose(n, bands, q, lower, upper, value, state, target, memory):  # type: ignore[no-untyped-def]
     """Fill state with the bounds that are to hold, and value with the z there."""
     if memory[WAY] == DIRECT:
+        side, sign = memory[SIDE], float(memory[SIDE])
         is_held, is_free = np.empty(n, np.bool_), np.empty(n, np.bool_)
         for i in range(n):
-            near, far = (lower[i], upper[i]) if sign > 0.0 else (upper[i], lower[i])
-            is_held[i] = lower[i] == upper[i] or target[i] == sign
+            near, far = (lower[i], upper[i]) if side > 0 else (upper[i], lower[i])
+            is_held[i] = lower[i] == upper[i] or target[i] == side
             value[i] = sign * (far if is_held[i] else near)
         if not find_contacts(bands, q, sign, value, is_held, is_free):
             memory[WAY] = BLOCKS
         for i in range(n):
             value[i] *= sign
-            state[i] = 0 if is_free[i] else target[i] if is_held[i] else -sign
+            state[i] = 0 if is_free[i] else target[i] if is_held[i] else -side
     if memory[WAY] == BLOCKS:
         for i in range(n):
             state[i] = target[i]
@@ -113,20 +115,23 @@ def _choose(n, bands, q, sign, lower, upper, value, state, target, memory):  # t
 
 
 @njit
-def _goes_on(sign, state, target, memory):  # type: ignore[no-untyped-def]
+def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
     """Return whether another round may help; where changing all wrong rows leads nowhere, half of them."""
     wrong = far = held = 0
     for i in range(state.size):
         held += target[i] != 0
         if state[i] != target[i]:
             wrong += 1
-            far += state[i] == sign or target[i] == sign
+            far += state[i] == memory[SIDE] or target[i] == memory[SIDE]
     memory[IS_SETTLED] = wrong == 0
     if wrong == 0:
         return True
     if memory[WAY] == DIRECT:
-        memory[LEFT] -= 1
+        memory[TURNS_LEFT] -= 1
+        memory[LEFT] -= memory[TURNS_LEFT] < 0
         if far > 0 and memory[LEFT] > 0:
+            if memory[TURNS_LEFT] >= 0:
+                memory[SIDE] = -memory[SIDE]
             return True
         memory[WAY] = BLOCKS
     for i in range(state.size):
@@ -148,7 +153,7 @@ def _goes_on(sign, state, target, memory):  # type: ignore[no-untyped-def]
 
 @compiled
 def advance(  # type: ignore[no-untyped-def]
-    bands, below, sign, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
 ):
     """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
 
@@ -161,7 +166,7 @@ def advance(  # type: ignore[no-untyped-def]
     if is_refined:
         value[:] = 0.0
     else:
-        _choose(n, bands, q, sign, lower, upper, value, state, target, memory)
+        _choose(n, bands, q, lower, upper, value, state, target, memory)
     memory[LAST_WAY] = memory[WAY]
     right = w if is_refined else q
     if memory[WAY] == DIRECT:
@@ -171,7 +176,7 @@ def advance(  # type: ignore[no-untyped-def]
     for i in range(n):
         z[i] = z[i] + step[i] if is_refined else step[i]
     now = measure(bands, below, q, lower, upper, scale, z, w, target)
-    goes_on = _goes_on(sign, state, target, memory)
+    goes_on = _goes_on(state, target, memory)
     is_outside = False
     for i in range(n):
         inside = min(max(z[i], lower[i]), upper[i])
@@ -184,17 +189,16 @@ def advance(  # type: ignore[no-untyped-def]
 
 @compiled
 def begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
-    """Fill the memory of a run that begins; return the side whose contacts are found directly: that of most bounds."""
+    """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
     n = lower.size
     lowers = uppers = 0
     for i in range(n):
         lowers += lower[i] > -np.inf
         uppers += upper[i] < np.inf
-    memory[WAY] = DIRECT if is_direct else BLOCKS
-    memory[LEFT] = n + 2
+    memory[WAY], memory[SIDE] = DIRECT if is_direct else BLOCKS, 1 if lowers >= uppers else -1
+    memory[TURNS_LEFT], memory[LEFT] = TURNS, n + 2
     memory[FEWEST_WRONG] = memory[FEWEST_HELD] = n + 1
     memory[PATIENCE], memory[HALVES_LEFT], memory[IS_SETTLED] = TRIES, HALVES, 0
-    return 1.0 if lowers >= uppers else -1.0
 
 
 @njit
@@ -248,11 +252,11 @@ def run_all(  # type: ignore[no-untyped-def]
         origin[:] = nearest[bound]
         residual_ends(indptr, indices, data, 0, origin, q, origin, low, high, scale, smallest, largest)
         least, most = smallest.max(), largest.max()
-        sign = begin(is_direct, low, high, memory)
+        begin(is_direct, low, high, memory)
         residual, goes_on = measure(bands, below, q, low, high, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = advance(
-                bands, below, sign, weights, scale, q, low, high, z, vectors, sets, memory, rows
+                bands, below, weights, scale, q, low, high, z, vectors, sets, memory, rows
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:

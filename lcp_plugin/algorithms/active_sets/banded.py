@@ -29,13 +29,16 @@ class Banded(Algorithm):
     Notes
     -----
     A round is a factorisation of the free block, with pivots from the column, within the band: O(n) on a narrow one.
-    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign; where that no longer
-    makes them fewer only the last one, a bounded number of times. On M-matrices bounded on one side the changes are
-    monotone and finite. Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on
-    the one side are found directly for given ones on the other, in O(n): with bounds on one side there is one round,
-    with boxes on an M-matrix the rows at the other side only leave it after the first, so that they end, too. That is
-    the method of Brennan and Schwartz where the contact set is one interval at an end, Cryer's in general. An active
-    set that comes out again has its z refined once. A start says which bounds hold at first.
+    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign; where that makes neither
+    them nor the rows at bounds fewer for a while, half of them by lot, up to 200 times. On M-matrices bounded on one
+    side the changes are monotone and finite. An active set that comes out again has its z refined once. A start says
+    which bounds hold at first.
+
+    Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on one side are found
+    directly, in O(n), those at the other side held: bounds on one side take one round, boxes some, in which the sides
+    take turns. Where 30 turns have not settled it, one side stays: on an M-matrix z is monotone then, and rows only
+    leave the other side, so that it ends. The direct part is the method of Brennan and Schwartz where the contact set
+    is one interval at an end, Cryer's in general.
 
     References
     ----------
@@ -90,12 +93,12 @@ class Banded(Algorithm):
         rows = np.empty((n, band.entries.shape[0]))
         entries, weights, scale = band.entries, band.weights, problem.residual_scale
         q, lower, upper, z = problem.q, problem.lower, problem.upper, z0
-        sign = kernels.begin(band.is_tridiagonal_z, lower, upper, memory)
+        kernels.begin(band.is_tridiagonal_z, lower, upper, memory)
         residual, goes_on = kernels.measure(entries, band.below, q, lower, upper, scale, z, vectors[0], sets[1]), True
         yield Step(z, residual, work=1.0)
         while goes_on:
             residual, goes_on = kernels.advance(
-                entries, band.below, sign, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+                entries, band.below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
             )
             yield Step(z, residual, work=costs[memory[kernels.LAST_WAY]])
 

@@ -17,10 +17,10 @@ from lcp_plugin.algorithms.base import Step
 from lcp_plugin.algorithms.pivots.canonical_box import canonical_box, equilibrated
 from lcp_plugin.algorithms.pivots.covering_vectors import bimatrix_players, starts
 from lcp_plugin.algorithms.pivots.lemke import Lemke, connected_parts
-from lcp_plugin.algorithms.pivots.pivoting import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.algorithms.pivots.pivoting_path import Path
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.errors import InvalidOption, UnsuitableProblem
+from lcp_plugin.kernels.pivoting import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.strategies import solved_lcps
 
 INF = np.inf

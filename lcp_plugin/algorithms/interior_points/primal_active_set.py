@@ -7,10 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...kernels.floats import EPSILON
-
-BoolVector = NDArray[np.bool_]
 
 LARGEST_BORDER = 48  # changed rows beyond which a new factor is cheaper than a wider border
 FIRST_SHIFT = 1e-13  # of the largest diagonal entry, where a block is not positive definite to working precision
@@ -91,8 +89,8 @@ class BorderedFactor:
         self.work += self.block.size**2
         if k:
             V, joined, rows = self._columns[:, :k], self._joined[:k], self._row_array[:k]
-            own = np.where(joined, right[rows], 0.0) - half @ V
-            _, _, multiplier, info = self._lapack.dgesv(self._products[:k, :k], own)
+            border = np.where(joined, right[rows], 0.0) - half @ V
+            _, _, multiplier, info = self._lapack.dgesv(self._products[:k, :k], border)
             if info != 0:
                 raise NotConvex
             half -= V @ multiplier

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
+from ...kernels.pivoting import AT_LOWER, AT_UPPER, BETWEEN
 from .canonical_box import invertible_part
-from .pivoting import AT_LOWER, AT_UPPER, BETWEEN
 from .pivoting_path import Path
 
 Start = Callable[[Path], bool]

@@ -160,7 +160,7 @@ class Lemke(Algorithm):
 
         A path lost to rounding is followed once more with an inverse renewed every few pivots.
         """
-        from .pivoting import GOING_ON, LOST, RAY, SOLVED
+        from ...kernels.pivoting import GOING_ON, LOST, RAY, SOLVED
 
         usual = path.fresh_for
         for block in (min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 16, 200))), CAREFUL_BLOCK):
@@ -183,7 +183,7 @@ class Lemke(Algorithm):
 
     def _solution(self, part: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
-        from .pivoting import AT_LOWER, AT_UPPER
+        from ...kernels.pivoting import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), part.lower, part.upper)
         yield z, 0.0, None

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
-from . import pivoting
-from .pivoting import AT_LOWER, AT_UPPER, BETWEEN, CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
+from ...kernels import pivoting
+from ...kernels.pivoting import AT_LOWER, AT_UPPER, BETWEEN, CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
 
 FloatMatrix = NDArray[np.float64]
 

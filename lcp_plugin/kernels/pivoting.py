@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...kernels.compilation import compiled
+from .compilation import compiled
 
 AT_LOWER, BETWEEN, AT_UPPER = 0, 1, 2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
 from lcp_plugin.algorithms.active_sets.banded import Banded
+from lcp_plugin.algorithms.rehearsal import rehearse
 from lcp_plugin.kernels import bands as kernels
 from lcp_plugin.kernels.tridiagonal import find_contacts
 from lcp_plugin.matrix.bands import bands
@@ -397,3 +398,16 @@ def test_many_offsets_of_one_matrix_in_one_loop() -> None:
                 assert (sprint.largest, sprint.least_reference, sprint.parts) == (
                     alone.largest, alone.least_reference, alone.parts)
         assert sum(sprint is not None for sprint in together) >= 7
+
+
+def test_a_rehearsal_compiles_all_there_is() -> None:
+    """Single steps, all rounds at once and marches run what the 1 × 1 problem before the clock starts has compiled."""
+    problem = gallery.build("american_put", size=40).problem
+    rehearse(Banded(), problem)
+    compiled = [kernels.run_all, kernels.advance, kernels.measure, kernels.begin]
+    before = [len(kernel.signatures) for kernel in compiled]
+    Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 10)
+    list(Banded().iterates(problem, problem.nearest_to_zero.copy()))
+    march(problem, np.zeros((2, 40)))
+    solve(problem.with_q(np.array(problem.q), upper=np.full(40, 200.0)), z0=np.ones(40))
+    assert [len(kernel.signatures) for kernel in compiled] == before

@@ -93,8 +93,8 @@ def march(
 
     Raises
     ------
-    InvalidOption, InvalidProblem, UnknownAlgorithm
-        Before the first step.
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        Before the first step; the last where the rows of M are spread over ranks.
 
     Notes
     -----
@@ -109,6 +109,7 @@ def march(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
+    problem.matrix.require_all_rows()
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
     settings = Settings(tolerance, "residual", "relative", max_iterations, None, False, False)
     policy, state = policy_for(algorithm, {}), problem.nearest_to_zero

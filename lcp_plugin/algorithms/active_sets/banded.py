@@ -127,7 +127,7 @@ class Banded(Algorithm):
             not arrive, the next ones have to wait, None.
         """
         k, n = Q.shape
-        if problem.is_dense or n == 0:
+        if n == 0 or (problem.is_dense and n > 1):  # the products of an ndarray are BLAS's, summed in its own order
             return [None] * k
         from ...kernels.bands import run_all
 

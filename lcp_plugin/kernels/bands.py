@@ -10,12 +10,12 @@ from numba import njit
 
 from .compilation import compiled
 from .enclosures import residual_ends
-from .tridiagonal import find_contacts, substitute
+from .tridiagonal import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
 WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)
 DIRECT, BLOCKS = 0, 1
-LEAST_PIVOT = 1e-14  # of a row of size 1: stands for the pivot of a singular block, whose z then leaves the bounds
+RIDGE = 1e-8  # of a row of size 1: stands for a negligible pivot, so that no z gets too large to tell its residual
 TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what arrives needed less than 100
@@ -78,8 +78,8 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
             right[k], right[best] = right[best], right[k]
             for m in range(width):
                 rows[k, m], rows[best, m] = rows[best, m], rows[k, m]
-        if not abs(rows[k, 0]) >= LEAST_PIVOT:
-            rows[k, 0] = LEAST_PIVOT
+        if not abs(rows[k, 0]) >= NEGLIGIBLE_PIVOT:
+            rows[k, 0] = RIDGE
         for i in range(k + 1, last):
             factor = rows[i, 0] / rows[k, 0]
             right[i] -= factor * right[k]

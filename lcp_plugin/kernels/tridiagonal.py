@@ -29,6 +29,7 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
 
 
+NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
@@ -52,7 +53,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
     Returns
     -------
     bool
-        False where a pivot is not positive: M is no M-matrix.
+        False where a pivot is not positive, or negligible: M is no M-matrix, or singular.
     """
     n = is_free.size
     stops, slack, blocks = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
@@ -71,7 +72,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
             block = EMPTY
             continue
         block, pivot = _join(block, EMPTY, a, d, c, sign * q[i])
-        if not pivot > 0.0:
+        if not pivot > NEGLIGIBLE_PIVOT * d:
             return False
         while top > 0 and after > -np.inf:  # a row without bound becomes free next, and then they are looked at
             k = stops[top]
@@ -81,7 +82,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
             is_free[k] = True
             kept = blocks[top]
             block, pivot = _join((kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]), block, a, d, c, sign * q[k])
-            if not pivot > 0.0:
+            if not pivot > NEGLIGIBLE_PIVOT * d:
                 return False
             top -= 1
             left = value[stops[top]] if top > 0 else 0.0

@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from .problem.lcp import LCP as LCP
     from .settings import Status as Status
     from .solving.batch import prepare as prepare
+    from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
+    from .solving.batch_result import BatchResult as BatchResult
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
     from .solving.march import march as march
@@ -63,6 +65,8 @@ _HOME = {
     "Status": "settings",
     "solve": "solving.driver",
     "prepare": "solving.batch",
+    "solve_batch": "solving.batch",
+    "BatchResult": "solving.batch_result",
     "solve_many": "solving.batch",
     "march": "solving.march",
     "ComplementarityProblem": "modeling.registration",

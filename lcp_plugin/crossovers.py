@@ -15,6 +15,8 @@ BANDED_ROUNDS = 5.0  # active sets that banded solves for on random bands
 BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
 PSOR_GAIN = 3.0  # sweeps of npsor by those of psor with automatic relaxation
 
+COMPILED_UP_TO = 128  # rows of a dense M that one compiled call solves faster than libraries called step by step
+
 # Sizes that a policy never exceeds.
 SURE_FACTOR_UP_TO = 20_000  # rows of a sparse M beyond which psor is tried once more before a factor
 LINEAR_PROGRAM_UP_TO = 5000  # rows of a linear program, or of a factor whose fill nobody has estimated: some seconds

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from families import BOUNDED
 from relations import bits, data_of, surroundings
 
@@ -206,7 +207,7 @@ def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest
 
     monkeypatch.setattr(NPSOR, "iterates", broken)
     with pytest.raises(ZeroDivisionError):
-        solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-1.0, -2.0]))
+        solve(LCP(sp.diags_array(np.full(500, 4.0)).tocsr(), -np.ones(500)))
 
 
 # --- Memory, disk, folders ------------------------------------------------------------------------------------------

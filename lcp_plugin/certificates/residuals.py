@@ -103,13 +103,13 @@ class Certificate:
         return certificate
 
     @classmethod
-    def enclosed(cls, problem: LCP, z: FloatVector, w: FloatVector, largest: float, least: float) -> Certificate:
+    def enclosed(cls, problem: LCP, z: FloatVector, largest: float, least: float) -> Certificate:
         """Return the certificate of a z that the enclosures have measured already, in one pass with other things.
 
         Parameters
         ----------
         problem : LCP
-        z, w : arrays, shape (n,)
+        z : array, shape (n,)
             Kept, and read-only from now on.
         largest : float
             An upper bound of ‖r(z)‖∞.
@@ -117,7 +117,7 @@ class Certificate:
             A lower bound of ‖r(z°)‖∞, above 0 unless z is z°.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(w=read_only(w), relative_residual=ratio_upwards(largest, least))
+        certificate.__dict__["relative_residual"] = ratio_upwards(largest, least)
         return certificate
 
     def _measure_at_once(self) -> None:

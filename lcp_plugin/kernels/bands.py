@@ -214,7 +214,7 @@ def _add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
 @compiled
 def run_all(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
-    Q, lower, upper, nearest, tolerance, most_rounds, Z, W, rounds, ends
+    Q, lower, upper, nearest, tolerance, most_rounds, Z, rounds, ends
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -227,8 +227,8 @@ def run_all(  # type: ignore[no-untyped-def]
     carry_indptr, carry_indices, carry_data
         C by rows, or nothing: C z of each row is added to the q of the next, which starts from that z, in a march that
         ends where it does not arrive.
-    Q, Z, W : arrays, shape (k, n)
-        Offsets; starts, then answers; their slacks.
+    Q, Z : arrays, shape (k, n)
+        Offsets; starts, then answers.
     lower, upper, nearest : arrays, shape (k, n), or (1, n) for all
         Bounds, and the point between them that is nearest to 0.
     rounds : array of int, shape (k, 2)
@@ -263,6 +263,6 @@ def run_all(  # type: ignore[no-untyped-def]
             residual_ends(indptr, indices, data, 0, z, q, z, low, high, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = largest.max(), least
             if ends[k, 0] / least < tolerance:
-                W[k], rounds[k, 0], rounds[k, 1] = vectors[0], direct, blocks
+                rounds[k, 0], rounds[k, 1] = direct, blocks
         if carry_indptr.size > 0 and rounds[k, 0] < 0:
             return

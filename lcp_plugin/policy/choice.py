@@ -37,6 +37,7 @@ import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.active_sets.banded import Banded
+from ..algorithms.short_road import ShortRoad, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, MULTIGRID_PASSES, SURE_FACTOR_UP_TO
@@ -98,7 +99,9 @@ class Auto:
         self._direct: Iterator[Choice] | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return banded on a narrow band, PSOR where the first look at the rows proves it quick, otherwise NPSOR."""
+        """Return the compiled road of small problems, banded on narrow bands, PSOR where proved quick, or NPSOR."""
+        if is_short(problem):
+            return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
         passes = BANDED.predicted_passes(problem, math.inf)
         narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} passes over M")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO

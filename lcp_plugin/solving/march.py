@@ -21,7 +21,7 @@ from ..problem.lcp import LCP
 from ..settings import Settings
 from .driver import solve
 from .result import Result
-from .sprint import result_of
+from .sprint import arrival
 from .state import Clock
 
 
@@ -151,7 +151,7 @@ def _sprinted(
 def _result(
     problem: LCP, q: FloatVector, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
 ) -> Result:
-    return result_of(problem.with_q(q), policy, first, settings, sprint, seconds)
+    return arrival(problem.with_q(q), policy, first, sprint, settings, seconds)
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

@@ -132,7 +132,7 @@ class Banded(Algorithm):
         from ...kernels.bands import run_all
 
         band, M = self._bands(problem), problem.csr
-        W, rounds, ends = np.empty((k, n)), np.empty((k, 2), np.int64), np.empty((k, 2))
+        rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 2))
         lower, upper, nearest = problem.lower[None], problem.upper[None], problem.nearest_to_zero[None]
         if bounds is not None:
             lower, upper, nearest = read_only_views(*bounds, np.clip(0.0, *bounds))
@@ -142,13 +142,14 @@ class Banded(Algorithm):
             carried = read_only_views(carry.indptr.astype(index), carry.indices.astype(index), carry.data)
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, *carried, Q, lower, upper, nearest, tolerance, max_iterations, Z, W, rounds, ends,
+            M.data, *carried, Q, lower, upper, nearest, tolerance, max_iterations, Z, rounds, ends,
         )
         costs = _costs(band, problem)
         found: list[Sprint | None] = []
-        for z, w, (largest, least), (direct, blocks) in zip(Z, W, ends.tolist(), rounds.tolist(), strict=True):
-            part = self.name, direct + blocks, _work(costs, direct, blocks)
-            found.append(None if direct < 0 else Sprint(z, w, largest, least, (part,)))
+        for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
+            work = _work(costs, direct, blocks)
+            part = self.name, direct + blocks, work
+            found.append(None if direct < 0 else Sprint(z, largest, least, work, (part,)))
         return found
 
     def _bands(self, problem: LCP) -> Bands:

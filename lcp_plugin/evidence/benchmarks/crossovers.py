@@ -142,6 +142,16 @@ def _dense_or_sparse(repeats: int) -> str:
     return f"a dense factor costs {ratio:.1f} sparse ones on a grid of {M.shape[0]} rows, where fill is small"
 
 
+def _compiled(repeats: int) -> str:
+    """Return what the compiled road costs at its end, and a row beyond it."""
+    n = crossovers.COMPILED_UP_TO
+    problems = {"compiled": _dense(n), "long": _dense(n + 1)}
+    ways = {name: partial(_solved_afresh, problem, "auto") for name, problem in problems.items()}
+    seconds = medians(ways, repeats)
+    ratio = seconds["long"] / seconds["compiled"]
+    return f"auto takes {ratio:.1f} times as long for a dense n = {n + 1} as for {n}, {seconds['compiled']:.1e} s"
+
+
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
@@ -150,6 +160,7 @@ def _sharp_bound(repeats: int) -> str:
 
 MEASURED: dict[str, Callable[[int], str]] = {
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
+    "COMPILED_UP_TO": _compiled,
     "DIRECT_PASSES": _direct, "DIRECT_PASSES_DENSE": _direct_dense, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,

@@ -207,7 +207,7 @@ def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest
 
     monkeypatch.setattr(NPSOR, "iterates", broken)
     with pytest.raises(ZeroDivisionError):
-        solve(LCP(sp.diags_array(np.full(500, 4.0)).tocsr(), -np.ones(500)))
+        solve(TOTAL)
 
 
 # --- Memory, disk, folders ------------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from families import BOUNDED
 from relations import bits, data_of, surroundings
 

@@ -12,7 +12,7 @@ from ..checks import FloatVector, read_only
 from ..crossovers import COMPILED_UP_TO
 from ..matrix.matrix import Matrix, fact
 from ..problem.lcp import LCP
-from .base import Algorithm, Plan, Sprint, Step
+from .base import Algorithm, Plan, Sprint, Step, without_warnings
 
 PARTS = ("npsor", "newton", "lemke")  # the phases of `kernels.small_problems`, by the methods that they are
 EVERYTHING, ROUNDS_ONLY, PIVOTS_ONLY = (True, True, True), (False, True, False), (False, False, True)
@@ -39,7 +39,7 @@ class ShortRoad(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a sweep, a round and a path; end where nothing is left to be tried."""
-        return steps(problem, z0, EVERYTHING)
+        return without_warnings(steps(problem, z0, EVERYTHING))
 
     def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
         """Return where these steps arrive."""
@@ -60,29 +60,33 @@ def as_dense(matrix: Matrix) -> Any:
 def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     """Yield the start and then a step of the planned phases each, until nothing is left to be tried.
 
-    Nothing at all where the numbers are not usual.
+    Where the entries of M are near an end of the range, z takes another unit here, a power of two. Nothing at all is
+    yielded where they are near both ends.
     """
     from ..kernels import small_problems as kernels
     from ..kernels.desk import LOWER, UPPER, Q, Z, sizes
 
-    M, n = as_dense(problem.matrix), problem.n
+    M, n, unit = as_dense(problem.matrix), problem.n, 0
     of_real, of_whole, of_room = sizes(n)
     real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
-    for row, values in ((Q, problem.q), (LOWER, problem.lower), (UPPER, problem.upper), (Z, z0)):
-        real[row, :n] = values
     nonzeros, is_usual, may_sweep, is_symmetric = kernels.look_at(M, 0, real)
     if not is_usual:
+        unit = int(np.frexp(np.abs(M).max())[1])
+        M = read_only(np.ldexp(M, -unit))
+        nonzeros, is_usual, may_sweep, is_symmetric = kernels.look_at(M, 0, real)
+    if not is_usual:
         return
-    z = real[Z, :n]
+    real[Q, :n] = problem.q
+    for row, values in ((LOWER, problem.lower), (UPPER, problem.upper), (Z, z0)):
+        real[row, :n] = np.ldexp(values, unit)
     is_cold = np.array_equal(z0, problem.nearest_to_zero)
     residual = kernels.begin(M, 0, real, whole, *plan, may_sweep, is_cold)
     phase, touched = kernels.next_phase(whole), float(n * n)
-    while True:
-        label = PARTS[phase] if phase != kernels.OVER else ""
-        yield Step(z, residual=residual, work=touched / nonzeros, label=label)
+    while phase != kernels.OVER:
+        z = np.clip(np.ldexp(real[Z, :n], -unit), problem.lower, problem.upper) if unit else real[Z, :n]
+        if np.isfinite(z).all():
+            yield Step(z, residual=float(np.ldexp(residual, -unit)), work=touched / nonzeros, label=PARTS[phase])
         phase, residual, touched = kernels.advance(M, 0, real, whole, room, is_symmetric)
-        if phase == kernels.OVER:
-            return
 
 
 def sprint(problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int, plan: Plan) -> Sprint | None:

@@ -86,7 +86,7 @@ def solve_batch(
     algorithm, tolerance, measure, max_iterations
         For each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
-        For the whole batch: those not solved by then end with MAX_SECONDS.
+        In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
     threads : int, optional
         How many take part in the compiled loop; by default all that the process may use. The bits are the same for
         any number.

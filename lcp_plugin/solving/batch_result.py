@@ -27,9 +27,11 @@ class BatchResult:
         As in :class:`lcp_plugin.Certificate`; NaN where the problem is none.
     iterations : array of int, shape (B,)
     seconds : float
-        Of the whole batch, compilation excluded.
+        Seconds of the whole batch, compilation excluded.
     errors : dict
         What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
+    result_of : callable
+        Gives ``batch[k]``, for k ≥ 0 without error.
 
     Notes
     -----
@@ -42,7 +44,7 @@ class BatchResult:
         errors: dict[int, LCPError], result_of: Callable[[int], Result],
     ) -> None:
         self.z, self.status, self.relative_residual, self.iterations = z, status, relative_residual, iterations
-        self.seconds, self.errors, self._result_of = seconds, errors, result_of
+        self.seconds, self.errors, self.result_of = seconds, errors, result_of
 
     @cached_property
     def w(self) -> Any:
@@ -64,7 +66,7 @@ class BatchResult:
         k %= len(self)
         if k in self.errors:
             raise self.errors[k]
-        return self._result_of(k)
+        return self.result_of(k)
 
     def __iter__(self) -> Iterator[Result]:
         return (self[k] for k in range(len(self)))

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from .solving.batch_result import BatchResult as BatchResult
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.march import march as march
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -67,6 +68,7 @@ _HOME = {
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_result",
     "solve_many": "solving.batch",
+    "march": "solving.march",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

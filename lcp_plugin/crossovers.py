@@ -11,6 +11,8 @@ DIRECT_PASSES = 20.0  # newton or interior_point on a sparse M of at most DIRECT
 DIRECT_PASSES_DENSE = 5.0  # the same where M is an ndarray
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
 MULTIGRID_PASSES = 100.0
+BANDED_ROUNDS = 5.0  # active sets that banded solves for on random bands
+BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
 PSOR_GAIN = 3.0  # sweeps of npsor by those of psor with automatic relaxation
 
 COMPILED_UP_TO = 128  # rows of a dense M that one compiled call solves faster than libraries called step by step

@@ -189,7 +189,7 @@ def test_march_prints_its_totals() -> None:
 
 def test_march_ends_where_a_step_fails() -> None:
     """A step that is not solved ends the march, with exit code 1 and the number of steps done."""
-    done = lcp_plugin("solve", "american_put_march:size=31,steps=4", "--max-iterations", "1")
+    done = lcp_plugin("solve", "american_put_march:size=31,steps=4", "--max-iterations", "0")
     assert done.exit_code == 1
     assert "march: 1 of 4 steps" in done.stdout
     assert "MAX_ITERATIONS: " in done.stdout

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from families import BOUNDED
 from relations import bits, data_of, surroundings
 
@@ -207,7 +206,7 @@ def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest
 
     monkeypatch.setattr(NPSOR, "iterates", broken)
     with pytest.raises(ZeroDivisionError):
-        solve(LCP(sp.diags_array(np.full(500, 4.0)).tocsr(), -np.ones(500)))
+        solve(TOTAL)
 
 
 # --- Memory, disk, folders ------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
+from ..algorithms.active_sets.banded import Banded
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.bands import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
@@ -20,7 +23,7 @@ from .result import Result
 
 
 def prepare(problem: LCP) -> LCP:
-    """Return the same problem with all that depends on M alone computed: diagonal, row splits, symmetry, hierarchy.
+    """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
     needs when it needs it.
@@ -46,6 +49,8 @@ def prepare(problem: LCP) -> LCP:
     from ..algorithms.multigrid_run import hierarchy_of
 
     inverse_residual_scale(problem.matrix)
+    if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
+        bands(problem.matrix)
     for backward in (False, True):
         row_splits(problem.matrix, backward)
     if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):

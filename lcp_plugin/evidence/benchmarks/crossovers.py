@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sp
 
 from ... import crossovers
 from ...algorithms.splittings.projected_relaxation import PSOR
@@ -76,6 +77,20 @@ def _gain(repeats: int) -> str:
     return "on grids of 10², 20² and 40²: " + ", ".join(f"{one:.1f}" for one in found)
 
 
+def random_band(n: int, width: int, coupling: float) -> LCP:
+    """Return a problem with full random diagonals that dominates its rows by little; the couplings have that sign."""
+    rng = np.random.default_rng(n)
+    sides = [k for k in range(-width, width + 1) if k]
+    M = sp.diags_array([coupling * rng.random(n - abs(k)) for k in sides], offsets=sides, shape=(n, n))
+    M = M + sp.diags_array(1.01 * np.asarray(abs(M).sum(axis=1)).ravel())
+    return LCP(M, rng.normal(size=n), upper=rng.exponential(size=n))
+
+
+def _rounds(width: int, coupling: float, repeats: int) -> str:
+    counts = [solve(random_band(1000 + k, width, coupling), "banded").iterations for k in range(repeats)]
+    return f"{min(counts)} to {max(counts)} rounds in boxes, {width} diagonals on either side"
+
+
 def _factor_or_multigrid(repeats: int) -> str:
     last = 0
     for size in (15, 22, 32, 45, 64, 90, 128):
@@ -144,6 +159,7 @@ def _sharp_bound(repeats: int) -> str:
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
+    "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": _compiled,
     "DIRECT_PASSES": _direct, "DIRECT_PASSES_DENSE": _direct_dense, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,

@@ -87,3 +87,15 @@ def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
             code, _LCP_PLUGIN_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=position
         )
         assert found.split() == offered.split()
+
+
+def test_a_kernel_is_compiled_anew_when_another_file_of_kernels_changes() -> None:
+    """What lies on disk carries the dates of all files: a kernel may have been compiled into one of another file."""
+    from lcp_plugin.kernels import compilation, enclosures, small_problems
+
+    files = sorted(Path(compilation.__file__).parent.glob("*.py"))
+    dates = tuple((file.stat().st_mtime_ns, file.stat().st_size) for file in files)
+    for kernel in (small_problems.run_all, enclosures.residual_ends):
+        own, others = kernel._cache._cache_file._source_stamp
+        assert others == dates
+        assert own in dates or own[1] in [size for _, size in dates]

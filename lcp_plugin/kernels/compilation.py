@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from pickle import PickleError
 from typing import Any
@@ -76,11 +77,25 @@ def _kept_in(folder: Path) -> Iterator[None]:
             config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
+@lru_cache(maxsize=1)
+def _sources() -> tuple[tuple[int, int], ...]:
+    """Return the date and size of every file of kernels."""
+    stats = (path.stat() for path in sorted(Path(__file__).parent.glob("*.py")))
+    return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
+
+
 class _ForgivingCache:
-    """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run."""
+    """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run.
+
+    What is kept is used while no file of kernels has changed: numba itself looks at the function's own file only, and
+    would go on with what another one was before.
+    """
 
     def __init__(self, cache: Any) -> None:
         self._cache = cache
+        with suppress(AttributeError, OSError):
+            file = cache._cache_file
+            file._source_stamp = file._source_stamp, _sources()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)

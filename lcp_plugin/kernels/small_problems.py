@@ -46,7 +46,7 @@ PHASE, MADE, FEWEST, IDLE, LAST = 0, 1, 2, 3, 4
 
 SWEEPS = 2  # as many as improve the guess of the active set
 ROUNDS = 12  # these cost about as much as the pivots of a whole path
-IDLE_ROUNDS = 3
+IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range

@@ -96,6 +96,5 @@ def test_a_kernel_is_compiled_anew_when_another_file_of_kernels_changes() -> Non
     files = sorted(Path(compilation.__file__).parent.glob("*.py"))
     dates = tuple((file.stat().st_mtime_ns, file.stat().st_size) for file in files)
     for kernel in (small_problems.run_all, enclosures.residual_ends):
-        own, others = kernel._cache._cache_file._source_stamp
+        _, others = kernel._cache._cache_file._source_stamp  # the first is numba's, of its own file
         assert others == dates
-        assert own in dates or own[1] in [size for _, size in dates]

@@ -7,11 +7,14 @@ precision of a double, fixes stands beside its proof, not here.
 from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
-DIRECT_PASSES = 20.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
-DIRECT_PASSES_DENSE = 5.0  # the same where M is an ndarray
+DIRECT_PASSES = 400.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
+DIRECT_PASSES_DENSE = 30.0  # the same where M is an ndarray
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
-MULTIGRID_PASSES = 100.0
-PSOR_GAIN = 3.0  # sweeps of npsor by those of psor with automatic relaxation
+MULTIGRID_PASSES = 150.0
+PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
+PSOR_GAIN = 6.0  # sweeps of npsor by those of psor with automatic relaxation
+INTERIOR_STEPS = 20  # factorisations that interior_point takes
+PIVOTS_FIRST_UP_TO = 600  # rows from which on those are cheaper than lemke's pivots
 
 # Sizes that a policy never exceeds.
 SURE_FACTOR_UP_TO = 20_000  # rows of a sparse M beyond which psor is tried once more before a factor

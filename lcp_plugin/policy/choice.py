@@ -27,7 +27,7 @@ gives the same answer bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -40,11 +40,12 @@ from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm
 from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
-from .direct_methods import direct_methods
+from .direct_methods import Turns
 from .stages import Choice, Stage
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 2, 3
 ASKED_EVERY = 20  # sweeps
+TWICE = 2.0  # who leaves once he has paid what the other way costs never pays more than this many times as much
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
 
@@ -89,7 +90,7 @@ class Auto:
     name = chosen = "auto"
 
     def __init__(self) -> None:
-        self._direct: Iterator[Choice] | None = None
+        self._direct: Turns | None = None
 
     def first(self, problem: LCP) -> Choice:
         """Return PSOR where the first look at the rows proves it quick, otherwise NPSOR.
@@ -105,7 +106,7 @@ class Auto:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if self._direct is not None:
-            return next(self._direct, None) if failed else None
+            return self._direct.after(now, target, failed=failed)
         is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
         if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
@@ -119,11 +120,12 @@ class Auto:
             return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
         least = min(predicted, key=lambda rival: predicted[rival])
-        if sweeps <= predicted[least] and not failed:
+        is_hovering = now.work + sweeps > TWICE * predicted[least]  # its prediction came true too late before
+        if sweeps <= predicted[least] and not (failed or is_hovering):
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
-            self._direct = direct_methods(problem)
-            first = next(self._direct, None)
+            self._direct = Turns(problem)
+            first = self._direct.first()
             return first and replace(first, because=f"{needs}; {first.because}")
         return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
 
@@ -149,7 +151,7 @@ def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
     """Return what could take over, in the order in which a tie is decided."""
     now = stages[-1].algorithm
     rivals: list[Algorithm] = []
-    if problem.n > DIRECT_UP_TO and not problem.is_dense and has_positive_diagonal(problem.matrix).all():
+    if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
         rivals += [create("multigrid", {})] if isinstance(now, (NPSOR, PSOR)) and not was_tried else []

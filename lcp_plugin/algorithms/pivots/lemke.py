@@ -222,6 +222,8 @@ def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
 
     if problem.n == 0:
         return []
+    if problem.is_dense and problem.M[0].all():  # the first row ties all together
+        return [np.arange(problem.n)]
     count, label = connected_components(problem.csr, directed=False)
     if count == 1:
         return [np.arange(problem.n)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
 DIRECT_PASSES = 400.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
-DIRECT_PASSES_DENSE = 30.0  # the same where M is an ndarray
+DIRECT_PASSES_DENSE = 40.0  # the same where M is an ndarray
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
 MULTIGRID_PASSES = 150.0
 PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is

@@ -6,10 +6,10 @@ with what its rivals predict (`Algorithm.predicted_passes`, from :mod:`lcp_plugi
 
 | rival | where | predicts |
 |---|---|---|
-| psor with automatic relaxation | after npsor; sparse, n > 1000, positive diagonal | npsor's sweeps by 3, or 20 |
-| multigrid | once; sparse, n > 1000, positive diagonal | 100 passes |
-| the direct methods | M is dense | 5 passes |
-| the direct methods | n ≤ 1000, or no positive diagonal | 20 passes |
+| psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 6, or 20 |
+| multigrid | once; sparse, n > 1000, positive diagonal | 150 passes |
+| the direct methods | M is dense | 40 passes |
+| the direct methods | n ≤ 1000, or no positive diagonal | 400 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
 | the question is asked | |
@@ -18,6 +18,9 @@ with what its rivals predict (`Algorithm.predicted_passes`, from :mod:`lcp_plugi
 | of npsor, M dense | from 2 sweeps on |
 | of psor | every 20 sweeps |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
+
+What sweeps have cost and still need must together stay below twice what the rival predicts, so that nothing that is
+always nearly there goes on for ever.
 
 Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is exact;
 where multigrid ends without an answer and n > 20 000, psor goes on until it fails. No clock is asked: the same call

@@ -4,8 +4,9 @@
 |---|---|
 | sparse, the diagonal positive and nothing else | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
-| any other, diagonal > 0 | newton, lemke and interior_point (the latter first where n > 600), feasibility, search |
-| any other: frictional contact, games | lemke and interior_point (in the same order), feasibility, newton, search |
+| any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
+| any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
+| the same, n > 600 | newton and interior_point (the latter first where the diagonal is not > 0), feasibility, lemke |
 
 They run on the presolved problem, each until it ends; but where no theorem promises an end, a method that has cost as
 much as the next one is predicted to cost waits until all others have had their turn: so none costs more than twice what
@@ -100,10 +101,12 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
     if _seems_monotone(left, problem.origin):
         order = [interior, check, newton, lemke]
     else:
-        newton, lemke = replace(newton, may_wait=True), replace(lemke, may_wait=True)
-        robust = [lemke, interior] if left.n <= PIVOTS_FIRST_UP_TO else [interior, lemke]
         may_be_p = bool(has_positive_diagonal(left.matrix).all())
-        order = [newton, *robust, check] if may_be_p else [*robust, check, newton]
+        newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
+        if left.n <= PIVOTS_FIRST_UP_TO:
+            order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
+        else:
+            order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
     yield from (choice for choice in order if choice.algorithm not in left_out)
 
 

@@ -67,7 +67,8 @@ class CanonicalBox:
 
     def direction(self, ray: FloatVector) -> FloatVector:
         """Return the direction in the problem's z, shape (n,), for one of the canonical problem, shape (k,)."""
-        result = np.bincount(self.rows, weights=self.step * ray, minlength=self.offset.size)
+        result = np.zeros(self.offset.size)
+        np.add.at(result, self.rows, self.step * ray)
         result[self.eliminated] = self.elimination @ ray
         return result
 

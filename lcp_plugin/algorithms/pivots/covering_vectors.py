@@ -15,6 +15,7 @@ from .pivoting_path import Path
 
 Start = Callable[[Path], bool]
 
+NEAR = 0.1  # of the residual of 0: a guess that is farther away leads no shorter way than 0 itself
 INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
@@ -31,7 +32,7 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
         How many arbitrary starts follow the principled ones.
     """
     n, q = path.n, path.q
-    if z.any():
+    if z.any() and _is_near(path, z):
         yield partial(_warm, z=z)
     players = bimatrix_players(path.M, q)
     if players is not None and np.all(path.upper == np.inf):
@@ -41,6 +42,8 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
     size = np.maximum(np.abs(q), 2.0**-10)
     if np.ptp(size) > 0.0:
         yield partial(Path.start_along, covering=size)
+    if z.any():
+        yield partial(_warm, z=z, in_part=True)
     generator = np.random.default_rng(0)
     for k in range(restarts):
         if k % 4 == 0:
@@ -53,8 +56,15 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
             yield _random_cell(path, generator)
 
 
-def _warm(path: Path, z: FloatVector) -> bool:
-    """Start in the cell that z and its w stand for, a little inside."""
+def _is_near(path: Path, z: FloatVector) -> bool:
+    """Return whether the residual of z is so much less than that of 0 that its cell is likely to be close."""
+    residuals = (point - np.clip(point - (path.M @ point + path.q), 0.0, path.upper) for point in (z, np.zeros(path.n)))
+    near, start = (float(np.abs(residual).max(initial=0.0)) for residual in residuals)
+    return near <= NEAR * start
+
+
+def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:
+    """Start in the cell that z and its w stand for, a little inside, if its block is regular; or in that part of it."""
     w = path.M @ z + path.q
     upper = path.upper
     with np.errstate(all="ignore"):
@@ -62,12 +72,12 @@ def _warm(path: Path, z: FloatVector) -> bool:
         at_upper = ~at_lower & (upper - z <= -w)
         margin = np.minimum(INSIDE, 0.25 * upper)
         inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
-    is_between = _regular_part(path.M, ~at_lower & ~at_upper)
-    at_lower |= ~at_upper & ~is_between
+    if in_part:
+        at_lower |= ~at_upper & ~_regular_part(path.M, ~at_lower & ~at_upper)
     side = np.where(at_lower, AT_LOWER, np.where(at_upper, AT_UPPER, BETWEEN))
     z = np.where(at_lower, 0.0, np.where(at_upper, upper, inside))
     w = np.where(at_lower, np.maximum(w, INSIDE), np.where(at_upper, np.minimum(w, -INSIDE), 0.0))
-    return path.start_in_cell(side, z, w)
+    return path.start_in_cell(side, z, w) and (in_part or path.is_well_conditioned)
 
 
 def _random_cell(path: Path, generator: np.random.Generator) -> Start:

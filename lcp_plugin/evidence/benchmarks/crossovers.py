@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sp
 
 from ... import crossovers
 from ...algorithms.splittings.projected_relaxation import PSOR
@@ -76,6 +77,55 @@ def _gain(repeats: int) -> str:
     return "on grids of 10², 20² and 40²: " + ", ".join(f"{one:.1f}" for one in found)
 
 
+def _least(repeats: int) -> str:
+    grid = _grid(30)
+    problem = LCP(grid.csr + sp.diags_array(grid.diagonal), np.linspace(-1.0, 0.5, grid.n))
+    npsor, psor = (solve(problem, one).iterations for one in (NPSOR(scaling="diagonal"), PSOR()))
+    return f"{psor} sweeps where the rows are dominated and npsor takes {npsor}"
+
+
+def frictional_contact(contacts: int) -> LCP:
+    """Bodies that slide on each other, one step in time: copositive, neither symmetric nor of positive diagonal.
+
+    Four contacts a body. Rows: normal impulses, those along four tangents, speeds of sliding; M is
+    [J W Jᵀ, E; F, 0] with E, F of the cone of friction.
+
+    References
+    ----------
+    Stewart, Trinkle 1996, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
+    """
+    rng = np.random.default_rng(contacts)
+    bodies, directions = max(contacts // 4, 1), 4
+    axes = np.zeros((contacts, 3, bodies, 6))  # a normal and two tangents
+    for k in range(contacts):
+        for body in rng.choice(bodies, size=min(2, bodies), replace=False):
+            axes[k, :, body] = rng.normal(size=(3, 6))
+    axes = axes.reshape((contacts, 3, 6 * bodies))
+    tangents = np.concatenate([axes[:, 1:], -axes[:, 1:]], axis=1)
+    J = np.concatenate([axes[:, 0], tangents.reshape((directions * contacts, -1))])
+    ones = np.kron(np.eye(contacts), np.ones((directions, 1)))
+    zero, friction = np.zeros((contacts, contacts)), 0.5 * np.eye(contacts)
+    right = np.concatenate([zero, ones])
+    M = np.block([[J / rng.uniform(0.5, 2.0, size=J.shape[1]) @ J.T, right], [friction, -ones.T, zero]])
+    return LCP(M, np.concatenate([J @ rng.normal(size=J.shape[1]), np.zeros(contacts)]))
+
+
+def _interior_steps(repeats: int) -> str:
+    steps = [solve(frictional_contact(contacts), "interior_point").iterations for contacts in (10, 40, 100)]
+    return "on frictional contact with n = 60, 240 and 600: " + ", ".join(map(str, steps))
+
+
+def _pivots_or_interior(repeats: int) -> str:
+    names, last = ("lemke", "interior_point"), 0
+    for contacts in (10, 20, 40, 70, 100, 150, 200):
+        problem = frictional_contact(contacts)
+        seconds = medians({name: partial(_solved_afresh, problem, name) for name in names}, repeats)
+        if seconds["lemke"] > seconds["interior_point"]:
+            return f"lemke, then interior_point is the faster one between {last} and {problem.n} rows"
+        last = problem.n
+    return f"lemke is the faster one up to {last} rows"
+
+
 def _factor_or_multigrid(repeats: int) -> str:
     last = 0
     for size in (15, 22, 32, 45, 64, 90, 128):
@@ -135,6 +185,7 @@ def _sharp_bound(repeats: int) -> str:
 
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct, "DIRECT_PASSES_DENSE": _direct_dense, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
+    "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,

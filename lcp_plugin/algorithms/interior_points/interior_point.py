@@ -26,8 +26,10 @@ BoolVector = NDArray[np.bool_]
 SWEEPS_AT_ONCE = (20, 5)  # small or not
 MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
-FIRST_GUESS = (100, 0.25)  # changes of the first active set before interior steps are tried: 100 + n/4
-LATER_GUESS = (20, 0.02)
+FIRST_CHANGES, CHANGES_PER_SQUARE = 50, 1e-3  # of an active set cost what a dozen Cholesky factors cost: 50 + n²/1000
+LATER_GUESS = (5, 0.01)  # changes that are few: 5 + n/100
+WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the start beside the first, tried where the second step is short
+SHORT = 0.3
 EARLIEST_GUESS = 3
 PATIENCE = 12
 MOST_ITERATIONS = 150
@@ -180,48 +182,56 @@ class _Search:
             yield self.step(y, sweeps * self.entries)
         else:  # a step of its own would cost more than it tells
             primal.work += sweeps * self.entries
-        yield from self.corrected(primal, FIRST_GUESS)
+        yield from self.corrected(primal, FIRST_CHANGES + int(CHANGES_PER_SQUARE * n * n))
 
-    def corrected(self, primal: PrimalActiveSet, limit: tuple[int, float]) -> Iterator[Step]:
-        for _ in primal.steps(limit[0] + int(limit[1] * self.q.size)):
+    def corrected(self, primal: PrimalActiveSet, limit: int) -> Iterator[Step]:
+        for _ in primal.steps(limit):
             yield self.step(primal.z, primal.work - self.counted)
             self.counted = primal.work
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
-        """Make interior steps; after each, where the active set has settled, solve for it."""
-        symmetric = primal is not None
-        matrix = newton_matrix(self.M, symmetric)
+        """Make interior steps; where the active set has settled, solve for it."""
+        matrix = newton_matrix(self.M, primal is not None)
         corrections = 2 if self.q.size >= LARGE else 1
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, corrections)
-        if not point.start():
+        weights = [_weight_of(primal) * fall for fall in WEIGHTS]
+        if not point.start(weights[0]):
             return
         first_gap, counted, since_best = point.gap, 0.0, 0
-        polishes, settled_for, last = 0, 0, None
-        for k in range(MOST_ITERATIONS):
+        polishes, settled_for, last, steps = 0, 0, _active(point, 1.0)[0], 0
+        for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
+            steps += 1
             before = self.best
             yield self.step(point.z, matrix.work - counted)
             counted = matrix.work
+            if steps == 2 and point.length < SHORT and len(weights) > 1:
+                weights, steps = weights[1:], 0
+                if not point.start(weights[0]):
+                    return
+                continue
             since_best = 0 if self.best < 0.9 * before else since_best + 1
             if since_best >= PATIENCE:
                 break
+            present = _active(point, 1.0)[0]
+            changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
-                if k + 1 >= EARLIEST_GUESS:
-                    primal.start(np.clip(point.z, self.lower, self.upper), ~_active(point, 1.0)[0])
-                    yield from self.corrected(primal, LATER_GUESS)
+                if steps >= EARLIEST_GUESS and changes <= self._few(LATER_GUESS):
+                    primal.start(np.clip(point.z, self.lower, self.upper), ~present)
+                    yield from self.corrected(primal, self._few(LATER_GUESS))
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
-            present = _active(point, 1.0)
-            has_settled = last is not None and np.array_equal(last[0], present[0])
-            last = present
-            settled_for = settled_for + 1 if has_settled else 0
+            settled_for = 0 if changes else settled_for + 1
             if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point, 1.0)
         for threshold in CLASSIFICATIONS:
             yield from self.polished(point, threshold)
+
+    def _few(self, share: tuple[int, float]) -> int:
+        return share[0] + int(share[1] * self.q.size)
 
     def polished(self, point: PredictorCorrector, threshold: float) -> Iterator[Step]:
         """Solve the linear system of the active set and correct the set, as long as that improves the residual."""
@@ -255,6 +265,12 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
+
+
+def _weight_of(primal: PrimalActiveSet | None) -> float:
+    """Return the size of w beside that of z where an active set has told it, else 1."""
+    z, w = (0.0, 0.0) if primal is None else (float(np.abs(values).max(initial=0.0)) for values in (primal.z, primal.w))
+    return w / z if z > 0.0 and 0.0 < w / z < np.inf else 1.0
 
 
 def _unit_of(q: FloatVector, entries: FloatVector) -> float:

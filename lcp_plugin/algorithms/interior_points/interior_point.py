@@ -19,15 +19,15 @@ from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
-from .primal_active_set import PrimalActiveSet
+from .primal_active_set import PrimalActiveSet, rehearse
 
 BoolVector = NDArray[np.bool_]
 
 SWEEPS_AT_ONCE = (20, 5)  # small or not
 MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
-FIRST_CHANGES, CHANGES_PER_SQUARE = 50, 1e-3  # of an active set cost what a dozen Cholesky factors cost: 50 + n²/1000
-LATER_GUESS = (5, 0.01)  # changes that are few: 5 + n/100
+FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
+LATER_GUESS = (10, 0.02)
 WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the start beside the first, tried where the second step is short
 SHORT = 0.3
 EARLIEST_GUESS = 3
@@ -81,6 +81,11 @@ class InteriorPoint(Algorithm):
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
         yield from without_warnings(self._steps(problem, z))
+
+    def rehearsal(self) -> InteriorPoint:
+        """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor."""
+        rehearse()
+        return self
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
         yield from _Search(problem).steps(z)
@@ -166,9 +171,7 @@ class _Search:
         n = y.size
         diagonal = self.M.diagonal()
         inverse = np.divide(1.0, diagonal, out=np.zeros(n), where=diagonal > 0.0)
-        M = np.ascontiguousarray(self.M).view()
-        M.flags.writeable = False
-        y = y.copy()
+        y, M = y.copy(), primal.M
         sweeps, at_once = 0, SWEEPS_AT_ONCE[n > SWEEPS_FIRST_UP_TO]
         inside, changes = np.zeros(n, dtype=bool), n
         w = M @ y + self.q
@@ -182,7 +185,7 @@ class _Search:
             yield self.step(y, sweeps * self.entries)
         else:  # a step of its own would cost more than it tells
             primal.work += sweeps * self.entries
-        yield from self.corrected(primal, FIRST_CHANGES + int(CHANGES_PER_SQUARE * n * n))
+        yield from self.corrected(primal, self._limit(FIRST_GUESS))
 
     def corrected(self, primal: PrimalActiveSet, limit: int) -> Iterator[Step]:
         for _ in primal.steps(limit):
@@ -217,9 +220,9 @@ class _Search:
             present = _active(point, 1.0)[0]
             changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
-                if steps >= EARLIEST_GUESS and changes <= self._few(LATER_GUESS):
+                if steps >= EARLIEST_GUESS and changes <= self._limit(LATER_GUESS):
                     primal.start(np.clip(point.z, self.lower, self.upper), ~present)
-                    yield from self.corrected(primal, self._few(LATER_GUESS))
+                    yield from self.corrected(primal, self._limit(LATER_GUESS))
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
@@ -230,7 +233,7 @@ class _Search:
         for threshold in CLASSIFICATIONS:
             yield from self.polished(point, threshold)
 
-    def _few(self, share: tuple[int, float]) -> int:
+    def _limit(self, share: tuple[int, float]) -> int:
         return share[0] + int(share[1] * self.q.size)
 
     def polished(self, point: PredictorCorrector, threshold: float) -> Iterator[Step]:

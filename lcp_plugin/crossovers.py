@@ -7,12 +7,12 @@ precision of a double, fixes stands beside its proof, not here.
 from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
-DIRECT_PASSES = 400.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
-DIRECT_PASSES_DENSE = 40.0  # the same where M is an ndarray
+DIRECT_PASSES = 30.0  # newton or interior_point on a dense M
+DIRECT_ENTRIES = 2000.0  # the same in entries a row, where rows are short: what is done for each row costs more then
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
 MULTIGRID_PASSES = 150.0
 PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
-PSOR_GAIN = 6.0  # sweeps of npsor by those of psor with automatic relaxation
+PSOR_GAIN = 2.0  # sweeps that npsor promises after its trial by those that psor with automatic relaxation needs
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
 PIVOTS_FIRST_UP_TO = 600  # rows from which on those are cheaper than lemke's pivots
 

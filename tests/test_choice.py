@@ -77,11 +77,11 @@ def test_rows_that_are_clearly_dominated_begin_with_psor(diagonal: float, first:
     assert Auto().first(LCP(everywhere, -np.ones(n))).algorithm.name == "npsor"  # a triangle: one sweep is exact
 
 
-@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 2)])
-def test_a_slow_trial_ends_after_ten_sweeps_or_two(dense: bool, trial: int) -> None:
-    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, from 2 on where M is dense."""
+@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 1)])
+def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> None:
+    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, from 1 on where M is dense."""
     problem = chain(30, dense=dense)
-    assert 2 <= solve(problem).stages[0].iterations <= trial
+    assert 1 <= solve(problem).stages[0].iterations <= max(trial, 3)
     for iterations in range(1, trial + 45):
         unsteady = after(create("npsor", {}), iterations, 0.99)
         unsteady.residuals = [(k, value * (1.0 + 0.3 * (k % 2))) for k, value in unsteady.residuals]
@@ -89,15 +89,21 @@ def test_a_slow_trial_ends_after_ten_sweeps_or_two(dense: bool, trial: int) -> N
         assert (following(problem, unsteady) is not None) == is_asked
 
 
-def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_forty() -> None:
-    """On dense M npsor is asked at every sweep: at rate 0.7 fifty more would arrive, and later 37."""
-    for iterations, goes_on in ((2, False), (15, True)):
-        assert (following(chain(30, dense=True), after(create("npsor", {}), iterations, 0.7)) is None) == goes_on
+def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_thirty() -> None:
+    """On dense M npsor is asked at every sweep: at rate 0.6 thirty-five more would arrive, and later 27."""
+    for iterations, goes_on in ((1, False), (9, True)):
+        assert (following(chain(90, dense=True), after(create("npsor", {}), iterations, 0.6)) is None) == goes_on
+
+
+def test_where_rows_are_short_a_direct_answer_is_worth_more_sweeps() -> None:
+    """2000 entries a row: 665 passes on a tridiagonal M, 30 from 67 entries a row on."""
+    assert create("newton", {}).predicted_passes(chain(500), 1e9) == pytest.approx(2000 / 3, rel=1e-2)
+    assert create("newton", {}).predicted_passes(chain(90, dense=True), 1e9) == 30.0
 
 
 def test_sweeps_that_are_always_nearly_there_end() -> None:
     """Where npsor and psor have cost what two direct answers cost, less what they still promise, they end."""
-    for name, sweeps, end in (("npsor", 55, False), ("npsor", 65, True), ("psor", 740, False), ("psor", 800, True)):
+    for name, sweeps, end in (("npsor", 35, False), ("npsor", 45, True), ("psor", 1300, False), ("psor", 1320, True)):
         stage = replace(after(create(name, {}), sweeps, 1.0), work=float(sweeps))
         stage.residuals = [(sweeps - 1, 1e-7), (sweeps, 0.9e-7)]
         assert (following(chain(900, dense=name == "npsor"), stage) is not None) == end

@@ -6,16 +6,15 @@ with what its rivals predict (`Algorithm.predicted_passes`, from :mod:`lcp_plugi
 
 | rival | where | predicts |
 |---|---|---|
-| psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 6, or 20 |
+| psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 2, or 20 |
 | multigrid | once; sparse, n > 1000, positive diagonal | 150 passes |
-| the direct methods | M is dense | 40 passes |
-| the direct methods | n ≤ 1000, or no positive diagonal | 400 passes |
+| the direct methods | M is dense, n ≤ 1000, or no positive diagonal | 2000 entries a row, or 30 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
 | the question is asked | |
 |---|---|
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
-| of npsor, M dense | from 2 sweeps on |
+| of npsor, M dense | from its first sweep on |
 | of psor | every 20 sweeps |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
@@ -46,7 +45,7 @@ from ..problem.lcp import LCP
 from .direct_methods import Turns
 from .stages import Choice, Stage
 
-TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 2, 3
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 1, 3
 ASKED_EVERY = 20  # sweeps
 TWICE = 2.0  # who leaves once he has paid what the other way costs never pays more than this many times as much
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most

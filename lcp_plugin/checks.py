@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .errors import InvalidProblem
 
 FloatVector = NDArray[np.float64]
+BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
@@ -21,6 +22,14 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def restored(thing: Any, state: dict[str, Any]) -> None:
+    """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
+    vars(thing).update(state)
+    for value in state.values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
 
 
 def frozen(matrix: sp.csr_array) -> sp.csr_array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 LONG_LIST = 20  # more names than this are not listed beside a guess
 
@@ -52,18 +52,19 @@ class ModelWarning(UserWarning):
     """The model can be read, but probably says something else than was meant."""
 
 
-def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'psor'?"`` or nothing, then the known words.
+def did_you_mean(word: object, known: Iterable[str | None], of_solve: Collection[str] = ()) -> str:
+    """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
 
     Examples
     --------
     >>> did_you_mean("psr", ["psor", "npgs"])
     "; did you mean 'psor'? (known: npgs, psor)"
     """
-    names = sorted(known)
-    close = difflib.get_close_matches(str(word).lower(), names, n=1)
-    if len(names) > LONG_LIST:
-        known = f"{len(names)} are known, lcp-plugin list shows them"
-        return f"; did you mean {close[0]!r}? ({known})" if close else f"; {known}"
-    guess = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{guess} (known: {', '.join(names)})" if close else f"{guess} known: {', '.join(names)}"
+    written = {str(name): repr(name) for name in known}
+    told = [f"known: {', '.join(sorted(written))}"] if written else []
+    if len(written) > LONG_LIST:
+        told = [f"{len(written)} are known, lcp-plugin list shows them"]
+    written |= {name: repr(name) for name in of_solve}
+    told += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
+    close = difflib.get_close_matches(str(word).lower(), sorted(written), n=1)
+    return f"; did you mean {written[close[0]]}? ({'; '.join(told)})" if close else f"; {'; '.join(told)}"

@@ -95,6 +95,9 @@ class Settings:
         return bool(self.tolerance_on == "error")
 
 
+OF_SOLVE = ("z0", "callback", *(setting.name for setting in fields(Settings)))  # what no algorithm has to offer
+
+
 def _number(value: Any, name: str) -> float:
     if not is_number(value):
         raise InvalidOption(f"{name} must be a finite number, got {value!r}")

@@ -10,9 +10,10 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from lcp_plugin import LCP
 
@@ -31,7 +32,7 @@ class Exact(NamedTuple):
 
 def exact_solution(problem: LCP) -> Exact:
     """Return the exact solution of a small problem whose matrix is a P-matrix; ValueError where none is found."""
-    M = [[Fraction(float(entry)) for entry in row] for row in problem.csr.toarray()]
+    M = exact_rows(problem.csr)
     q = [Fraction(float(entry)) for entry in problem.q]
     for states in _guesses(problem):
         solved = _verified(problem, M, q, states)
@@ -42,6 +43,12 @@ def exact_solution(problem: LCP) -> Exact:
         if solved is not None:
             return Exact(*solved, True)
     raise ValueError(f"no active set of {problem!r} gives a solution")
+
+
+def exact_rows(matrix: Any) -> list[list[Fraction]]:
+    """Return the entries of an array or a sparse array as exact numbers."""
+    dense = matrix.toarray() if sp.issparse(matrix) else matrix
+    return [[Fraction(entry) for entry in row] for row in dense.tolist()]
 
 
 def solve_fractions(A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> list[Fraction] | None:
@@ -73,6 +80,28 @@ def has_positive_pivots(A: Sequence[Sequence[Fraction]]) -> bool:
             factor = rows[i][k] / pivot_row[k]
             rows[i] = [a - factor * b for a, b in zip(rows[i], pivot_row, strict=True)]
     return True
+
+
+def determinant(A: Sequence[Sequence[Fraction]]) -> Fraction:
+    """Return the determinant by elimination with exchanges."""
+    rows, value = [list(row) for row in A], Fraction(1)
+    for k in range(len(rows)):
+        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
+        if pivot is None:
+            return Fraction(0)
+        if pivot != k:
+            rows[k], rows[pivot], value = rows[pivot], rows[k], -value
+        value *= rows[k][k]
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return value
+
+
+def principal_minors(A: Sequence[Sequence[Fraction]]) -> list[Fraction]:
+    """Return the determinants of all principal submatrices, the smallest first."""
+    sets = (rows for k in range(1, len(A) + 1) for rows in itertools.combinations(range(len(A)), k))
+    return [determinant([[A[i][j] for j in rows] for i in rows]) for rows in sets]
 
 
 def _choices(problem: LCP) -> list[tuple[int, ...]]:

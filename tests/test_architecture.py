@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from fresh_process import printed_by
 
+from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parent.parent
@@ -128,8 +128,7 @@ def test_import_loads_nothing_heavy() -> None:
         "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])\n"
         "print([m for m in heavy if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 def test_a_solve_loads_no_package_it_does_not_use() -> None:
@@ -139,8 +138,7 @@ def test_a_solve_loads_no_package_it_does_not_use() -> None:
         "solve(LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()\n"
         f"print([m for m in {HEAVY!r} if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "['numba']"
+    assert printed_by(code) == "['numba']"
 
 
 def test_public_names_resolve() -> None:
@@ -154,17 +152,28 @@ def test_public_names_resolve() -> None:
         lcp_plugin.sovle  # noqa: B018
 
 
+@pytest.mark.parametrize("name", REGISTRY)
+def test_classes_are_had_where_readme_says(name: str) -> None:
+    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class, so for all; a wrong name is refused."""
+    kind = algorithm_class(name)
+    assert getattr(algorithms, kind.__name__) is kind
+    with pytest.raises(AttributeError, match=f"no attribute '{kind.__name__}s'"):
+        getattr(algorithms, f"{kind.__name__}s")
+
+
 def test_star_import_needs_no_hypothesis() -> None:
     """``from lcp_plugin import *`` works without the extras; the strategies alone ask for hypothesis, in words."""
     code = (
         "import sys\nsys.modules['hypothesis'] = sys.modules['matplotlib'] = None\nfrom lcp_plugin import *\n"
         "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
-        "try:\n    from lcp_plugin import strategies\nexcept ImportError as error:\n    print(error)"
+        "import importlib, pydoc, lcp_plugin\n"
+        "for ask in (lambda: lcp_plugin.strategies, lambda: importlib.import_module('lcp_plugin.strategies'),\n"
+        "            lambda: pydoc.locate('lcp_plugin.strategies')):\n"
+        "    try:\n        ask()\n    except Exception as error:\n        print(str(error).split('ImportError: ')[-1])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    solved, asked = run.stdout.splitlines()
+    solved, *asked = printed_by(code).splitlines()
     assert solved == "SOLVED"
-    assert asked == "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+    assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
 
 
 def table_rows() -> dict[str, list[str]]:

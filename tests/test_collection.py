@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -12,6 +11,7 @@ from collection import all_entries
 from collection.entry import Entry
 from collection.judgement import false_claim, judge
 from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, decide, is_farkas
+from exact import exact_rows, principal_minors
 
 from lcp_plugin import LCP, solve
 
@@ -66,7 +66,7 @@ def test_flags_are_true() -> None:
         M = entry.problem.csr.toarray()
         n = len(M)
         if "P" in entry.flags and n <= 7:
-            assert all(minor > 0 for minor in principal_minors(M)), entry.name
+            assert all(minor > 0 for minor in principal_minors(exact_rows(M))), entry.name
         if "PSD" in entry.flags and n <= 200:
             assert np.linalg.eigvalsh(M + M.T).min() >= -1e-12 * np.abs(M).max() * n, entry.name
         if "Z" in entry.flags or "M" in entry.flags:
@@ -77,25 +77,6 @@ def test_flags_are_true() -> None:
             assert M.min() >= 0.0, entry.name
         if "rounded" in entry.flags and n <= 100:
             assert np.linalg.eigvalsh(M + M.T).min() < 0.0, entry.name
-
-
-def principal_minors(M: np.ndarray) -> list[Fraction]:
-    n = len(M)
-    sets = itertools.chain.from_iterable(itertools.combinations(range(n), k) for k in range(1, n + 1))
-    return [determinant([[Fraction(float(M[i, j])) for j in rows] for i in rows]) for rows in sets]
-
-
-def determinant(A: list[list[Fraction]]) -> Fraction:
-    """By elimination; a zero pivot ends it, for then the minor before was zero."""
-    result = Fraction(1)
-    for k, row in enumerate(A):
-        if not row[k]:
-            return Fraction(0)
-        result *= row[k]
-        for other in A[k + 1 :]:
-            factor = other[k] / row[k]
-            other[k:] = [x - factor * y for x, y in zip(other[k:], row[k:], strict=True)]
-    return result
 
 
 def test_plain_newton_cycles_where_the_source_says_so() -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import pickle
 import pkgutil
 import signal
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -523,6 +524,15 @@ def test_the_bound_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPa
     assert len(calls) == 1
     assert result.error_bound.seconds > 0.0
     assert copy.error_bound.infinity == result.error_bound.infinity
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda result: pickle.loads(pickle.dumps(result))])
+def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result]) -> None:
+    """Z and w of a copied or unpickled result cannot be written to, its certificate's neither."""
+    result = duplicate(solve(EXAMPLE.problem))
+    for array in (result.z, result.w, result.certificate.z, result.certificate.w):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
 
 
 def test_a_proof_that_is_loose_is_sharpened_when_looked_at() -> None:

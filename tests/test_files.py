@@ -123,6 +123,23 @@ def test_round_trip_of_any_numbers(data: st.DataObject, n: int, suffix: str, tmp
     np.testing.assert_array_equal(p.csr.toarray(), loaded.csr.toarray())
 
 
+@pytest.mark.parametrize("name", ["a.mat", "deep/M.mtx", "problem.txt", "half.npy"])
+def test_a_file_of_another_kind_is_not_made_a_folder(name: str, tmp_path: Path) -> None:
+    """What looks like a file that nobody here writes is refused with what to write instead; nothing appears."""
+    stem = Path(name).stem
+    with pytest.raises(UnreadableFile, match=rf"cannot write .*{name}: .*; write {stem}\.npz, or {stem} for a folder"):
+        PROBLEM.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["size=0.5", "v1.2", "there.old", ".hidden"])
+def test_a_folder_may_have_a_dot(name: str, tmp_path: Path) -> None:
+    """A number behind a dot is no kind of file, nor is a hidden name, and a folder that is there may have any name."""
+    (tmp_path / "there.old").mkdir()
+    PROBLEM.save(tmp_path / name)
+    assert_same(PROBLEM, LCP.load(tmp_path / name))
+
+
 def test_paths_are_strings_or_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A str, a Path, and a path relative to the current folder name the same file."""
     monkeypatch.chdir(tmp_path)

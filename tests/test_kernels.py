@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from families import SPLITTINGS
+from fresh_process import printed_by
 from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate
@@ -397,5 +396,4 @@ def test_kernels_work_where_nothing_can_be_cached(tmp_path: Path) -> None:
         "from lcp_plugin import LCP, solve\n"
         "print(solve(LCP([[2, 1], [1, 2]], [-5, 1]), 'npsor').status.name)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "SOLVED"
+    assert printed_by(code) == "SOLVED"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from fractions import Fraction
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from exact import determinant, principal_minors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,22 +55,6 @@ def small_matrices(draw: st.DrawFn) -> list[list[Fraction]]:
     if draw(st.booleans()):
         rows = [[rows[min(i, j)][max(i, j)] for j in range(n)] for i in range(n)]
     return [[Fraction(entry) for entry in row] for row in rows]
-
-
-def determinant(A: list[list[Fraction]]) -> Fraction:
-    """By Laplace expansion."""
-    if not A:
-        return Fraction(1)
-    return sum(
-        ((-1) ** j * A[0][j] * determinant([row[:j] + row[j + 1 :] for row in A[1:]]) for j in range(len(A))),
-        Fraction(0),
-    )
-
-
-def principal_minors(A: list[list[Fraction]]) -> list[Fraction]:
-    n = len(A)
-    rows = [rows for k in range(1, n + 1) for rows in itertools.combinations(range(n), k)]
-    return [determinant([[A[i][j] for j in part] for i in part]) for part in rows]
 
 
 @property_test

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import copy
 import pickle
-import subprocess
-import sys
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from fresh_process import printed_by
 
 from lcp_plugin import (
     LCP,
@@ -317,8 +316,7 @@ def test_method_is_known_after_any_modelling_name() -> None:
         "import cvxpy as cp\n"
         "print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "True"
+    assert printed_by(code) == "True"
 
 
 ROUND_TRIPS = {

@@ -6,8 +6,6 @@ import csv
 import json
 import math
 import pickle
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +17,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from exact import exact_solution
+from fresh_process import printed_by
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, solve
@@ -317,8 +316,7 @@ def test_the_atlas_loads_nothing_it_does_not_need() -> None:
         "stability_atlas(['pgs'], ['far starts'], quick=True)\n"
         "print([m for m in ('cvxpy', 'matplotlib', 'jinja2', 'hypothesis', 'pyamg', 'rich') if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 # --- powers of two ---------------------------------------------------------------------------------------------------

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections import Counter
 from fractions import Fraction
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from exact import exact_rows, has_positive_pivots, principal_minors
+from fresh_process import printed_by
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
@@ -67,36 +66,17 @@ SOLVED = {
 }
 
 
-def exact_rows(matrix: object) -> list[list[Fraction]]:
-    """The entries as exact numbers."""
-    dense = matrix.toarray() if sp.issparse(matrix) else matrix
-    return [[Fraction(value) for value in row] for row in dense.tolist()]
-
-
-def pivots(rows: list[list[Fraction]]) -> list[Fraction]:
-    """The pivots of Gaussian elimination without exchanges, up to the first that is not positive."""
-    rows, found = [row.copy() for row in rows], []
-    for k in range(len(rows)):
-        found.append(rows[k][k])
-        if found[-1] <= 0:
-            break
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return found
-
-
 def is_h_plus(matrix: object) -> bool:
     """A Z-matrix is a nonsingular M-matrix exactly if elimination without exchanges has positive pivots."""
     rows = exact_rows(matrix)
     comparison = [[value if i == j else -abs(value) for j, value in enumerate(row)] for i, row in enumerate(rows)]
-    return all(pivot > 0 for pivot in pivots(comparison))
+    return has_positive_pivots(comparison)
 
 
 def is_positive_definite(matrix: object) -> bool:
     """Symmetric, and positive pivots in LDLᵀ."""
     rows = exact_rows(matrix)
-    return rows == [list(column) for column in zip(*rows, strict=True)] and all(pivot > 0 for pivot in pivots(rows))
+    return rows == [list(column) for column in zip(*rows, strict=True)] and has_positive_pivots(rows)
 
 
 def exact_slack(problem: LCP, z: tuple[Fraction, ...]) -> list[Fraction]:
@@ -184,27 +164,6 @@ def test_exact_checks_can_fail() -> None:
 # --- The other classes, each with an oracle in fractions ----------------------------------------------------
 
 
-def determinant(rows: list[list[Fraction]]) -> Fraction:
-    """By Gaussian elimination with exchanges."""
-    rows, result = [row.copy() for row in rows], Fraction(1)
-    for k in range(len(rows)):
-        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
-        if pivot is None:
-            return Fraction(0)
-        if pivot != k:
-            rows[k], rows[pivot], result = rows[pivot], rows[k], -result
-        result *= rows[k][k]
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return result
-
-
-def principal_minors(rows: list[list[Fraction]]) -> list[Fraction]:
-    subsets = (s for k in range(1, len(rows) + 1) for s in combinations(range(len(rows)), k))
-    return [determinant([[rows[i][j] for j in s] for i in s]) for s in subsets]
-
-
 def doubled_symmetric_part(matrix: object) -> list[list[Fraction]]:
     rows = exact_rows(matrix)
     return [[rows[i][j] + rows[j][i] for j in range(len(rows))] for i in range(len(rows))]
@@ -237,7 +196,7 @@ def is_h(matrix: np.ndarray) -> bool:
 
 
 def is_definite(matrix: object) -> bool:
-    return all(pivot > 0 for pivot in pivots(doubled_symmetric_part(matrix)))
+    return has_positive_pivots(doubled_symmetric_part(matrix))
 
 
 def is_semidefinite(matrix: object) -> bool:
@@ -616,10 +575,11 @@ def test_counterexamples_are_small() -> None:
         (lambda: positive_definite_matrices(margin=0.0), r"margin must be a power of two from 2\*\*-30 to 1, got 0.0"),
         (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
         (lambda: indefinite_matrices(1), "size must be a whole number ≥ 2 or a strategy of such, got 1"),
-        (lambda: positive_semidefinite_matrices(2, rank=3), "rank must be at most the size, got rank 3 for size 2"),
+        (lambda: positive_semidefinite_matrices(2, rank=3), "size must be a whole number ≥ 3 or a strategy"),
         (lambda: positive_semidefinite_matrices(rank=-1), "rank must be a whole number ≥ 0, got -1"),
         (lambda: solved_lcps(active=0.8, degenerate=0.4), "active \\+ degenerate must be at most 1, got 0.8 \\+ 0.4"),
         (lambda: lcps(bounds=-0.5), r"bounds must lie in \[0, 1\], got -0.5"),
+        (lambda: h_plus_matrices(densty=1), "h_plus_matrices: .*'densty'; it takes size, density, row_scale, column"),
         (lambda: solved_lcps(row_scale=True), "row_scale must be a whole number from 0 to 400, got True"),
     ],
 )
@@ -676,5 +636,4 @@ def test_hypothesis_loads_with_the_strategies_only() -> None:
         "lcp_plugin.strategies.h_plus_matrices()\n"
         "print(before, 'hypothesis' in sys.modules)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["False", "True"]
+    assert printed_by(code).split() == ["False", "True"]

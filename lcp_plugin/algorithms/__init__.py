@@ -3,6 +3,14 @@
 ``examples/add_an_algorithm.py`` writes one and says how a package offers it. The name of the entry point must be the
 class's ``name``, and none of ours. The class attributes ``assumption``, ``converges_on``, ``cost`` and ``reference``
 are what ``lcp-plugin list`` tells.
+
+The classes are had from here. An instance holds its options, and is refused where one of them is wrong:
+
+>>> from lcp_plugin import LCP, solve
+>>> from lcp_plugin.algorithms import NPSOR
+>>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
+>>> solve(problem, NPSOR(relaxation=1.5)).iterations == solve(problem, "npsor", relaxation=1.5).iterations
+True
 """
 
 from __future__ import annotations
@@ -14,6 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..settings import OF_SOLVE
 from .base import Algorithm, Sprint, Step
 
 if TYPE_CHECKING:
@@ -53,6 +62,13 @@ REGISTRY = {
     "lemke": "pivots.lemke:Lemke",
     "multigrid": "multigrid:Multigrid",
 }
+
+
+def __getattr__(class_name: str) -> type[Algorithm]:
+    for name, place in REGISTRY.items():
+        if place.endswith(f":{class_name}"):
+            return algorithm_class(name)
+    raise AttributeError(f"module {__name__!r} has no attribute {class_name!r}")
 
 
 def algorithm_class(name: str) -> type[Algorithm]:
@@ -186,7 +202,8 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
         required = {field.name: field.default is field.default_factory is MISSING for field in fields(kind)}
         for option in options:
             if option not in required:
-                raise InvalidOption(f"{name} has no option {option!r}{did_you_mean(option, list(required))}") from None
+                hint = did_you_mean(option, required, OF_SOLVE)
+                raise InvalidOption(f"{name} has no option {option!r}{hint}") from None
         missing = [option for option, is_required in required.items() if is_required and option not in options]
         if not missing:
             raise

@@ -215,7 +215,7 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
     value = getattr(algorithm, option)
     if not (value is None or isinstance(value, str)) or value not in choices:
         raise InvalidOption(
-            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, [str(c) for c in choices])}"
+            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, choices)}"
         )
 
 

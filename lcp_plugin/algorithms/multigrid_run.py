@@ -211,15 +211,15 @@ class MultigridRun:
         return z
 
     def _cycle_on(self, k: int, z: FloatVector) -> None:
-        own = self.problems[k]
+        fine = self.problems[k]
         self.truncation.start_at(k)
-        few = COARSE_CHANGES * self.peers.total(own.q.size)
+        few = COARSE_CHANGES * self.peers.total(fine.q.size)
         for cycle in range(1, MOST_COARSE_CYCLES + 1):
-            own.sweep(z, backward=False)
+            fine.sweep(z, backward=False)
             _, changed = self._look(k, z)
             self._correct(k, z)
-            own.sweep(z, backward=True)
-            self.work += 2.0 * own.entries
+            fine.sweep(z, backward=True)
+            self.work += 2.0 * fine.entries
             if cycle >= COARSE_CYCLES and changed <= few:  # what is left to move is dearer one grid up
                 break
 
@@ -273,33 +273,34 @@ class MultigridRun:
 
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
-        top, own = self.truncation.grids[k], self.problems[k]
-        own.peers.fetch(z)
+        top, fine = self.truncation.grids[k], self.problems[k]
+        fine.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *own.arrays, own.rows, z, own.is_projected_type, top.is_free, top.free_changed, own.residual[: own.q.size]
+            *fine.arrays, fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed,
+            fine.residual[: fine.q.size],
         )
-        self.work += own.entries
-        largest, changed = own.peers.largest(own_largest), own.peers.total(own_changed)
+        self.work += fine.entries
+        largest, changed = fine.peers.largest(own_largest), fine.peers.total(own_changed)
         if changed:
             self.truncation.update()
         return largest, changed
 
     def _correct(self, k: int, z: FloatVector) -> None:
         """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
-        own, top = self.problems[k], self.truncation.grids[k]
+        fine, top = self.problems[k], self.truncation.grids[k]
         if k == len(self.hierarchy.transfers):
-            np.copyto(top.b, own.residual[: own.q.size])
+            np.copyto(top.b, fine.residual[: fine.q.size])
             self.truncation.correct(k)
-            part = z[: own.q.size]
-            np.clip(part + top.x[: own.q.size], own.lower, own.upper, out=part)
+            part = z[: fine.q.size]
+            np.clip(part + top.x[: fine.q.size], fine.lower, fine.upper, out=part)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
-        own.peers.fetch(own.residual)
-        sweeps.restrict(*transfer.restriction.arrays, own.residual, below.b)
+        fine.peers.fetch(fine.residual)
+        sweeps.restrict(*transfer.restriction.arrays, fine.residual, below.b)
         self.truncation.correct(k + 1)
         below.grid.peers.fetch(below.x)
         before = z.copy() if k == 0 and self.is_symmetric else None
-        cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, own.lower, own.upper, z)
+        cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is not None and self.peers.total(cut) > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)

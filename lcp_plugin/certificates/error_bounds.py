@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..exact.rounding import comparison_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
@@ -21,7 +21,7 @@ from ..matrix import HCertificate, comparison_certificate, comparison_solve
 from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
-from .row_inequality import BoolVector, RowInequality
+from .row_inequality import RowInequality
 from .row_residuals import scaled_residual
 
 SMALL = 1000  # up to here every stage is cheap

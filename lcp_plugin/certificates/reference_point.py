@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.upward import sum_above
 from ..matrix import analyze
 from ..matrix.comparison import LinearSystem, shared_comparison
 from ..matrix.factors import factor_fits, solver_of
 from ..problem.lcp import LCP
-from .row_inequality import BoolVector, RowInequality, distance_above
+from .row_inequality import RowInequality, distance_above
 
 DENSE_UP_TO = 400
 SPARSE_FACTOR_UP_TO = 50_000

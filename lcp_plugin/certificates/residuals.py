@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, read_only
+from ..checks import FloatVector, read_only, restored
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import gamma
 from ..kernels.floats import EPSILON, TINY
@@ -79,6 +79,8 @@ class Certificate:
 
     problem: LCP = field(repr=False)
     z: FloatVector = field(repr=False)
+
+    __setstate__ = restored
 
     @classmethod
     def of(cls, problem: LCP, z: ArrayLike) -> Certificate:

@@ -21,14 +21,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.rounding import comparison_product, compensated_pair, compensated_product
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..problem.lcp import LCP
-
-BoolVector = NDArray[np.bool_]
 
 
 class Branches(NamedTuple):
@@ -126,8 +123,8 @@ class RowInequality:
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
 
         def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
-            own = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
-            return sum_above(negative_slack, sum_above(own, coupling)) < 0.0
+            direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
+            return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
 
         is_exact = (y == 0.0) & (self.low == 0.0)
         active = (

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.rounding import compensated_product, lower_end, read_only_views, upper_end
 from ..problem.lcp import LCP
 
@@ -24,9 +24,9 @@ def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector
     for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
         rows = slice(first, first + BLOCK)
         step = w[rows] / scale[rows]
-        own = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
-        np.maximum(step, own, out=own)
-        np.minimum(own, z[rows] - problem.lower[rows], out=own)
+        block = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
+        np.maximum(step, block, out=block)
+        np.minimum(block, z[rows] - problem.lower[rows], out=block)
     if not np.isfinite(w.sum()):
         residual[np.isinf(w)] = np.inf
     return residual
@@ -82,3 +82,14 @@ def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, Floa
     below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
+
+
+def is_at_bound(problem: LCP, z: FloatVector) -> BoolVector:
+    """Return where z has reached a bound, shape (n,), by its own value; what a step would do is not asked.
+
+    Examples
+    --------
+    >>> is_at_bound(LCP([[2, 0], [0, 1]], [-2, 1], upper=[5, 0]), np.array([1.0, 0.0]))
+    array([False,  True])
+    """
+    return (z <= problem.lower) | (z >= problem.upper)

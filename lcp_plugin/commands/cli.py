@@ -153,16 +153,15 @@ def solve(
     """Solve a file or a scene; print status, residuals and counts."""
     from . import distributed, solving
 
-    distributed.check_backend(backend)
-    options = solving.options(relaxation, option or [])
+    kinds = {"serial": solving.OneProcess, "petsc": distributed.Ranks}
+    if backend not in kinds:
+        raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
         tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
         max_iterations=max_iterations, max_seconds=max_seconds,
     )
-    if backend == "petsc":
-        return distributed.solve(target, size, algorithm, options, settings, plot, out, as_json=json)
-    settings |= {"algorithm": solving.chosen(algorithm, options), "record": plot is not None}
-    return solving.run(target, size, settings, plot, out, as_json=json)
+    options = solving.options(relaxation, option or [])
+    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json)
 
 
 @_command(

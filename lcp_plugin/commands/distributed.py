@@ -1,4 +1,4 @@
-"""What `lcp-plugin solve --backend petsc` does: rank 0 speaks for all, and all ranks end alike."""
+"""What `lcp-plugin solve --backend petsc` does its own way: rank 0 speaks for all, all ranks end alike."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,38 +18,18 @@ import numpy as np
 import typer
 
 from ..checks import FloatVector
-from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
+from ..errors import InvalidOption, LCPError, UnreadableFile
 from ..problem.lcp import LCP
-from ..settings import Settings
-from ..solving import driver as solving
 from ..solving.result import Result
+from .solving import OneProcess, Task, refuse_the_problem_itself
 from .target import require_file, scene_text
-from .terminal import RunLine
 
-BACKENDS = ("serial", "petsc")
 LARGE_FOR_EACH_RANK = 100_000
 FILES = ("z.npy", "w.npy", "status.json")
 PIECE = 2**24  # values a write: a count of bytes beyond 2³¹ is more than some MPI libraries take
 FEW_RANKS = 8
 SPEAKER = "lcp-plugin"
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class _Read:
-    """A problem and what its source knows: a name, a start, and how far an own z is from what reference."""
-
-    problem: LCP
-    name: str = ""
-    start: FloatVector | None = None
-    distance: Callable[[FloatVector], float] | None = None
-    reference: str = "from the continuum"
-
-
-def check_backend(backend: str) -> None:
-    """Raise InvalidOption for a backend that does not exist."""
-    if backend not in BACKENDS:
-        raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, BACKENDS)}")
 
 
 @contextmanager
@@ -70,81 +49,92 @@ def on_all_ranks() -> Iterator[None]:
         yield
 
 
-def solve(
-    target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
-    plot: Path | None, out: Path | None, *, as_json: bool,
-) -> bool:
-    """Solve on all ranks, print and save; return whether it is solved, the same on every rank.
+class Ranks(OneProcess):
+    """Every rank of the job, which all call in the same order."""
 
-    Raises
-    ------
-    LCPError
-        On every rank.
-    """
-    if plot is not None:
-        raise InvalidOption(
-            "--plot is not offered with --backend petsc, as no rank holds the whole z; save with --out FOLDER and plot "
-            "np.load('FOLDER/z.npy')"
-        )
-    from ..peers.ranks.collective import as_mpi, from_first
-    from ..peers.ranks.failures import ends_together
-    from ..policy.choice import policy_for
+    on_ranks = True
 
-    comm = as_mpi(None)
-    with ends_together(comm, speaker=SPEAKER):
-        Settings(**settings, record=False)  # each rank sees a wrong one for itself, before anything is built
-        settings = {**settings, "algorithm": policy_for(algorithm, options, on_ranks=True).chosen}
-        from_first(comm, lambda: _check_folder(target, out))
-        read = _read(comm, target, size)
-        from_first(comm, lambda: _check_room(read.problem.n, out))
-        with RunLine() as progress:
-            callback = progress if comm.rank == 0 else None
-            result = solving.solve(read.problem, z0=read.start, callback=callback, **settings)
-        content, story = _told(read, result)
-        typer.echo(json.dumps(content, indent=2) if as_json else story)
-        if out is not None:
-            _save(comm, result, content, out)
-            typer.echo(f"saved {', '.join(str(out / name) for name in FILES)}", err=as_json)
-    return bool(result.is_solved)
+    def __init__(self) -> None:
+        from ..peers.ranks.collective import as_mpi, from_first
+
+        self.comm = as_mpi(None)
+        self.once = lambda attempt: from_first(self.comm, attempt)
+
+    def ending_together(self) -> AbstractContextManager[None]:
+        """Return a context in which the first failure ends all ranks."""
+        from ..peers.ranks.failures import ends_together
+
+        return ends_together(self.comm, speaker=SPEAKER)
+
+    def check_outputs(self, target: str, plot: Path | None, out: Path | None) -> None:
+        """Refuse a picture, and a folder that cannot be written."""
+        if plot is not None:
+            raise InvalidOption(
+                "--plot is not offered with --backend petsc, as no rank holds the whole z; save with --out FOLDER and "
+                "plot np.load('FOLDER/z.npy')"
+            )
+        _check_folder(target, out)
+
+    def read(self, target: str, size: int | None, out: Path | None) -> Task:
+        """Return the own part of what is to be solved, if the disk has room for the answer."""
+        task = _read(self.comm, target, size)
+        self.once(lambda: _check_room(task.problem.n, out))
+        return task
+
+    def beyond(self) -> tuple[dict[str, Any], list[str]]:
+        """Return the number of ranks and their peaks of memory."""
+        from ..peers.ranks.collective import gathered
+
+        peaks = [int(peak) for peak in gathered(self.comm, _peak_memory())[:, 0]]
+        return {"ranks": self.comm.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {_in_words(peaks)}"]
+
+    def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
+        """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
+        token, is_new = self.once(lambda: _make_folder(out))
+        temporary = {name: out / f".{token}-{name}" for name in FILES}
+        try:
+            for name, own in (("z.npy", result.z), ("w.npy", result.w)):
+                _write_array(self.comm, temporary[name], own, result.certificate.problem)
+            self.once(lambda: temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8"))
+            self.once(lambda: [temporary[name].replace(out / name) for name in FILES] and None)
+        finally:
+            if self.comm.rank == 0:
+                for path in temporary.values():
+                    path.unlink(missing_ok=True)
+                if is_new and not any(out.iterdir()):
+                    out.rmdir()
+        return [out / name for name in FILES]
 
 
 # --- what is solved -------------------------------------------------------------------------------------------
 
 
-def _read(comm: Any, target: str, size: int | None) -> _Read:
+def _read(comm: Any, target: str, size: int | None) -> Task:
     from ..evidence import gallery
     from ..evidence.gallery import on_ranks as scenes
     from ..peers.ranks.collective import from_first
 
     text = scene_text(target, size)
     if text is None:
-        kind = from_first(comm, lambda: _kind(target))
-        if kind == "parts":
-            return _Read(LCP.load(target, comm))
+        if from_first(comm, lambda: _kind(target)) == "parts":
+            return Task(LCP.load(target, comm))
         whole = LCP.load(target)
         _note_whole(comm, whole.n, "this file is read")
-        return _Read(LCP.from_problem(whole, comm))
+        return Task(LCP.from_problem(whole, comm))
     by_rows = scenes.by_rows(text)
     if by_rows is not None:
         name, parameters = by_rows
         problem = scenes.build(name, comm, parameters)
         label = ", ".join(f"{key}={value!r}" for key, value in parameters.items())
-        return _Read(
+        return Task(
             problem, f"Scene({name}: {label})",
-            distance=lambda z: scenes.continuum_error(problem, z, name, **parameters),
+            references={"from the continuum": lambda z: scenes.continuum_error(problem, z, name, **parameters)},
         )
     scene = gallery.parse(text)
     if scene.steps > 1:
         raise InvalidOption(f"{scene.name} is a march in time, which --backend petsc does not offer; leave it out")
     _note_whole(comm, scene.n, f"{scene.name} is built")
-    problem = LCP.from_problem(scene.problem, comm)
-    own = slice(problem.first, problem.last)
-    reference, name = (scene.continuum, "from the continuum") if scene.exact is None else (scene.exact, "true error")
-    return _Read(
-        problem, str(scene), start=None if scene.start is None else scene.start[own],
-        distance=None if reference is None else lambda z: float(np.abs(z - reference[own]).max(initial=0.0)),
-        reference=name,
-    )
+    return Task.of_scene(LCP.from_problem(scene.problem, comm), scene)
 
 
 def _kind(target: str) -> str:
@@ -163,24 +153,6 @@ def _note_whole(comm: Any, n: int, what: str) -> None:
 
 
 # --- what is told ---------------------------------------------------------------------------------------------
-
-
-def _told(read: _Read, result: Result) -> tuple[dict[str, Any], str]:
-    """Return what --json prints and what a person reads; all ranks call."""
-    from ..peers.ranks.collective import gathered
-
-    problem, z = read.problem, result.z
-    distance = 0.0 if read.distance is None else read.distance(z)
-    is_at_bound = (z <= problem.lower) | (z >= problem.upper)
-    table = gathered(problem.peers.comm, float(np.count_nonzero(is_at_bound)), distance, _peak_memory())
-    peaks = [int(peak) for peak in table[:, 2]]
-    at_bound = f"{'at a bound':<18} {int(table[:, 0].sum())} of {problem.n}"
-    lines = [read.name, repr(problem), result.explain(), str(result.certificate), at_bound]
-    if read.distance is not None:
-        lines.append(f"{read.reference:<18} {table[:, 1].max():.3e}")
-    lines.append(f"{'peak memory':<18} {_in_words(peaks)}")
-    content = {**result.to_content(), "ranks": problem.peers.size, "peak_memory_bytes": peaks}
-    return content, "\n".join(filter(None, lines))
 
 
 def _peak_memory() -> int:
@@ -223,8 +195,7 @@ def _check_folder(target: str, out: Path | None) -> None:
     if not place.is_dir():
         fault = "it is a file" if out.exists() else f"the folder {out.parent} does not exist"
         raise UnreadableFile(f"cannot write {out}: {fault}")
-    if out.exists() and Path(target).exists() and out.samefile(target):
-        raise UnreadableFile(f"cannot write {out}: it is the problem itself; choose another name")
+    refuse_the_problem_itself(target, out)
     if not os.access(place, os.W_OK | os.X_OK):
         raise UnreadableFile(f"cannot write {out}: no permission to write into {place}; choose another place")
     for name in FILES:
@@ -238,25 +209,6 @@ def _check_room(n: int, out: Path | None) -> None:
     free = shutil.disk_usage(out if out.exists() else out.absolute().parent).free
     if (needed := 16 * n) > free:
         raise UnreadableFile(f"cannot write {out}: z and w need {needed:.3g} bytes and {free:.3g} are free there")
-
-
-def _save(comm: Any, result: Result, content: dict[str, Any], out: Path) -> None:
-    """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
-    from ..peers.ranks.collective import from_first
-
-    token, is_new = from_first(comm, lambda: _make_folder(out))
-    temporary = {name: out / f".{token}-{name}" for name in FILES}
-    try:
-        for name, own in (("z.npy", result.z), ("w.npy", result.w)):
-            _write_array(comm, temporary[name], own, result.certificate.problem)
-        from_first(comm, lambda: temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8"))
-        from_first(comm, lambda: [temporary[name].replace(out / name) for name in FILES] and None)
-    finally:
-        if comm.rank == 0:
-            for path in temporary.values():
-                path.unlink(missing_ok=True)
-            if is_new and not any(out.iterdir()):
-                out.rmdir()
 
 
 def _make_folder(out: Path) -> tuple[str, bool]:

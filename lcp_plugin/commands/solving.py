@@ -4,58 +4,137 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import typer
 
+from ..certificates.row_residuals import is_at_bound
+from ..checks import FloatVector
 from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
+from ..settings import Settings
 from ..solving.result import Result
 from .target import read_target
 from .terminal import RunLine
 
 OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "algorithm")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A problem and what its source knows: a name, a start, a march, and how far an own z is from what is known."""
+
+    problem: LCP
+    name: str = ""
+    start: FloatVector | None = None
+    references: dict[str, Callable[[FloatVector], float]] = field(default_factory=dict)
+    scene: Any = None
+
+    @classmethod
+    def of_scene(cls, problem: LCP, scene: Any) -> Task:
+        """Return the task of a scene of which this process holds the problem's rows."""
+        own = slice(problem.first, problem.last)
+        known = {"true error": scene.exact, "from the continuum": scene.continuum}
+        references: dict[str, Callable[[FloatVector], float]] = {
+            name: partial(_distance, exact[own])
+            for name, exact in known.items() if exact is not None and scene.steps == 1 and problem.n
+        }
+        return cls(problem, str(scene), None if scene.start is None else scene.start[own], references, scene)
+
+    @property
+    def steps(self) -> int:
+        """Return how many problems follow one another."""
+        return 1 if self.scene is None else int(self.scene.steps)
+
+
+def _distance(exact: FloatVector, z: FloatVector) -> float:
+    return float(np.abs(z - exact).max(initial=0.0))
+
+
+class OneProcess:
+    """The parts of the command that differ where the rows lie on ranks."""
+
+    on_ranks = False
+    once: Callable[[Callable[[], T]], T] = staticmethod(lambda attempt: attempt())
+
+    def ending_together(self) -> AbstractContextManager[None]:
+        """Return a context in which no process waits for one that has failed."""
+        return nullcontext()
+
+    def check_outputs(self, target: str, plot: Path | None, out: Path | None) -> None:
+        """Refuse before the run what could not be written after it."""
+        if plot is not None:
+            from ..evidence.drawing import check_format, require_matplotlib
+
+            check_format(plot)
+            require_matplotlib()
+        if out is not None and out.suffix != ".npz":
+            raise InvalidOption(f"--out writes a .npz file, got {out.name!r}")
+        for path in filter(None, (plot, out)):
+            if not path.absolute().parent.is_dir():
+                raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
+            if path.is_dir():
+                raise UnreadableFile(f"cannot write {path}: it is a folder")
+            refuse_the_problem_itself(target, path)
+
+    def read(self, target: str, size: int | None, out: Path | None) -> Task:
+        """Return what is to be solved."""
+        problem, scene = read_target(target, size)
+        return Task(problem) if scene is None else Task.of_scene(problem, scene)
+
+    def beyond(self) -> tuple[dict[str, Any], list[str]]:
+        """Return what else --json prints and a person reads."""
+        return {}, []
+
+    def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
+        """Write z, w and the status into an .npz file, whole or not at all; return what was written."""
+        from ..problem.files import write_whole
+
+        status = np.array(result.status.name)
+        write_whole({out: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
+        return [out]
 
 
 def run(
-    target: str, size: int | None, settings: dict[str, Any], plot: Path | None, out: Path | None, *, as_json: bool
+    here: OneProcess, target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
+    plot: Path | None, out: Path | None, *, as_json: bool,
 ) -> bool:
-    """Solve in this process, print and save; return whether it is solved."""
-    check_outputs(target, plot, out)
-    problem, scene = read_target(target, size)
-    with RunLine() as progress:
-        results = solve_all(problem, scene, settings, progress)
-    result = results[-1]
-    typer.echo(content(results) if as_json else story(results, scene))
-    if out is not None:
-        save_answer(result, out)
-    if plot is not None:
-        from ..evidence.pictures import draw
+    """Solve, print and save; return whether it is solved, the same on every rank."""
+    from ..policy.choice import policy_for
 
-        draw(result, plot, scene, results)
-    for path in filter(None, (plot, out)):
-        typer.echo(f"saved {path}", err=as_json)
-    return result.is_solved
+    with here.ending_together():
+        Settings(**settings)  # a wrong one is seen before anything is built
+        chosen = policy_for(algorithm, options, on_ranks=here.on_ranks).chosen
+        here.once(lambda: here.check_outputs(target, plot, out))
+        task = here.read(target, size, out)
+        with RunLine() as progress:
+            results = _solve_all(task, {**settings, "algorithm": chosen, "record": plot is not None}, progress)
+        more, lines = here.beyond()
+        content = _content(results) | more
+        story = _story(results, task, lines)
+        typer.echo(json.dumps(content, indent=2) if as_json else story)
+        saved = [] if out is None else here.save(results[-1], content, out)
+        if plot is not None:
+            from ..evidence.pictures import draw
+
+            draw(results[-1], plot, task.scene, results)
+            saved.insert(0, plot)
+        if saved:
+            typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
+    return results[-1].is_solved
 
 
-def check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
-    """Refuse before the run what could not be written after it."""
-    if plot is not None:
-        from ..evidence.drawing import check_format, require_matplotlib
-
-        check_format(plot)
-        require_matplotlib()
-    if out is not None and out.suffix != ".npz":
-        raise InvalidOption(f"--out writes a .npz file, got {out.name!r}")
-    for path in filter(None, (plot, out)):
-        if not path.absolute().parent.is_dir():
-            raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
-        if path.is_dir():
-            raise UnreadableFile(f"cannot write {path}: it is a folder")
-        if path.exists() and Path(target).exists() and path.samefile(target):
-            raise UnreadableFile(f"cannot write {path}: it is the problem itself; choose another name")
+def refuse_the_problem_itself(target: str, path: Path) -> None:
+    """Raise UnreadableFile where an answer would replace the problem."""
+    if path.exists() and Path(target).exists() and path.samefile(target):
+        raise UnreadableFile(f"cannot write {path}: it is the problem itself; choose another name")
 
 
 def options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
@@ -86,42 +165,19 @@ def _number(text: str) -> float | None:
     return None
 
 
-def chosen(algorithm: str, options: dict[str, Any]) -> Any:
-    """Return the algorithm with its options, or "auto"."""
-    from ..algorithms import create
-    from ..policy.choice import policy_for
-
-    if algorithm == "auto":
-        return policy_for(algorithm, options).name
-    return create(algorithm, options)
-
-
-def solve_all(problem: LCP, scene: Any, settings: dict[str, Any], progress: RunLine) -> list[Result]:
+def _solve_all(task: Task, settings: dict[str, Any], progress: RunLine) -> list[Result]:
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
-    from ..solving.driver import solve as solve_problem
+    from ..solving.driver import solve
 
-    results: list[Result] = []
-    start = scene.start if scene is not None else None
-    for step in range(scene.steps if scene is not None else 1):
-        if step:
-            start = results[-1].z
-            problem = problem.with_q(scene.advance(start))
-        results.append(solve_problem(problem, z0=start, callback=progress, **settings))
-        if not results[-1].is_solved:
-            break
+    problem, results = task.problem, [solve(task.problem, z0=task.start, callback=progress, **settings)]
+    while results[-1].is_solved and len(results) < task.steps:
+        problem = problem.with_q(task.scene.advance(results[-1].z))
+        results.append(solve(problem, z0=results[-1].z, callback=progress, **settings))
     return results
 
 
-def save_answer(result: Result, path: Path) -> None:
-    """Write z, w and the status into an .npz file, whole or not at all."""
-    from ..problem.files import write_whole
-
-    status = np.array(result.status.name)
-    write_whole({path: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
-
-
-def content(results: list[Result]) -> str:
-    """Return the last result as JSON, with the totals of a march."""
+def _content(results: list[Result]) -> dict[str, Any]:
+    """Return what --json prints: the last result, with the totals of a march."""
     told = results[-1].to_content()
     if len(results) > 1:
         told["march"] = {
@@ -129,26 +185,24 @@ def content(results: list[Result]) -> str:
             "iterations": sum(result.iterations for result in results),
             "seconds": sum(result.seconds for result in results),
         }
-    return json.dumps(told, indent=2)
+    return told
 
 
-def story(results: list[Result], scene: Any) -> str:
-    """Return what a person wants to read after a run."""
+def _story(results: list[Result], task: Task, more: list[str]) -> str:
+    """Return what a person wants to read after a run; all ranks call."""
     result = results[-1]
     problem = result.certificate.problem
-    lines = [str(scene) if scene is not None else "", f"{problem!r}", result.explain(), str(result.certificate)]
-    if len(results) > 1 or (scene is not None and scene.steps > 1):
+    lines = [task.name, f"{problem!r}", result.explain(), str(result.certificate)]
+    if task.steps > 1:
         total = sum(one.iterations for one in results)
         seconds = sum(one.seconds for one in results)
-        count = f"{len(results)} of {scene.steps} steps, {total} iterations, {seconds:.3g} s"
+        count = f"{len(results)} of {task.steps} steps, {total} iterations, {seconds:.3g} s"
         lines.insert(2, f"march: {count}; the last step:")
-    at_bound = np.count_nonzero((result.z <= problem.lower) | (result.z >= problem.upper))
-    lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
-    if scene is not None and scene.steps == 1:
-        for reference, name in ((scene.exact, "true error"), (scene.continuum, "from the continuum")):
-            if reference is not None and problem.n:
-                lines.append(f"{name:<18} {np.max(np.abs(result.z - reference)):.3e}")
-    return "\n".join(filter(None, lines))
+    at_bound = problem.peers.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
+    lines.append(f"{'at a bound':<18} {at_bound:.0f} of {problem.n}")
+    for name, distance in task.references.items():
+        lines.append(f"{name:<18} {problem.peers.largest(distance(result.z)):.3e}")
+    return "\n".join(filter(None, [*lines, *more]))
 
 
 def compile_everything() -> str:

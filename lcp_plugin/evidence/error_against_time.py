@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import is_at_bound
 from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..problem.lcp import LCP
@@ -297,7 +298,7 @@ def _active_share(answers: list[Certificate]) -> float:
     best = min(answers, key=lambda one: one.relative_residual, default=None)
     if best is None or best.problem.n == 0:
         return math.nan
-    return float(np.mean((best.z <= best.problem.lower) | (best.z >= best.problem.upper)))
+    return float(np.mean(is_at_bound(best.problem, best.z)))
 
 
 # --- References -----------------------------------------------------------------------------------------------

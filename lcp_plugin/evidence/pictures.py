@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import is_at_bound
 from ..solving.result import Result
 from .drawing import HEIGHTS, check_format, heights_as_colours, new_figure, require_matplotlib, save, styled
 from .gallery.scene import Scene
@@ -57,17 +58,12 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
         save(figure, path)
 
 
-def _active(answer: Certificate) -> Any:
-    """Return which components rest on a bound."""
-    return (answer.z <= answer.problem.lower) | (answer.z >= answer.problem.upper)
-
-
 # --- Fields ---------------------------------------------------------------------------------------------------
 
 
 def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
     """Return z over the grid as a map shows it: values, contact set, coordinates and names."""
-    z, active = scene.picture(answer.z), scene.picture(_active(answer))
+    z, active = scene.picture(answer.z), scene.picture(is_at_bound(answer.problem, answer.z))
     labels, axes = scene.axis_labels, scene.coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
     while z.ndim > 2:  # the middle slice of what cannot be drawn whole
         z, active, labels, axes = z[z.shape[0] // 2], active[active.shape[0] // 2], labels[1:], axes[1:]
@@ -122,8 +118,8 @@ def _line(scene: Scene | None, answer: Certificate, longest: int) -> dict[str, A
     has_axis = len(axes) == 1 and scene is not None
     bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
     return {
-        "kind": "line" if has_axis else "dots", "z": answer.z[step], "active": _active(answer)[step],
-        "x": (axes[0] if has_axis else np.arange(answer.z.size))[step],
+        "kind": "line" if has_axis else "dots", "z": answer.z[step],
+        "active": is_at_bound(problem, answer.z)[step], "x": (axes[0] if has_axis else np.arange(answer.z.size))[step],
         "x_label": scene.axis_labels[0] if has_axis and scene is not None else "index",
         "unknown": "z" if scene is None else scene.unknown,
         "active_means": "at a bound" if scene is None else scene.active_means,
@@ -154,7 +150,7 @@ def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
     """Draw where the contact set that begins at the lower end of the axis ends, step by step."""
     x, edges = scene.coordinates[0], []
     for result in march:
-        free = np.flatnonzero(~_active(result.certificate))
+        free = np.flatnonzero(~is_at_bound(result.certificate.problem, result.z))
         edges.append(x[free[0] - 1] if free.size and free[0] > 0 else np.nan)
     steps = np.arange(1, len(march) + 1)
     axes.plot(steps, edges, color=ACTIVE, linewidth=1.8)

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..kernels.floats import UNIT
 
-FloatVector = np.ndarray[Any, np.dtype[np.float64]]
 Sums = tuple[FloatVector, FloatVector, FloatVector]
-
 
 
 def gamma(terms: int) -> float:

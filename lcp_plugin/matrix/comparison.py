@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..errors import InvalidProblem
 from .equilibration import Exponents, scaled, scaling_exponents, times_power
 from .factors import factor_fits, solver_of
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from .hierarchy.levels import Hierarchy
 
 Solver = Callable[[FloatVector], FloatVector]
-BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60

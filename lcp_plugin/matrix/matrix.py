@@ -9,7 +9,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, checked_matrix, frozen, read_only
+from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
 from ..errors import UnsuitableProblem
 from ..locks import Lock
 from ..peers.alone import ALONE, Peers
@@ -205,11 +205,8 @@ class Matrix:
         return {"n": self.n, "own": self.n, "peers": ALONE, "_dense": self._dense, "_csr": csr}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        restored(self, state)
         self._begin()
-        # Unpickled arrays are writable again.
-        if self._dense is not None:
-            self._dense.flags.writeable = False
         if self._csr is not None:
             self._csr = frozen(self._csr)
 

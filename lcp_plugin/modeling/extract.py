@@ -16,14 +16,12 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy.expressions.expression import Expression
-from numpy.typing import NDArray
 
+from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from . import _compat as atoms
 from ._compat import name_of
 from .linear_part import Blocks, Values, as_matrix, node_blocks
-
-FloatVector = NDArray[np.float64]
 
 CHECK_SEED = 20
 CHECK_TOLERANCE = 1e-11

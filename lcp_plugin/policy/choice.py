@@ -39,9 +39,10 @@ from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
-from ..errors import InvalidOption, UnknownAlgorithm
+from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
+from ..settings import OF_SOLVE
 from .direct_methods import Turns
 from .stages import Choice, Stage
 
@@ -211,7 +212,7 @@ def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = Fals
         if options:
             raise InvalidOption(
                 f"options {sorted(options)} were given beside an algorithm object; "
-                f"set them in {type(algorithm).__name__}(…)"
+                f"set them in {type(algorithm).__name__}(…){did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
@@ -219,8 +220,8 @@ def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = Fals
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
             raise InvalidOption(
-                f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well, or see '
-                "help(lcp_plugin.solve) for what solve itself takes"
+                f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
+                f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
         return AutoOnRanks() if on_ranks else Auto()
     if isinstance(algorithm, type):

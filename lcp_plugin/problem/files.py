@@ -32,7 +32,18 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         arrays |= {name: getattr(problem, name) for name in VECTORS}
         write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
     else:
-        _save_folder(problem, target)
+        _save_folder(problem, checked_folder(target))
+
+
+def checked_folder(target: Path) -> Path:
+    """Return the path, or raise UnreadableFile where it looks like a file of another kind and is no folder yet."""
+    # A number behind a dot is a part of the name, as in "size=0.5".
+    if target.suffix[1:2].isalpha() and not target.is_dir():
+        raise UnreadableFile(
+            f"cannot write {target}: a problem becomes one .npz file or a folder of files, not a {target.suffix} file; "
+            f"write {target.stem}.npz, or {target.stem} for a folder"
+        )
+    return target
 
 
 def checked_path(path: Any) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector
+from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from ..errors import InvalidOption, InvalidProblem
 from ..matrix.matrix import Matrix
 from ..peers.alone import Peers
@@ -262,6 +262,11 @@ class LCP:
         Parameters
         ----------
         path : str or PathLike
+
+        Raises
+        ------
+        UnreadableFile
+            Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
         if self.is_distributed:
             from .files_on_ranks import save
@@ -362,11 +367,7 @@ class LCP:
         """Leave behind what can be computed again."""
         return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        # Unpickled arrays are writable again.
-        for array in (self.q, self.lower, self.upper):
-            array.flags.writeable = False
+    __setstate__ = restored
 
 
 def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:

@@ -87,9 +87,9 @@ def solve_many(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve_many needs an LCP, got {type(problem).__name__}; write solve_many(LCP(M, q), Q)")
-    own = CallersOwn(options["callback"]) if callable(options.get("callback")) else None
-    if own is not None:
-        options["callback"] = own
+    callers = CallersOwn(options["callback"]) if callable(options.get("callback")) else None
+    if callers is not None:
+        options["callback"] = callers
     answers: list[Result | LCPError] = []
     for q in _columns(Q, problem.n):
         try:
@@ -97,7 +97,7 @@ def solve_many(
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
-            if own is not None and error is own.raised:
+            if callers is not None and error is callers.raised:
                 raise
             answer = error
         answers.append(answer)

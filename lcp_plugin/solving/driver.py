@@ -21,7 +21,7 @@ from ..policy.pacing import CheckSchedule, Progress
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
 from ..settings import CallersOwn, Settings, Status, checked_callback
-from .error_watch import Bounded
+from .error_watch import BoundOrReason
 from .guarantees import warn_where_known_to_be_uncovered
 from .judge import Judge
 from .result import Result, Sample, status_of
@@ -106,7 +106,7 @@ def solve(
     peers, clock = problem.peers, Clock(problem.peers)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), peers.interruptions() as clock.hears:
-        policy, settings, own, start = peers.together(lambda: (
+        policy, settings, callers, start = peers.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed),
             Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound),
             checked_callback(callback), checked_start(problem, z0),
@@ -119,9 +119,9 @@ def solve(
                 rehearse(None, problem)  # the judge
             warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
             first = policy.first(problem)
-            if own is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
+            if callers is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
                 return arrived
-            run = _Run(problem, policy, settings, own, clock)
+            run = _Run(problem, policy, settings, callers, clock)
             if settings.is_on_error:
                 run.judge.require_rigorous_bounds()
             with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
@@ -130,7 +130,7 @@ def solve(
         except KeyboardInterrupt:
             if problem.is_distributed:
                 raise  # the second one: the other ranks have not heard of it
-            run = run or _Run(problem, policy, settings, own, clock)
+            run = run or _Run(problem, policy, settings, callers, clock)
             return run.judged(start, Status.INTERRUPTED)
 
 
@@ -292,5 +292,5 @@ class _Run:
             algorithm=name_of(self.policy.name, stages), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
             stages=stages, infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else Bounded(),
+            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else BoundOrReason(),
         )

@@ -25,7 +25,7 @@ SHARP_WORTH = 200  # sweeps that a sharp bound may cost
 OUT_OF_STEP = 2.0
 
 
-class Bounded(NamedTuple):
+class BoundOrReason(NamedTuple):
     """A bound of the error, or none and the reason."""
 
     bound: ErrorBound | None = None
@@ -129,11 +129,11 @@ class ErrorWatch:
         self.proof = z, bound
         return bound.proves(self.settings.tolerance)
 
-    def final(self, z: FloatVector) -> Bounded | Callable[[], Bounded]:
+    def final(self, z: FloatVector) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of z, or how it is computed once somebody looks at it."""
         known = self._proof_of(z)
         if known is not None and (not known.is_loose or self.problem.is_distributed):
-            return Bounded(known)
+            return BoundOrReason(known)
         # One rank alone could not compute it later.
         return _sharpest(self.problem, z) if self.problem.is_distributed else partial(_sharpest, self.problem, z)
 
@@ -147,10 +147,10 @@ class ErrorWatch:
         return error_bound(self.problem, z, sharp=sharp)
 
 
-def _sharpest(problem: LCP, z: FloatVector) -> Bounded:
+def _sharpest(problem: LCP, z: FloatVector) -> BoundOrReason:
     from ..certificates.error_bounds import error_bound
 
     try:
-        return Bounded(error_bound(problem, z))
+        return BoundOrReason(error_bound(problem, z))
     except UnsuitableMatrix as error:
-        return Bounded(None, str(error))
+        return BoundOrReason(None, str(error))

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..certificates.conditioning import estimated_error
 from ..certificates.residuals import Certificate, reference_residual
-from ..checks import FloatVector
+from ..checks import FloatVector, restored
 from ..errors import NotConverged
 from ..settings import PROVEN, Status
-from .error_watch import Bounded
+from .error_watch import BoundOrReason
 
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
@@ -106,7 +106,7 @@ class Result:
         As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
-    bounded : Bounded, or a function that returns it
+    bounded : BoundOrReason, or a function that returns it
         The error bound, or how it is computed once somebody looks at it.
     chosen : str or Algorithm
         What the caller asked for.
@@ -134,7 +134,9 @@ class Result:
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
     chosen: Any = field(default="auto", repr=False)
-    bounded: Bounded | Callable[[], Bounded] = field(default=Bounded(), repr=False)
+    bounded: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
+
+    __setstate__ = restored
 
     @property
     def error_bound(self) -> ErrorBound | None:
@@ -142,15 +144,15 @@ class Result:
 
         What that took stands in ``error_bound.seconds``, and not in the run's.
         """
-        return self._bounded.bound
+        return self._bound_or_reason.bound
 
     @property
     def no_error_bound(self) -> str:
         """The reason where a bound was asked for and there is none."""
-        return self._bounded.reason
+        return self._bound_or_reason.reason
 
     @cached_property
-    def _bounded(self) -> Bounded:
+    def _bound_or_reason(self) -> BoundOrReason:
         return self.bounded() if callable(self.bounded) else self.bounded
 
     @cached_property

@@ -18,10 +18,10 @@ any callable (M, q, lower, upper) → z and reports the smallest problem on whic
 
 try:
     import hypothesis  # noqa: F401 - to say what is missing before the modules below do
-except ImportError as error:
+except ImportError:
     raise ImportError(
         "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
-    ) from error
+    ) from None
 
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
 from .dominant import h_plus_matrices, m_matrices, not_h_matrices, p_matrices, strictly_dominant_matrices, z_matrices

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from hypothesis import strategies as st
 
@@ -13,29 +11,19 @@ from .options import (
     POSITIVE,
     Matrix,
     Options,
-    Sizes,
     drawn_number,
-    drawn_units,
-    finished,
+    matrices,
     one_of,
     orders,
     reordered,
     skew_matrices,
     square,
-    symmetric_options,
     vectors,
 )
 
 
-def positive_definite_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    scale: int = 0,
-    margin: float = 1.0,
-    symmetric: bool = True,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("scale")
+def positive_definite_matrices(draw: st.DrawFn, n: int, options: Options, *, symmetric: bool = True) -> Matrix:
     """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; as a rule they are no H₊-matrices.
 
     Parameters
@@ -78,17 +66,8 @@ def positive_definite_matrices(
     array([[1., 0.],
            [0., 1.]])
     """
-    return _positive_definite(symmetric_options(size, density, scale, margin, dense), symmetric)
-
-
-@st.composite
-def _positive_definite(draw: st.DrawFn, options: Options, symmetric: bool) -> Any:
-    n = draw(options.sizes)
-    units = drawn_units(draw, n, options, congruent=True)
     A = definite_block(draw, n, options)
-    if not symmetric:
-        A = A + draw(skew_matrices(n, options.entries))
-    return finished(A, units, options.dense)
+    return A if symmetric else A + draw(skew_matrices(n, options.entries))
 
 
 def definite_block(draw: st.DrawFn, n: int, options: Options) -> Matrix:
@@ -99,16 +78,17 @@ def definite_block(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     return result
 
 
+def checked_rank(rank: int | None) -> int:
+    """Return the rank, 0 where any will do."""
+    if rank is not None and (isinstance(rank, bool) or not isinstance(rank, (int, np.integer)) or rank < 0):
+        raise InvalidOption(f"rank must be a whole number ≥ 0, got {rank!r}")
+    return int(rank or 0)
+
+
+@matrices("scale", smallest=lambda rank, symmetric: checked_rank(rank))
 def positive_semidefinite_matrices(
-    size: Sizes = None,
-    *,
-    rank: int | None = None,
-    density: float = 1.0,
-    scale: int = 0,
-    margin: float = 1.0,
-    symmetric: bool = True,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+    draw: st.DrawFn, n: int, options: Options, *, rank: int | None = None, symmetric: bool = True
+) -> Matrix:
     """Return a strategy for positive semidefinite matrices of an exact rank, xᵀM x ≥ 0.
 
     Parameters
@@ -147,42 +127,17 @@ def positive_semidefinite_matrices(
     array([[1., 1.],
            [1., 1.]])
     """
-    if rank is not None and (isinstance(rank, bool) or not isinstance(rank, (int, np.integer)) or rank < 0):
-        raise InvalidOption(f"rank must be a whole number ≥ 0, got {rank!r}")
-    if size is None and rank is not None:
-        size = st.integers(max(1, rank), max(8, rank))
-    elif isinstance(size, (int, np.integer)) and rank is not None:
-        _check_rank(rank, int(size))
-    return _positive_semidefinite(symmetric_options(size, density, scale, margin, dense), rank, symmetric)
-
-
-def _check_rank(rank: int, size: int) -> None:
-    if rank > size:
-        raise InvalidOption(f"rank must be at most the size, got rank {rank} for size {size}; draw larger matrices")
-
-
-@st.composite
-def _positive_semidefinite(draw: st.DrawFn, options: Options, rank: int | None, symmetric: bool) -> Any:
-    n = draw(options.sizes)
     r = n - draw(st.integers(0, n)) if rank is None else int(rank)
-    _check_rank(r, n)
     core = np.diag(draw(vectors(n, one_of(1.0, options.margin)))[:r])
-    order, units = draw(orders(n)), drawn_units(draw, n, options, congruent=True)
+    order = draw(orders(n))
     L = (draw(square(n, options.entries, "below")) + np.eye(n))[:, :r]
     if not symmetric:
         core = core + draw(skew_matrices(n, options.entries))[:r, :r]
-    return finished(reordered(L @ core @ L.T, order), units, options.dense)
+    return reordered(L @ core @ L.T, order)
 
 
-def indefinite_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    scale: int = 0,
-    margin: float = 1.0,
-    symmetric: bool = True,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("scale", smallest=lambda symmetric: 2)
+def indefinite_matrices(draw: st.DrawFn, n: int, options: Options, *, symmetric: bool = True) -> Matrix:
     """Return a strategy for indefinite matrices: xᵀM x takes both signs.
 
     Parameters
@@ -218,17 +173,9 @@ def indefinite_matrices(
     array([[ 1.,  0.],
            [ 0., -1.]])
     """
-    return _indefinite(symmetric_options(size, density, scale, margin, dense, smallest=2), symmetric)
-
-
-@st.composite
-def _indefinite(draw: st.DrawFn, options: Options, symmetric: bool) -> Any:
-    n = draw(options.sizes)
     core = draw(vectors(n, ONE_FIRST))
     core[:2] = drawn_number(draw, POSITIVE), -options.margin * drawn_number(draw, POSITIVE)
-    order, units = draw(orders(n)), drawn_units(draw, n, options, congruent=True)
+    order = draw(orders(n))
     L = draw(square(n, options.entries, "below")) + np.eye(n)
     A = reordered(L @ np.diag(core) @ L.T, order)
-    if not symmetric:
-        A = A + draw(skew_matrices(n, options.entries))
-    return finished(A, units, options.dense)
+    return A if symmetric else A + draw(skew_matrices(n, options.entries))

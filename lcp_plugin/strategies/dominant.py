@@ -12,14 +12,12 @@ from .options import (
     ONE_FIRST,
     POSITIVE,
     SIGNS,
+    Matrix,
     Numbers,
     Options,
-    Sizes,
     blocks,
-    checked_options,
     drawn_number,
-    drawn_units,
-    finished,
+    matrices,
     one_of,
     orders,
     reordered,
@@ -31,15 +29,8 @@ from .options import (
 PLUS = one_of(1)
 
 
-def h_plus_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale", "column_scale")
+def h_plus_matrices(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.
 
     Parameters
@@ -76,19 +67,11 @@ def h_plus_matrices(
     >>> find(h_plus_matrices(), lambda M: True, settings=quick)
     array([[1.]])
     """
-    options = checked_options(size, density, row_scale, column_scale, margin, dense)
-    return _by_row_sums(options, options.entries, POSITIVE)
+    return _by_row_sums(draw, n, options, options.entries, POSITIVE)
 
 
-def m_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale", "column_scale")
+def m_matrices(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     """Return a strategy for nonsingular M-matrices, as a rule not symmetric: m_ij ≤ 0 off the diagonal, M⁻¹ ≥ 0.
 
     Parameters
@@ -114,19 +97,11 @@ def m_matrices(
     array([[ 2., -1.],
            [ 0.,  1.]])
     """
-    options = checked_options(size, density, row_scale, column_scale, margin, dense)
-    return _by_row_sums(options, options.entries.then(_not_positive), POSITIVE)
+    return _by_row_sums(draw, n, options, options.entries.then(_not_positive), POSITIVE)
 
 
-def z_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale", "column_scale")
+def z_matrices(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     """Return a strategy for Z-matrices: m_ij ≤ 0 off the diagonal; M-matrices, singular and indefinite ones among them.
 
     Parameters
@@ -154,19 +129,11 @@ def z_matrices(
     >>> find(z_matrices(), lambda M: M[0, 0] < 0, settings=shrunk)
     array([[-1.]])
     """
-    options = checked_options(size, density, row_scale, column_scale, margin, dense)
-    return _by_row_sums(options, options.entries.then(_not_positive), ONE_FIRST)
+    return _by_row_sums(draw, n, options, options.entries.then(_not_positive), ONE_FIRST)
 
 
-def strictly_dominant_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    row_scale: int = 0,
-    margin: float = 1.0,
-    signed: bool = False,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale")
+def strictly_dominant_matrices(draw: st.DrawFn, n: int, options: Options, *, signed: bool = False) -> Matrix:
     """Return a strategy for matrices with |m_ii| > Σ_j≠i |m_ij| in every row.
 
     Parameters
@@ -194,35 +161,25 @@ def strictly_dominant_matrices(
     array([[-1.,  0.],
            [ 0.,  1.]])
     """
-    options = checked_options(size, density, row_scale, 0, margin, dense)
-    return _by_row_sums(options, options.entries, POSITIVE, SIGNS if signed else PLUS)
+    return _by_row_sums(draw, n, options, options.entries, POSITIVE, SIGNS if signed else PLUS)
 
 
 def _not_positive(values: Any) -> Any:
     return -abs(values)
 
 
-@st.composite
 def _by_row_sums(
-    draw: st.DrawFn, options: Options, others: Numbers, surpluses: Numbers, diagonal_signs: Numbers = PLUS
-) -> Any:
-    n = draw(options.sizes)
+    draw: st.DrawFn, n: int, options: Options, others: Numbers, surpluses: Numbers, diagonal_signs: Numbers = PLUS
+) -> Matrix:
     surplus = options.margin * draw(vectors(n, surpluses))
-    sides, units = draw(vectors(n, diagonal_signs)), drawn_units(draw, n, options)
+    sides = draw(vectors(n, diagonal_signs))
     A = draw(square(n, others, "off"))
     np.fill_diagonal(A, sides * (abs(A).sum(axis=1) + surplus))
-    return finished(A, units, options.dense)
+    return A
 
 
-def p_matrices(
-    size: Sizes = None,
-    *,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale", "column_scale")
+def p_matrices(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
 
     Parameters
@@ -264,35 +221,19 @@ def p_matrices(
     >>> find(p_matrices(), lambda M: True, settings=quick)
     array([[1.]])
     """
-    options = checked_options(size, density, row_scale, column_scale, margin, dense)
-    dominant = h_plus_matrices(
-        size, density=density, row_scale=row_scale, column_scale=column_scale, margin=margin, dense=dense
-    )
-    return dominant | _block_triangular(options)
-
-
-@st.composite
-def _block_triangular(draw: st.DrawFn, options: Options) -> Any:
-    n = draw(options.sizes)
+    if not draw(st.booleans()):
+        return _by_row_sums(draw, n, options, options.entries, POSITIVE)
     cut = draw(st.integers(0, n))
-    order, units = draw(orders(n)), drawn_units(draw, n, options)
+    order = draw(orders(n))
     A = definite_block(draw, n, options) + draw(skew_matrices(n, options.entries))
     if 0 < cut < n:
         A[cut:, :cut] = 0.0
         A[:cut, cut:] = draw(blocks(cut, n - cut, options.entries))
-    return finished(reordered(A, order), units, options.dense)
+    return reordered(A, order)
 
 
-def not_h_matrices(
-    size: Sizes = None,
-    *,
-    p_matrix: bool = False,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
-) -> st.SearchStrategy[Any]:
+@matrices("row_scale", "column_scale", smallest=lambda p_matrix: 2 if p_matrix else 1)
+def not_h_matrices(draw: st.DrawFn, n: int, options: Options, *, p_matrix: bool = False) -> Matrix:
     """Return a strategy for matrices that are no H-matrices: no scaling of rows and columns makes them dominant.
 
     Parameters
@@ -337,19 +278,14 @@ def not_h_matrices(
     array([[ 1.,  1.],
            [-1.,  1.]])
     """
-    smallest = 2 if p_matrix else 1
-    options = checked_options(size, density, row_scale, column_scale, margin, dense, smallest)
-    return _rotating(options) if p_matrix else _with_cycle(options)
+    return (_rotating if p_matrix else _with_cycle)(draw, n, options)
 
 
-@st.composite
-def _with_cycle(draw: st.DrawFn, options: Options) -> Any:
-    n = draw(options.sizes)
+def _with_cycle(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     diagonal, order = draw(vectors(n, ONE_FIRST)), draw(orders(n))
     # 0, 1, … mean a cycle of length 2, 3, …, and the last a zero on the diagonal: shrinking prefers the former.
     length = draw(st.integers(0, n - 1))
     arrows = draw(vectors(n, SIGNS)), options.margin * draw(vectors(n, Numbers(0, 9)))
-    units = drawn_units(draw, n, options)
     A = draw(square(n, options.entries, "off"))
     np.fill_diagonal(A, diagonal)
     if length == n - 1:
@@ -358,18 +294,15 @@ def _with_cycle(draw: st.DrawFn, options: Options) -> Any:
         cycle = order[: length + 2]
         for i, j, sign, surplus in zip(cycle, np.roll(cycle, -1), *arrows, strict=False):
             A[i, j] = sign * (abs(A[i, i]) + surplus)
-    return finished(A, units, options.dense)
+    return A
 
 
-@st.composite
-def _rotating(draw: st.DrawFn, options: Options) -> Any:
-    n = draw(options.sizes)
+def _rotating(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     i, j = draw(orders(n))[:2]
     sign, surplus = drawn_number(draw, SIGNS), options.margin * drawn_number(draw, Numbers(0, 9))
-    units = drawn_units(draw, n, options)
     S = definite_block(draw, n, options)
     K = draw(skew_matrices(n, options.entries))
     # (s + k)(s − k) = s² − k² ≤ −max(s_ii, s_jj)².
     K[i, j] = sign * (max(S[i, i], S[j, j]) + abs(S[i, j]) + surplus)
     K[j, i] = -K[i, j]
-    return finished(S + K, units, options.dense)
+    return S + K

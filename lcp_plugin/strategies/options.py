@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from inspect import Signature, signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,32 +46,64 @@ class Options(NamedTuple):
     entries: Numbers
     row_scale: int
     column_scale: int
+    scale: int
     margin: float
     dense: bool
 
 
 def checked_options(
-    size: Sizes, density: float, row_scale: int, column_scale: int, margin: float, dense: bool, smallest: int = 0
+    size: Sizes = None, *, density: float = 1.0, row_scale: int = 0, column_scale: int = 0, scale: int = 0,
+    margin: float = 1.0, dense: bool = True, smallest: int = 0,
 ) -> Options:
     """Return the options, or raise InvalidOption; `smallest` is the least size that has such a matrix."""
     return Options(
         sizes(size, smallest), entries(density), checked_scale("row_scale", row_scale),
-        checked_scale("column_scale", column_scale), checked_margin(margin), dense,
+        checked_scale("column_scale", column_scale), checked_scale("scale", scale), checked_margin(margin), dense,
     )
 
 
-def symmetric_options(
-    size: Sizes, density: float, scale: int, margin: float, dense: bool, smallest: int = 0
-) -> Options:
-    """Return the options where rows and columns have one scale."""
-    both = checked_scale("scale", scale)
-    return Options(sizes(size, smallest), entries(density), both, both, checked_margin(margin), dense)
+def matrices(
+    *scales: str, smallest: Callable[..., int] = lambda **own: 0
+) -> Callable[[Callable[..., Matrix]], Callable[..., st.SearchStrategy[Any]]]:
+    """Return a decorator: of what draws a matrix before it is scaled it makes a strategy with the shared options.
+
+    The function takes draw, n and the checked options, and its own options by name. The strategy takes these, size,
+    density, margin, dense and the named scales; what it needs to be at least as large as, `smallest` tells from the
+    own options.
+    """
+
+    def decorate(build: Callable[..., Matrix]) -> Callable[..., st.SearchStrategy[Any]]:
+        own = [option for option in signature(build).parameters.values() if option.kind is option.KEYWORD_ONLY]
+        known = signature(checked_options).parameters
+        size, *shared = (known[name] for name in ("size", "density", *scales, "margin", "dense"))
+        form = Signature([size, *own, *shared], return_annotation="st.SearchStrategy[Any]")
+
+        @st.composite
+        def drawn(draw: st.DrawFn, options: Options, chosen: dict[str, Any]) -> Any:
+            n = draw(options.sizes)
+            units = drawn_units(draw, n, options)
+            return finished(build(draw, n, options, **chosen), units, options.dense)
+
+        def strategy(*arguments: Any, **keywords: Any) -> st.SearchStrategy[Any]:
+            try:
+                given = form.bind(*arguments, **keywords).arguments
+            except TypeError as error:
+                raise InvalidOption(f"{build.__name__}: {error}; it takes {', '.join(form.parameters)}") from None
+            chosen = {option.name: given.pop(option.name, option.default) for option in own}
+            return drawn(checked_options(**given, smallest=smallest(**chosen)), chosen)
+
+        for name in ("__module__", "__name__", "__qualname__", "__doc__"):
+            setattr(strategy, name, getattr(build, name))
+        strategy.__signature__ = form  # type: ignore[attr-defined]
+        return strategy
+
+    return decorate
 
 
 def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
     """Return a strategy for numbers of rows, none below `smallest`."""
     if size is None:
-        return st.integers(max(1, smallest), LARGEST_SIZE)
+        return st.integers(max(1, smallest), max(LARGEST_SIZE, smallest))
     if isinstance(size, st.SearchStrategy):
         return size.map(lambda n: _checked_size(n, smallest))
     return st.just(_checked_size(size, smallest))
@@ -231,10 +264,11 @@ class Units(NamedTuple):
     column: IntVector
 
 
-def drawn_units(draw: st.DrawFn, n: int, options: Options, *, congruent: bool = False) -> Units:
-    """Return drawn units of the rows and columns, the same for both where `congruent`."""
-    row = draw(exponents(n, options.row_scale))
-    return Units(row, row if congruent else draw(exponents(n, options.column_scale)))
+def drawn_units(draw: st.DrawFn, n: int, options: Options) -> Units:
+    """Return drawn units of the rows and columns."""
+    scales = options.row_scale, options.column_scale, options.scale
+    row, column, both = (draw(exponents(n, scale)) for scale in scales)
+    return Units(row + both, column + both)
 
 
 def finished(A: Matrix, units: Units, dense: bool) -> Any:

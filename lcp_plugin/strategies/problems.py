@@ -263,7 +263,9 @@ def infeasible_lcps(
     >>> proof.exact_y, proof.verify()
     ((Fraction(1, 1), Fraction(0, 1)), True)
     """
-    options = checked_options(size, density, row_scale, column_scale, margin, dense, smallest=1)
+    options = checked_options(
+        size, density=density, row_scale=row_scale, column_scale=column_scale, margin=margin, dense=dense, smallest=1
+    )
     return _infeasible(options, monotone, checked_share("bounds", bounds))
 
 

@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ import scipy.sparse as sp
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from exact import has_positive_pivots
+from exact import has_positive_pivots, principal_minors
 
 from lcp_plugin.matrix import MatrixReport, analyze
 
@@ -159,7 +158,7 @@ def exact_truth(M: np.ndarray, delta: float) -> dict[str, bool]:
         "is_h_plus": is_h and positive,
         "is_positive_definite": has_positive_pivots(doubled),
         "is_positive_semidefinite": delta == np.inf or is_semidefinite(shifted),
-        "is_p_matrix": is_p(A),
+        "is_p_matrix": all(minor > 0 for minor in principal_minors(A)),
     }
 
 
@@ -182,32 +181,6 @@ def is_semidefinite(A: list[list[Fraction]]) -> bool:
                 factor = A[i][k] / A[k][k]
                 A[i] = [a - factor * b for a, b in zip(A[i], A[k], strict=True)]
     return True
-
-
-def is_p(A: list[list[Fraction]]) -> bool:
-    """Return whether each principal minor is positive, by enumeration."""
-    n = len(A)
-    return all(
-        determinant([[A[i][j] for j in rows] for i in rows]) > 0
-        for size in range(1, n + 1) for rows in combinations(range(n), size)
-    )
-
-
-def determinant(A: list[list[Fraction]]) -> Fraction:
-    """Return the determinant by expansion with elimination, exchanges included."""
-    A, value = [row[:] for row in A], Fraction(1)
-    for k in range(len(A)):
-        pivot = next((i for i in range(k, len(A)) if A[i][k]), None)
-        if pivot is None:
-            return Fraction(0)
-        if pivot != k:
-            A[k], A[pivot], value = A[pivot], A[k], -value
-        value *= A[k][k]
-        for i in range(k + 1, len(A)):
-            if A[i][k]:
-                factor = A[i][k] / A[k][k]
-                A[i] = [a - factor * b for a, b in zip(A[i], A[k], strict=True)]
-    return value
 
 
 def proofs_hold(report: MatrixReport, M: np.ndarray) -> bool:

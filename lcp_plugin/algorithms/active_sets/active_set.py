@@ -10,14 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...matrix.factors import Factor, factorise
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import bandwidth
 from ...matrix.symmetry import is_nearly_symmetric
 from ...problem.lcp import LCP
-
-BoolVector = NDArray[np.bool_]
 
 SINGULAR = 1e13  # a block whose scaled inverse is larger than this is treated as singular
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block

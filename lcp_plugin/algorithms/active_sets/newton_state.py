@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from ...certificates.row_residuals import scaled_residual
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
 from ..base import Step
-from .active_set import ActiveSetSolution, BoolVector, FactorCache, signature, solve_active_set
+from .active_set import ActiveSetSolution, FactorCache, signature, solve_active_set
 
 LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
 LARGE_PATIENCE = 20

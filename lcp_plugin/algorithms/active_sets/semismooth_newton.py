@@ -10,10 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, direct_passes, without_warnings
-from .active_set import BoolVector, classify
+from .active_set import classify
 from .damped_newton import damped_steps
 from .newton_state import LARGE_PATIENCE, NewtonState
 

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...certificates.row_residuals import scaled_residual
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
@@ -20,8 +20,6 @@ from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet, rehearse
-
-BoolVector = NDArray[np.bool_]
 
 SWEEPS_AT_ONCE = (20, 5)  # small or not
 MOST_SWEEPS = 60

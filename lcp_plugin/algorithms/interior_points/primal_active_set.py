@@ -7,10 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import FloatVector, read_only
+from ...checks import BoolVector, FloatVector, read_only
 from ...kernels.floats import EPSILON
-
-BoolVector = NDArray[np.bool_]
 
 CHANGES = 48  # beside half as many as there are rows: after so many, rounding asks for a new factor
 FIRST_SHIFT = 1e-13  # of the largest diagonal entry, where a block is not positive definite to working precision

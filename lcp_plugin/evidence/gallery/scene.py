@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...certificates.row_residuals import is_at_bound
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, did_you_mean
 from ...problem.lcp import LCP
@@ -97,8 +98,7 @@ class Scene:
             if values is not None:
                 object.__setattr__(self, fact, _read_only(values, fact, self.problem.n))
         if self.exact is not None and self.active_share is None and self.n:
-            at_bound = (self.exact == self.problem.lower) | (self.exact == self.problem.upper)
-            object.__setattr__(self, "active_share", float(np.mean(at_bound)))
+            object.__setattr__(self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact))))
         if self.grid is None and self.coordinates is not None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
         if self.grid is not None:

@@ -97,6 +97,21 @@ def test_ill_conditioned_dense_problem_needs_few_factors(condition: float, activ
     assert result.work <= 10 * n / 6 + 60
 
 
+@pytest.mark.parametrize("skew", [0.0, 1e-6])
+@pytest.mark.parametrize("n", [60, 200])
+def test_an_answer_much_larger_than_q_takes_a_dozen_steps(n: int, skew: float) -> None:
+    """Eigenvalues from 1 to 1e-8 and q ~ 1: z is 1e4 times as large as w, and no path of short steps leads there."""
+    rng = np.random.default_rng(1)
+    orthogonal, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (orthogonal * np.logspace(0, -8, n)) @ orthogonal.T
+    turn = rng.standard_normal((n, n))
+    problem = LCP((M + M.T) / 2.0 + skew * (turn - turn.T), rng.standard_normal(n))
+    result = solve(problem, "interior_point")
+    assert result.is_solved
+    assert result.z.max() > 1e3 * result.w.max()
+    assert result.iterations <= 20
+
+
 def test_contact_matrix_of_low_rank() -> None:
     """A Delassus matrix J W Jᵀ with more contacts than freedoms: w is the known one, z one of many."""
     rng = np.random.default_rng(3)

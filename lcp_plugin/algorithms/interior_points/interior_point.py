@@ -26,8 +26,8 @@ MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
 LATER_GUESS = (10, 0.02)
-WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the start beside the first, tried where the second step is short
-SHORT = 0.3
+MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
+SHORT = 0.15  # of the whole second step: the start is not as large as the answer
 EARLIEST_GUESS = 3
 PATIENCE = 12
 MOST_ITERATIONS = 150
@@ -195,8 +195,8 @@ class _Search:
         matrix = newton_matrix(self.M, primal is not None)
         corrections = 2 if self.q.size >= LARGE else 1
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, corrections)
-        weights = [_weight_of(primal) * fall for fall in WEIGHTS]
-        if not point.start(weights[0]):
+        starts = _Starts(_weight_of(primal))
+        if not point.start(starts.weight):
             return
         first_gap, counted, since_best = point.gap, 0.0, 0
         polishes, settled_for, last, steps = 0, 0, _active(point, 1.0)[0], 0
@@ -207,9 +207,9 @@ class _Search:
             before = self.best
             yield self.step(point.z, matrix.work - counted)
             counted = matrix.work
-            if steps == 2 and point.length < SHORT and len(weights) > 1:
-                weights, steps = weights[1:], 0
-                if not point.start(weights[0]):
+            if steps == 2 and starts.has_better(point.length):
+                steps = 0
+                if not point.start(starts.weight):
                     return
                 continue
             since_best = 0 if self.best < 0.9 * before else since_best + 1
@@ -266,6 +266,26 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
+
+
+class _Starts:
+    """The weight of the start: smaller ones as long as the second step is short, and gets longer by that."""
+
+    def __init__(self, weight: float) -> None:
+        self.weight = self._best = weight
+        self._longest, self._left = 0.0, MOST_STARTS
+
+    def has_better(self, length: float) -> bool:
+        """Return whether to start again, with the present weight, after a second step of that length."""
+        self._left -= 1
+        if length >= SHORT or self._left <= 0:
+            return False
+        if length > self._longest:
+            self._longest, self._best = length, self.weight
+            self.weight *= LIGHTER
+        else:  # the one before was better
+            self.weight, self._left = self._best, 0
+        return True
 
 
 def _weight_of(primal: PrimalActiveSet | None) -> float:

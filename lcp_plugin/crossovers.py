@@ -7,7 +7,7 @@ precision of a double, fixes stands beside its proof, not here.
 from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
-DIRECT_PASSES = 30.0  # newton or interior_point on a dense M
+DIRECT_PASSES = 10.0  # newton or interior_point on a dense M: a third of what is measured, as npsor promises too much
 DIRECT_ENTRIES = 2000.0  # the same in entries a row, where rows are short: what is done for each row costs more then
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
 MULTIGRID_PASSES = 150.0

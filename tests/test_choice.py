@@ -89,21 +89,21 @@ def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> N
         assert (following(problem, unsteady) is not None) == is_asked
 
 
-def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_thirty() -> None:
-    """On dense M npsor is asked at every sweep: at rate 0.6 thirty-five more would arrive, and later 27."""
-    for iterations, goes_on in ((1, False), (9, True)):
-        assert (following(chain(90, dense=True), after(create("npsor", {}), iterations, 0.6)) is None) == goes_on
+def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_ten() -> None:
+    """On dense M npsor is asked at every sweep: at rate 0.2 eleven more would arrive, and later nine."""
+    for iterations, goes_on in ((1, False), (3, True)):
+        assert (following(chain(30, dense=True), after(create("npsor", {}), iterations, 0.2)) is None) == goes_on
 
 
 def test_where_rows_are_short_a_direct_answer_is_worth_more_sweeps() -> None:
-    """2000 entries a row: 665 passes on a tridiagonal M, 30 from 67 entries a row on."""
-    assert create("newton", {}).predicted_passes(chain(500), 1e9) == pytest.approx(2000 / 3, rel=1e-2)
-    assert create("newton", {}).predicted_passes(chain(90, dense=True), 1e9) == 30.0
+    """2000 entries a row: 665 passes on a tridiagonal M; 10 on a dense one, or where nothing says that sweeps arrive."""
+    for problem, passes in ((chain(500), 2000 / 3), (chain(90, dense=True), 10.0), (cycle(90, -1.0), 10.0)):
+        assert create("newton", {}).predicted_passes(problem, 1e9) == pytest.approx(passes, rel=1e-2)
 
 
 def test_sweeps_that_are_always_nearly_there_end() -> None:
     """Where npsor and psor have cost what two direct answers cost, less what they still promise, they end."""
-    for name, sweeps, end in (("npsor", 35, False), ("npsor", 45, True), ("psor", 1300, False), ("psor", 1320, True)):
+    for name, sweeps, end in (("npsor", 0, False), ("npsor", 5, True), ("psor", 1300, False), ("psor", 1320, True)):
         stage = replace(after(create(name, {}), sweeps, 1.0), work=float(sweeps))
         stage.residuals = [(sweeps - 1, 1e-7), (sweeps, 0.9e-7)]
         assert (following(chain(900, dense=name == "npsor"), stage) is not None) == end

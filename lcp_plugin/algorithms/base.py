@@ -221,8 +221,10 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
 
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    is_last = problem.is_dense or problem.n <= DIRECT_UP_TO or not has_positive_diagonal(problem.matrix).all()
-    return max(DIRECT_PASSES, DIRECT_ENTRIES * problem.n / max(problem.nonzeros, 1)) if is_last else math.inf
+    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
+        return DIRECT_PASSES
+    per_row = DIRECT_ENTRIES * problem.n / max(problem.nonzeros, 1)
+    return max(DIRECT_PASSES, per_row) if problem.n <= DIRECT_UP_TO else math.inf
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:

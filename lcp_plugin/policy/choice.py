@@ -8,7 +8,8 @@ with what its rivals predict (`Algorithm.predicted_passes`, from :mod:`lcp_plugi
 |---|---|---|
 | psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 2, or 20 |
 | multigrid | once; sparse, n > 1000, positive diagonal | 150 passes |
-| the direct methods | M is dense, n ≤ 1000, or no positive diagonal | 2000 entries a row, or 30 passes |
+| the direct methods | M is dense, or its diagonal not positive | 10 passes |
+| the direct methods | n ≤ 1000 | 2000 entries a row, or 10 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
 | the question is asked | |

@@ -15,11 +15,10 @@ from .pivoting_path import Path
 
 Start = Callable[[Path], bool]
 
-NEAR = 0.1  # of the residual of 0: a guess that is farther away leads no shorter way than 0 itself
 INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
-def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
+def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -> Iterator[Start]:
     """Yield ways to start the path, the most promising first; each returns whether it could.
 
     Parameters
@@ -30,9 +29,11 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
         A guess; z = 0 says nothing.
     restarts : int
         How many arbitrary starts follow the principled ones.
+    is_near : bool
+        Whether the cell of z is likely to be close to that of the answer; otherwise it is tried late.
     """
     n, q = path.n, path.q
-    if z.any() and _is_near(path, z):
+    if z.any() and is_near:
         yield partial(_warm, z=z)
     players = bimatrix_players(path.M, q)
     if players is not None and np.all(path.upper == np.inf):
@@ -54,13 +55,6 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
             yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
         else:
             yield _random_cell(path, generator)
-
-
-def _is_near(path: Path, z: FloatVector) -> bool:
-    """Return whether the residual of z is so much less than that of 0 that its cell is likely to be close."""
-    residuals = (point - np.clip(point - (path.M @ point + path.q), 0.0, path.upper) for point in (z, np.zeros(path.n)))
-    near, start = (float(np.abs(residual).max(initial=0.0)) for residual in residuals)
-    return near <= NEAR * start
 
 
 def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:

@@ -96,7 +96,7 @@ def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_ten() -> None:
 
 
 def test_where_rows_are_short_a_direct_answer_is_worth_more_sweeps() -> None:
-    """2000 entries a row: 665 passes on a tridiagonal M; 10 on a dense one, or where nothing says that sweeps arrive."""
+    """2000 entries a row: 665 passes on a tridiagonal M; 10 on a dense one, or where sweeps may not arrive."""
     for problem, passes in ((chain(500), 2000 / 3), (chain(90, dense=True), 10.0), (cycle(90, -1.0), 10.0)):
         assert create("newton", {}).predicted_passes(problem, 1e9) == pytest.approx(passes, rel=1e-2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -103,15 +103,12 @@ class _Search:
             q = (q + M @ fixed)[kept]
             M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
             lower, upper = lower[kept], upper[kept]
-        self.is_symmetric = not sp.issparse(M) and self._is_symmetric(M)
+        M, self.is_symmetric = self._dense_where_symmetric(M)
         r = None if self.is_symmetric else monotone_rows(M)
         if r is not None:
             M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
+            M, self.is_symmetric = self._dense_where_symmetric(M) if sp.issparse(M) else (M, False)
             q = r * q
-        if sp.issparse(M) and q.size <= DENSE_NEWTON_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
-            dense = M.toarray()
-            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric_to_rounding(dense)
-            M = dense if self.is_symmetric else M
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
         c = np.ones(q.size) if c is None else c
@@ -154,13 +151,18 @@ class _Search:
             yield from self.guessed(primal, y)
         yield from self.interior(primal)
 
-    def _is_symmetric(self, M: FloatVector) -> bool:
-        """Whether a dense M could be that of a convex energy."""
-        if M.size and float(M.diagonal().min()) < 0.0:
-            return False
-        if self.kept is None:
-            return is_nearly_symmetric(self.problem.matrix) if M is self.problem.M else is_symmetric_to_rounding(M)
-        return is_symmetric_to_rounding(M)
+    def _dense_where_symmetric(self, M: Any) -> tuple[Any, bool]:
+        """Return M, dense where it is symmetric and not too sparse for that, and whether it is both.
+
+        Symmetric: it could be that of a convex energy.
+        """
+        if self.kept is None and M is self.problem.M and not sp.issparse(M):
+            return M, float(M.diagonal().min(initial=0.0)) >= 0.0 and is_nearly_symmetric(self.problem.matrix)
+        if sp.issparse(M) and (M.shape[0] > DENSE_NEWTON_UP_TO or M.nnz <= SPARSE_BELOW * M.shape[0] ** 2):
+            return M, False
+        dense = M.toarray() if sp.issparse(M) else M
+        is_symmetric = float(dense.diagonal().min(initial=0.0)) >= 0.0 and is_symmetric_to_rounding(dense)
+        return (dense if is_symmetric else M), is_symmetric
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""

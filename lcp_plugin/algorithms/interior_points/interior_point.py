@@ -21,7 +21,7 @@ from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet, rehearse
 
-SWEEPS_AT_ONCE = (20, 5)  # small or not
+SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ...checks import BoolVector, FloatVector, read_only
 from ...kernels.floats import EPSILON
 
-CHANGES = 48  # beside half as many as there are rows: after so many, rounding asks for a new factor
+CHANGES = 48  # beside half as many as there are rows: after so many a new factor takes the rounding away
+WORK_A_STEP = 5e7  # entries touched beyond those of CHANGES, about: a run has to be able to end
 FIRST_SHIFT = 1e-13  # of the largest diagonal entry, where a block is not positive definite to working precision
 LARGEST_SHIFT = 1e-4
 SMALLEST_PIVOT = 1e-14  # of the largest, squared; below, a factor says nothing
@@ -45,15 +46,18 @@ class UpdatedFactor:
             self.shift = max(100.0 * self.shift, FIRST_SHIFT * largest)
             if not 0.0 < self.shift <= LARGEST_SHIFT * largest:
                 raise NotConvex
-        self._lower = np.empty(M.shape)
+        room = min(M.shape[0], rows.size + rows.size // 4 + CHANGES)
+        self._lower = np.empty((room, room))
         self._lower[: rows.size, : rows.size] = upper.T
-        self._order = np.empty(M.shape[0], dtype=np.intp)
+        self._order = np.empty(room, dtype=np.intp)
         self._order[: rows.size] = rows
 
     def join(self, rows: NDArray[np.intp]) -> bool:
-        """Let rows join; return False, and be of no more use, where the block is singular to working precision."""
+        """Let rows join; return False, and be of no more use, where there is no room or the block seems singular."""
         from ...kernels import triangles
 
+        if self.size + rows.size > self._order.size:
+            return False
         self.work += 0.5 * rows.size * self.size**2
         self.size = triangles.join(self.M, self.shift, self._lower, self._order, self.size, rows)
         return self.size >= 0
@@ -111,7 +115,8 @@ class PrimalActiveSet:
         try:
             while not self.is_solved and limit > 0:
                 factor = UpdatedFactor(self.M, np.flatnonzero(self.is_free))
-                limit -= self._search_with(factor, min(limit, CHANGES + factor.size // 2))
+                affordable = int(WORK_A_STEP / (2.0 * factor.size**2 + 1.0))
+                limit -= self._search_with(factor, min(limit, CHANGES + min(factor.size // 2, affordable)))
                 self.work += factor.work
                 self._update_slack()
                 yield

@@ -42,9 +42,12 @@ if TYPE_CHECKING:
     from .problem.lcp import LCP as LCP
     from .settings import Status as Status
     from .solving.batch import prepare as prepare
+    from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
+    from .solving.batch_result import BatchResult as BatchResult
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.march import march as march
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -62,7 +65,10 @@ _HOME = {
     "Status": "settings",
     "solve": "solving.driver",
     "prepare": "solving.batch",
+    "solve_batch": "solving.batch",
+    "BatchResult": "solving.batch_result",
     "solve_many": "solving.batch",
+    "march": "solving.march",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.evidence import gallery
-from lcp_plugin.evidence.benchmarks.crossovers import frictional_contact
+from lcp_plugin.evidence.benchmarks.small import friction
 from lcp_plugin.policy.choice import Auto
 from lcp_plugin.policy.direct_methods import direct_methods, has_had_its_turn
 from lcp_plugin.policy.stages import Choice, Stage
@@ -19,13 +19,19 @@ from lcp_plugin.policy.stages import Choice, Stage
 TARGET = 1e-8
 
 
+def scattered(M: sp.sparray) -> sp.csr_array:
+    """The matrix with its rows numbered without any order: no narrow band."""
+    order = np.random.default_rng(0).permutation(M.shape[0])
+    return sp.csr_array(M)[order][:, order]
+
+
 def chain(n: int, *, dense: bool = False) -> LCP:
-    """The Laplacian of a string, or, dense, its inverse but for the scale: symmetric, and slow for sweeps."""
+    """The Laplacian of a scattered string, or, dense, its inverse but for the scale: symmetric, slow for sweeps."""
     if dense:
         k = np.arange(1.0, n + 1.0)
         return LCP(np.minimum.outer(k, k) * (n + 1.0 - np.maximum.outer(k, k)), -k)
     M = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-    return LCP(M, -np.ones(n))
+    return LCP(scattered(M), -np.ones(n))
 
 
 def cycle(n: int, diagonal: float) -> LCP:
@@ -56,25 +62,55 @@ def names(result: Result) -> list[str]:
 
 def test_the_projected_type_iteration_comes_first() -> None:
     """Where nothing is proved about M, auto begins with npsor, and stays with it where it is quick."""
-    for M in (np.diag([1.0, 2.0, 3.0]), sp.eye_array(2000), [[0.0, 1.0], [-1.0, 0.0]]):
+    for M in (np.diag([1.0, 2.0, 3.0]), cycle(2000, 2.0).M):
         n = np.shape(M)[0]
         assert solve(LCP(M, -np.ones(n)), max_iterations=1).stages[0].name == "npsor"
-    quick = sp.diags_array([-np.ones(19), 8.0 * np.ones(20), -np.ones(19)], offsets=[-1, 0, 1])
-    assert names(solve(LCP(quick, -np.ones(20)), tolerance=1e-4)) == ["npsor"]
+    quick = sp.diags_array([-np.ones(199), 8.0 * np.ones(200), -np.ones(199)], offsets=[-1, 0, 1])
+    assert names(solve(LCP(scattered(quick), -np.ones(200)), tolerance=1e-4)) == ["npsor"]
+    without_diagonal = LCP([[2.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0])  # no sweep on the second row
+    assert names(solve(without_diagonal)) == ["lemke"]
 
 
 @pytest.mark.parametrize(("diagonal", "first"), [(2.5, "psor"), (2.49, "npsor"), (-2.5, "npsor"), (0.0, "npsor")])
 def test_rows_that_are_clearly_dominated_begin_with_psor(diagonal: float, first: str) -> None:
-    """A chain −1, d, −1 of 20 000 rows: psor where 2/d ≤ 0.8, npsor where one row's d in the last block is smaller."""
+    """Chains −1, d, −1 with 20 000 rows: psor where 2/d ≤ 0.8, npsor where one row's d in the last block is smaller."""
     n = 20_000
     for size, dense in ((n, False), (900, False), (50, True)):
         d = np.full(size, 2.5)
-        d[-2] = diagonal
-        M = sp.diags_array([-np.ones(size - 1), d, -np.ones(size - 1)], offsets=[-1, 0, 1]).tocsr()
+        d[-min(60, size)] = diagonal
+        M = sp.diags_array([-np.ones(size - 40), d, -np.ones(size - 40)], offsets=[-40, 0, 40]).tocsr()
         begun = Auto().first(LCP(M.toarray() if dense else M, -np.ones(size)))
-        assert begun.algorithm.name == (first if size == n else "npsor")
-    everywhere = sp.csr_array(sp.diags_array([np.full(n, 3.0), -np.ones(n - 1)], offsets=[0, 1]))
+        assert begun.algorithm.name == (first if size == n else "short road" if size == 50 else "npsor")
+    everywhere = sp.csr_array(sp.diags_array([np.full(n, 3.0), -np.ones(n - 40)], offsets=[0, 40]))
     assert Auto().first(LCP(everywhere, -np.ones(n))).algorithm.name == "npsor"  # a triangle: one sweep is exact
+
+
+def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
+    """As many full diagonals on either side."""
+    sides = [k for k in range(-width, width + 1) if k]
+    M = sp.diags_array([coupling] * len(sides) + [diagonal], offsets=[*sides, 0], shape=(n, n))
+    return LCP(M, -np.ones(n))
+
+
+@pytest.mark.parametrize(("problem", "first"), [
+    (band(1, 2.0, -1.0), "banded"), (band(1, 9.0, -1.0), "banded"),  # M-matrices: one round
+    (band(1, 2.0, 1.0), "banded"), (band(1, 9.0, 1.0), "psor"), (band(1, -2.0, 1.0), "banded"),
+    (band(15, 1.0, 0.5), "banded"), (band(40, 1.0, 0.5), "npsor"), (band(15, 99.0, 0.5), "psor"),
+    (band(1, 2.0, -1.0, n=128), "short road"),  # whatever its band is
+])
+def test_a_narrow_band_comes_before_everything(problem: LCP, first: str) -> None:
+    """Tridiagonal M-matrices always, other bands where rounds are cheap and no psor is proved quick."""
+    assert Auto().first(problem).algorithm.name == first
+
+
+def test_where_banded_ends_the_projected_type_iteration_begins() -> None:
+    """It comes once, goes on to its end, and hands over to npsor."""
+    problem = band(1, 2.0, 1.0)
+    for iterations in (0, 3, 500):
+        assert following(problem, after(create("banded", {}), iterations, 1.0)) is None
+        assert following(problem, after(create("banded", {}), iterations, 1.0), failed=True) == "npsor"
+    unsolvable = band(1, -1.0, 0.0, n=200)
+    assert [*dict.fromkeys(names(solve(unsolvable)))][:2] == ["banded", "npsor"]
 
 
 @pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 1)])
@@ -124,13 +160,13 @@ def test_npsor_goes_on_where_it_arrives_within_twenty(rate: float, goes_on: bool
 @pytest.mark.parametrize(("orientation", "sweep"), [("upper", "backward"), ("lower", "forward")])
 def test_one_sweep_solves_a_triangular_problem(orientation: str, sweep: str) -> None:
     """On a triangle of 200 rows one pgs sweep in the order of the triangle is exact."""
-    bidiagonal = np.eye(200) - np.diag(np.ones(199), 1 if orientation == "upper" else -1)
-    for problem in (LCP(bidiagonal, -np.ones(200)), gallery.murty(n=200, orientation=orientation).problem):
+    triangle = np.eye(200) - np.diag(np.ones(150), 50 if orientation == "upper" else -50)
+    for problem in (LCP(triangle, -np.ones(200)), gallery.murty(n=200, orientation=orientation).problem):
         stage = after(create("npsor", {}), 1, 0.999)
         choice = Auto().next_step(problem, [stage], TARGET, False)
         assert choice is not None
         assert choice.algorithm == create("pgs", {"sweep": sweep})
-    result = solve(LCP(bidiagonal, -np.ones(200)))
+    result = solve(LCP(triangle, -np.ones(200)))
     assert result.is_solved
     assert [(stage.name, stage.iterations) for stage in result.stages] == [("npsor", 1), ("pgs", 2)]
 
@@ -247,10 +283,11 @@ def test_where_the_diagonal_is_not_positive_either_pivoting_comes_first() -> Non
     assert order(cycle(601, 0.0)) == ["interior_point", "newton", "feasibility", "lemke"]
 
 
-@pytest.mark.parametrize("contacts", [10, 40, 100])
+@pytest.mark.parametrize("contacts", [25, 40, 100])
 def test_frictional_contact_is_pivoted(contacts: int) -> None:
     """Copositive, neither symmetric nor H₊: solved at once by pivots, at a cost within 1.3 of lemke's own."""
-    problem = frictional_contact(contacts)
+    case = friction(contacts)
+    problem = LCP(case.M, case.q)
     result, alone = solve(problem), solve(problem, "lemke")
     assert result.is_solved
     assert names(result) == ["npsor", "lemke"]

@@ -214,6 +214,21 @@ def test_numbers_that_are_not_integers() -> None:
     assert unbounded.verify()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
+    """Rows and unknowns in units from 1e-5 to 1e5: the multipliers are found, whatever the units."""
+    rng = np.random.default_rng([7, seed])
+    n, m = 20, 30
+    G, y = rng.normal(size=(m, n)), rng.random(m)
+    G[0] = -(G[1:].T @ y[1:]) / y[0]
+    h = rng.normal(size=m)
+    h[0] -= (h @ y + 1.0) / y[0]
+    rows, columns = 10.0 ** rng.integers(-5, 6, m), 10.0 ** rng.integers(-4, 5, n)
+    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), rows[:, None] * G * columns, rows * h))
+    assert proof is not None
+    assert proof.verify()
+
+
 @pytest.mark.parametrize("n", [8, 80])
 @pytest.mark.parametrize("kind", ["inequality", "equality below", "equality above"])
 def test_one_row_is_enough(kind: str, n: int) -> None:

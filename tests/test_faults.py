@@ -206,7 +206,7 @@ def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest
 
     monkeypatch.setattr(NPSOR, "iterates", broken)
     with pytest.raises(ZeroDivisionError):
-        solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-1.0, -2.0]))
+        solve(TOTAL)
 
 
 # --- Memory, disk, folders ------------------------------------------------------------------------------------------

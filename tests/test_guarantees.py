@@ -128,7 +128,7 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
         assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
 
 
-@pytest.mark.parametrize("name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton"))])
+@pytest.mark.parametrize("name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded"))])
 @pytest.mark.parametrize(
     "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
 )
@@ -139,13 +139,14 @@ def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) ->
 
 
 def test_what_is_proved_of_direct_methods() -> None:
-    """Lemke: P-matrices and finite boxes; Newton: M-matrices bounded on one side; interior point: nothing."""
+    """Lemke: P and finite boxes; Newton: M bounded on one side, banded also tridiagonal; interior point: nothing."""
     murty, rotation = gallery.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
     claims = {
         "lemke": (True, False, True, True),
         "newton": (False, False, True, False),
+        "banded": (False, False, True, True),
         "interior_point": (False, False, False, False),
     }
     for name, expected in claims.items():

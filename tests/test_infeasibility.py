@@ -12,6 +12,7 @@ from campaigns import infeasible_by_margin
 from collection.truth import is_farkas
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
 from lcp_plugin.algorithms.search import NoSolution, search
@@ -26,6 +27,8 @@ from lcp_plugin.certificates.residuals import reference_residual
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.exact.rational import integers
 from lcp_plugin.problem.exactly import exact_slack, farkas_margin, is_exact_solution
+from lcp_plugin.problem.farkas import CONTRADICTION, FarkasProgram
+from lcp_plugin.problem.linear_constraints import LinearConstraints
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -376,3 +379,42 @@ def test_margins_are_told_as_they_were_planted(case: int) -> None:
     for kind, where, told in lines:
         if where.startswith("≥"):
             assert told in ("INFEASIBLE", "NO_SOLUTION", "infeasible"), kind
+
+
+def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
+    """Rows and bounds of sizes from 1e-3 to 1e3 that miss each other by less than 1 % of the residual at 0."""
+    case = infeasible_by_margin.planted_lcp(np.random.default_rng([5, 142]))
+    proof = decide_feasibility(case.problem).proof
+    assert proof is not None
+    assert proof.verify()
+    assert 0.9 * case.relative.low <= proof.margin <= case.relative.high
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_optimum_is_the_least_miss(seed: int) -> None:
+    """Of any rows, equations among them, and any bounds, kept or with units of their own: by strong duality."""
+    rng = np.random.default_rng(seed)
+    m, n = (int(size) for size in rng.integers(1, 8, 2))
+    matrix, q = rng.integers(-3, 4, (m, n)) * 10.0 ** rng.integers(-2, 3, (m, 1)), rng.integers(-4, 5, m) + 0.0
+    needs_rise, needs_fall = rng.random((2, m)) < 0.6
+    lower = np.where(rng.random(n) < 0.6, rng.integers(-2, 1, n), -np.inf)
+    upper = np.where(rng.random(n) < 0.6, lower + rng.integers(0, 3, n), np.inf)
+    upper[np.isinf(lower)] = np.inf
+    weights, unit = 10.0 ** rng.integers(-1, 2, m), float(seed % 2)
+    constraints = LinearConstraints(
+        sp.csr_array(matrix), q, needs_rise, needs_fall, lower, upper, weights, (np.full(n, unit), np.full(n, unit)),
+    )
+    answer = FarkasProgram(constraints, 1.0).solve()
+    t, low, high = weights[:, None], np.isfinite(lower), np.isfinite(upper)
+    inequalities = np.vstack([
+        np.hstack([-matrix, -t])[needs_rise], np.hstack([matrix, -t])[needs_fall],
+        np.hstack([-np.eye(n), np.full((n, 1), -unit)])[low], np.hstack([np.eye(n), np.full((n, 1), -unit)])[high],
+    ])
+    limits = np.concatenate([q[needs_rise], -q[needs_fall], -lower[low], upper[high]])
+    if not limits.size:
+        assert answer is None
+        return
+    least = linprog(np.append(np.zeros(n), 1.0), inequalities, limits, bounds=[(None, None)] * n + [(0.0, None)])
+    assert answer is not None
+    assert answer.is_contradiction == (least.fun > CONTRADICTION)
+    assert -answer.optimum == pytest.approx(least.fun, rel=1e-6, abs=1e-8)

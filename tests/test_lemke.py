@@ -133,7 +133,7 @@ def test_random_games(degenerate: bool) -> None:
         A, B = generator.integers(0, 3 if degenerate else 100, size=(2, m, k))
         found = steps(lcp_from_bimatrix_game(A, B))
         assert min(Certificate.of(lcp_from_bimatrix_game(A, B), z).relative_residual for _, z in found) <= 1e-13
-        assert len(found) <= 4
+        assert len(found) <= 5  # the start, what the compiled path ends with, the start again, two of the first label
 
 
 def test_games_have_no_path_from_a_positive_covering_vector() -> None:

@@ -15,6 +15,7 @@ from fresh_process import printed_by
 from lcp_plugin import (
     LCP,
     ComplementarityProblem,
+    InvalidProblem,
     ModelWarning,
     UnsupportedModel,
     box,
@@ -635,3 +636,27 @@ def test_misuse_is_told(act: Any, pattern: str) -> None:
     x.value = np.zeros(3)
     with pytest.raises(UnsupportedModel, match=pattern):
         act(ComplementarityProblem([pair_of(x)]))
+
+
+def test_stacked_parameters_are_solved_as_one_batch() -> None:
+    """A Cournot market for many loads and a matrix parameter: the values of single solves, whatever was set before."""
+    rng = np.random.default_rng(0)
+    x, y = cp.Variable(3, nonneg=True), cp.Variable()
+    load, slope = cp.Parameter(3, value=np.ones(3)), cp.Parameter((3, 3), value=np.eye(3))
+    problem = ComplementarityProblem([complements(x, slope @ x + y - load), y == 0.5 * cp.sum(x)])
+    loads = rng.normal(size=(20, 3))
+    slopes = np.array([np.eye(3) + 0.1 * rng.random((3, 3)) for _ in loads])
+    stacked = problem.solve_batch({load: loads, slope: slopes}, tolerance=1e-10)
+    assert stacked.batch.all_solved
+    assert load.value.tolist() == [1.0] * 3
+    assert x.value is None
+    for k in (0, 7, 19):
+        load.value, slope.value = loads[k], slopes[k]
+        problem.solve(tolerance=1e-10)
+        np.testing.assert_allclose(stacked.value(x)[k], x.value, atol=1e-9)
+        np.testing.assert_allclose(stacked.value(y)[k], y.value, atol=1e-9)
+    for wrong in ({load: loads[0]}, {load: loads, slope: slopes[:5]}, {}):
+        with pytest.raises(InvalidProblem):
+            problem.solve_batch(wrong)
+    with pytest.raises(UnsupportedModel, match="no variable of the problem"):
+        stacked.value(cp.Variable())

@@ -31,7 +31,7 @@ from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exa
 from lcp_plugin.evidence.stability.honesty import lie_in
 from lcp_plugin.evidence.stability.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.problem.exactly import is_exact_solution
-from lcp_plugin.solving.error_watch import Bounded
+from lcp_plugin.solving.error_watch import BoundOrReason
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 FEW = settings(deadline=None, derandomize=True, max_examples=25, database=None)
@@ -161,8 +161,8 @@ def bound_of(result: Result, factor: float) -> Any:
 def test_a_lie_is_found_out(changes: dict[str, Any], lie: str) -> None:
     """What a result claims against the exact answer is named; what is true, or admits failure, is not."""
     if changes.get("bounded") == "too small":
-        changes = changes | {"bounded": Bounded(bound_of(forged(), 1e-6))}
-    found = lie_in(forged(**{"bounded": Bounded()} | changes), EXACT)
+        changes = changes | {"bounded": BoundOrReason(bound_of(forged(), 1e-6))}
+    found = lie_in(forged(**{"bounded": BoundOrReason()} | changes), EXACT)
     assert lie in found if lie else found == ""
 
 

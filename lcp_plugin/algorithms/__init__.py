@@ -59,6 +59,7 @@ REGISTRY = {
     "gfp": "splittings.projected_relaxation:GFP",
     "newton": "active_sets.semismooth_newton:Newton",
     "interior_point": "interior_points.interior_point:InteriorPoint",
+    "banded": "active_sets.banded:Banded",
     "lemke": "pivots.lemke:Lemke",
     "multigrid": "multigrid:Multigrid",
 }

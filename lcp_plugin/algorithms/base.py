@@ -20,6 +20,7 @@ from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
 from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
+Plan = tuple[bool, bool, bool]  # sweeps, rounds, pivots
 
 
 @dataclass(slots=True)
@@ -67,20 +68,20 @@ class Sprint:
     ----------
     z : ndarray, shape (n,)
         Within the bounds; the caller's own from now on.
-    w : ndarray, shape (n,)
-        M z + q in double precision, likewise.
     largest : float
         An upper bound of ‖r(z)‖∞, by :mod:`lcp_plugin.kernels.enclosures`.
     least_reference : float
         A lower bound of ‖r(z°)‖∞.
-    parts : tuple of (label, iterations, work in passes over M)
+    work : float
+        In passes over M, summed step by step.
+    parts : tuple of (label, iterations, work)
         What ran, in order.
     """
 
     z: FloatVector
-    w: FloatVector
     largest: float
     least_reference: float
+    work: float
     parts: tuple[tuple[str, int, float], ...]
 
 
@@ -135,6 +136,10 @@ class Algorithm(ABC):
             On the relative residual, enclosed.
         max_iterations : int
         """
+        return None
+
+    def short_plan(self) -> Plan | None:
+        """Return the phases of the compiled road that this algorithm takes on small problems from z°, or None."""
         return None
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:

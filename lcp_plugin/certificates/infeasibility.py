@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..exact.rational import Rational
 from ..exact.rounding import compensated_product, lower_end, upper_end
 from ..kernels.floats import EPSILON, TINY
-from ..matrix.structure import row_numbers
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
+from ..problem.linear_constraints import DECISIVE, LinearConstraints
 from .refutation import Closing, Refutation, closed_exactly, sum_bound
 from .residuals import reference_residual
 
 if TYPE_CHECKING:
-    from .farkas_program import FarkasAnswer, FarkasProgram
+    from ..problem.farkas import Multipliers
 
 Verdict = Literal["infeasible", "feasible", "undecided"]
 
@@ -29,10 +29,6 @@ EXACT_NONZEROS = 1_000_000  # about half a second
 LARGEST_EXACT = 500  # above, floating point with margins is tried first
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
-CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
-DECISIVE = 1e-3  # a margin that no tolerance in use reaches: a larger one is not looked for
-NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
-MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,26 +154,30 @@ def decide_feasibility(
 
 
 def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
-    from .farkas_program import FarkasProgram
+    from ..problem.farkas import FarkasProgram
 
-    # In this unit the optimum is minus the largest relative margin.
-    reference = reference_residual(problem) if measure == "relative" else np.inf
-    unit = reference if 0.0 < reference < np.inf else None
+    constraints, unit = _linear_constraints(problem), None
+    if measure == "relative":
+        reference = reference_residual(problem)
+        constraints = replace(constraints, reference=reference)
+        unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
+    else:  # within a factor √n, y is then best for that residual
+        constraints = replace(constraints, weights=np.ones(problem.n))
     contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
-        program = FarkasProgram(problem, unit, measure)
-        answer = program.solve(effort)
+        program = FarkasProgram(constraints, unit, effort)
+        answer = program.solve()
         if answer is None:
             return contradiction or Feasibility(
                 "undecided", reason=f"the linear program did not end within {effort} pivots"
             )
-        if answer.optimum <= -CONTRADICTION:
-            found = _contradiction(program, answer, effort)
+        if answer.is_contradiction:
+            found = _told(program.proof(answer, partial(_proven, problem), lambda proof: proof.measured(measure)))
             if found.proof is not None or unit is None:
                 return found
             contradiction, unit = found, None  # what this unit cuts off may matter
             continue
-        point = np.clip(answer.z, problem.lower, problem.upper)
+        point = np.clip(answer.point, problem.lower, problem.upper)
         unit = program.unit_of_violation(point)
         if unit is None:
             return Feasibility("feasible", point=point, reason="the linear constraints can be satisfied")
@@ -186,57 +186,33 @@ def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
     )
 
 
-def _contradiction(program: FarkasProgram, answer: FarkasAnswer, effort: int) -> Feasibility:
-    """Return the proof of what the program found, if it can be proven."""
-    problem = program.problem
-    wanted = NEAR_ENOUGH * program.margin_of(answer.optimum)
-    proof = _proven(program, answer.y, wanted)
-    is_weak = proof is None or proof.measured(program.measure) < wanted
-    if is_weak and (roomy := program.with_margin(answer.optimum, effort)) is not None:
-        proof = _best([proof, _proof_near(problem, program.nearest(roomy))], wanted, program.measure)
+def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
+    """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
+    kept = np.zeros(problem.n)
+    return LinearConstraints(
+        problem.csr[rows], problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
+        problem.lower, problem.upper, problem.residual_scale[rows], (kept, kept),
+    )
+
+
+def _told(proof: Infeasibility | None) -> Feasibility:
     if proof is None:
         return Feasibility("undecided", reason="the linear constraints seem to contradict, which could not be proven")
     return Feasibility("infeasible", proof, reason=f"linear constraints contradict ({proof.kind} proof)")
 
 
-def _proven(program: FarkasProgram, y: FloatVector, wanted: float) -> Infeasibility | None:
-    """Return the proof by a y in the scale of the program, or by one near it; the first of the margin wanted."""
-    problem = program.problem
-
-    def proofs() -> Iterator[Infeasibility | None]:
-        yield _proof_near(problem, program.nearest(y))
-        for near in program.candidates(y):
-            yield _exactly_checked(problem, near)
-
-    return _best(proofs(), wanted, program.measure)
-
-
-def _best(proofs: Iterable[Infeasibility | None], wanted: float, measure: str) -> Infeasibility | None:
-    """Return the first proof whose margin in the measure is the one wanted, else the one with the largest."""
-    best: Infeasibility | None = None
-    for proof in proofs:
-        if proof is not None and (best is None or proof.measured(measure) > best.measured(measure)):
-            best = proof
-        if best is not None and best.measured(measure) >= wanted:
-            return best
-    return best
-
-
-def _proof_near(problem: LCP, y: FloatVector) -> Infeasibility | None:
-    """Return the proof by y itself, its rounding bounded where the problem is large."""
-    if problem.nonzeros > EXACT_NONZEROS or problem.n > LARGEST_EXACT:
+def _proven(problem: LCP, y: Multipliers) -> Infeasibility | None:
+    """Return the proof by y itself; the rounding of doubles is bounded where the problem is large."""
+    is_large = problem.nonzeros > EXACT_NONZEROS or problem.n > LARGEST_EXACT
+    if isinstance(y, np.ndarray) and is_large:
         proof = Infeasibility(problem, y, None)
-        return proof if proof.exact else None
-    return _exactly_checked(problem, y.tolist())
-
-
-def _exactly_checked(problem: LCP, y: Sequence[Rational]) -> Infeasibility | None:
-    if problem.nonzeros > EXACT_NONZEROS or not any(y):
+    elif problem.nonzeros > EXACT_NONZEROS or not any(y):
         return None
-    exact = [Fraction(value) for value in y]
-    largest = max(map(abs, exact))
-    exact = [value / largest for value in exact]
-    proof = Infeasibility(problem, np.array([float(value) for value in exact]), tuple(exact))
+    else:
+        exact = [Fraction(value) for value in y]
+        largest = max(map(abs, exact))
+        exact = [value / largest for value in exact]
+        proof = Infeasibility(problem, np.array([float(value) for value in exact]), tuple(exact))
     return proof if proof.exact else None
 
 
@@ -269,25 +245,13 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     """
-    needs_rise, needs_fall = problem.upper == np.inf, problem.lower == -np.inf
-    bound_rows = np.flatnonzero((needs_rise | needs_fall) & ~(problem.diagonal > 0.0))
-    if not bound_rows.size:
+    rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
+    if not rows.size:
         return None
-    csr, q = problem.csr[bound_rows], problem.q[bound_rows]
-    rows = row_numbers(csr)
-    with np.errstate(all="ignore"):
-        ends = [csr.data * bound[csr.indices] for bound in (problem.lower, problem.upper)]
-        highest = np.bincount(rows, weights=np.maximum(*ends), minlength=q.size) + q
-        lowest = np.bincount(rows, weights=np.minimum(*ends), minlength=q.size) + q
-        missing = np.maximum(
-            np.where(needs_rise[bound_rows], -highest, -np.inf), np.where(needs_fall[bound_rows], lowest, -np.inf)
-        )
-        scaled = missing / problem.residual_scale[bound_rows]
-    suspects = np.flatnonzero(missing > 0.0)
-    for k in suspects[np.argsort(-scaled[suspects], kind="stable")][:MOST_SUSPECTS]:
+    for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         y = np.zeros(problem.n)
-        y[bound_rows[k]] = 1.0 if needs_rise[bound_rows[k]] and highest[k] < 0.0 else -1.0
-        proof = _proof_near(problem, y)
+        y[rows[k]] = sign
+        proof = _proven(problem, y)
         if proof is not None:
             return proof
     return None

@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
+from ..problem.linear_constraints import activity
 from .infeasibility import Infeasibility
 from .refutation import Closing, Refutation, closed_exactly, row_choices
 
@@ -102,23 +101,15 @@ def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
 def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
     csr = problem.csr
-    rows = row_numbers(csr)
     with np.errstate(all="ignore"):
-        bounds = lower[csr.indices], upper[csr.indices]
-        ends = [csr.data * bound for bound in bounds]
-        both = [_row_sums(np.minimum(*ends), rows, problem.n), _row_sums(np.maximum(*ends), rows, problem.n)]
+        least, most = activity(csr, lower, upper)
         # A product that overflows is no infinite bound: its size is infinite, and nothing is known of its row.
-        sizes = np.maximum(*(np.where(np.isinf(x), 0.0, np.abs(end)) for x, end in zip(bounds, ends, strict=True)))
-        size = _row_sums(sizes, rows, problem.n) + np.abs(problem.q)
+        farthest = np.max([np.where(np.isinf(bound), 0.0, np.abs(bound)) for bound in (lower, upper)], axis=0)
+        size = np.bincount(row_numbers(csr), np.abs(csr.data) * farthest[csr.indices], problem.n) + np.abs(problem.q)
         terms = np.diff(csr.indptr) + 8
         error = np.where(terms > 8, 2.0 * terms * (EPSILON * size + TINY), 0.0)
-        low, high = both[0] + problem.q - error, both[1] + problem.q + error
+        low, high = least + problem.q - error, most + problem.q + error
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
-
-
-def _row_sums(values: FloatVector, rows: NDArray[Any], n: int) -> FloatVector:
-    sums: FloatVector = np.bincount(rows, weights=values, minlength=n).astype(np.float64)
-    return sums
 
 
 def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[tuple[int, int]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -103,13 +102,13 @@ class Certificate:
         return certificate
 
     @classmethod
-    def enclosed(cls, problem: LCP, z: FloatVector, w: FloatVector, largest: float, least: float) -> Certificate:
+    def enclosed(cls, problem: LCP, z: FloatVector, largest: float, least: float) -> Certificate:
         """Return the certificate of a z that the enclosures have measured already, in one pass with other things.
 
         Parameters
         ----------
         problem : LCP
-        z, w : arrays, shape (n,)
+        z : array, shape (n,)
             Kept, and read-only from now on.
         largest : float
             An upper bound of ‖r(z)‖∞.
@@ -117,7 +116,7 @@ class Certificate:
             A lower bound of ‖r(z°)‖∞, above 0 unless z is z°.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(w=read_only(w), relative_residual=ratio_upwards(largest, least))
+        certificate.__dict__["relative_residual"] = ratio_upwards(largest, least)
         return certificate
 
     def _measure_at_once(self) -> None:
@@ -350,9 +349,10 @@ def ratio_upwards(numerator: float, denominator: float) -> float:
     (0.25, 5e-324, inf)
     """
     quotient = ratio(numerator, denominator)
-    if not quotient < np.inf or Fraction(quotient) * Fraction(denominator) >= Fraction(numerator):
+    if not quotient < np.inf:
         return quotient
-    return float(np.nextafter(quotient, np.inf))
+    (a, b), (c, d), (e, f) = (x.as_integer_ratio() for x in (quotient, float(denominator), float(numerator)))
+    return quotient if a * c * f >= e * b * d else math.nextafter(quotient, math.inf)
 
 
 def ratio(numerator: float, denominator: float) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product
+from ..problem.linear_constraints import LinearConstraints
 from .presolve import like
 
 if TYPE_CHECKING:
@@ -84,18 +85,15 @@ class Constraints:
             right = np.abs(self.limit / coefficient)
             return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
 
-    @property
-    def missing(self) -> FloatVector:
-        """By how much, in their units, x within the bounds are above and below what rows of G and A ask; shape (2, …).
-
-        To rounding; positive where no such x satisfies the row.
-        """
-        count, (_, _, below, above) = self.rows, self.split(self.limit)
-        limit, unit = self.limit[:count], self.unit[:count]
-        lowest, highest = activity(sp.csr_array(self.matrix[:count]), -below, above)
-        with np.errstate(invalid="ignore"):
-            short = np.where(self.is_equality[:count], limit - highest, -np.inf)
-            return np.stack([lowest - limit, short]) / unit
+    @cached_property
+    def within_bounds(self) -> LinearConstraints:
+        """The rows of G and A within the bounds, with w = d − C x."""
+        rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
+        units = self.split(self.unit)
+        return LinearConstraints(
+            -sp.csr_array(self.matrix[rows]), self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
+            -below, above, self.unit[rows], (units[2], units[3]),
+        )
 
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
@@ -144,17 +142,6 @@ def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> Float
         return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
 
 
-def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
-    m = matrix.shape[0]
-    at = np.repeat(np.arange(m), np.diff(matrix.indptr))
-    with np.errstate(all="ignore"):
-        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
-        lowest = np.bincount(at, weights=np.minimum(*ends), minlength=m)
-        highest = np.bincount(at, weights=np.maximum(*ends), minlength=m)
-    return lowest.astype(np.float64), highest.astype(np.float64)
-
-
 def largest_entries(matrix: Any, axis: int) -> FloatVector:
     """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
     if 0 in matrix.shape:
@@ -192,7 +179,9 @@ class FoldedRows:
 
     def contradict(self) -> bool:
         """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
-        return bool((self.folded.constraints.missing > CONSTRAINTS).any())
+        rows = self.folded.constraints.within_bounds
+        with np.errstate(invalid="ignore"):
+            return bool((rows.missing / rows.weights > CONSTRAINTS).any())
 
     def unfold(self, multipliers: Any) -> Any:
         """Return the multipliers of all constraints of the program, from those of the folded one.

@@ -28,7 +28,24 @@ def cache_folder() -> Path:
 
 def compiled(function: Any) -> Any:
     """Compile on first use: no lock of the interpreter held, divisions by zero as in numpy."""
-    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy")(function))
+    return _compiled(function)
+
+
+def compiled_in_any_order(function: Any) -> Any:
+    """Compile a function whose sums may be taken in another order, and whose numbers are never NaN.
+
+    The order is fixed when it is compiled: the same call gives the same bits.
+    """
+    return _compiled(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
+
+
+def compiled_into_others(function: Any) -> Any:
+    """Compile a short function that other kernels call: on a few unknowns a call costs more than what it does."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Any, **options: Any) -> Any:
+    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy", **options)(function))
     if hasattr(dispatcher, "_cache"):  # there is none where numba is told not to compile
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
     return dispatcher

@@ -34,11 +34,11 @@ def _fused_code(typing_context, a, b, c):  # type: ignore[no-untyped-def]
     return float64(float64, float64, float64), code
 
 
-_fused: Any = intrinsic(_fused_code)
+fused: Any = intrinsic(_fused_code)
 
 
 @njit(inline="always")
-def _split_sum(a, b):  # type: ignore[no-untyped-def]
+def split_sum(a, b):  # type: ignore[no-untyped-def]
     """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
     s = a + b
     t = s - a
@@ -56,7 +56,7 @@ def _outward(value, error):  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
-    value, error = _split_sum(a, -b)
+    value, error = split_sum(a, -b)
     return value, _outward(value, abs(error)) if abs(value) < np.inf else 0.0
 
 
@@ -67,7 +67,7 @@ def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     A quotient beyond the doubles is ±∞, and its distance 0: no bound of a row is larger.
     """
     value = a / b
-    is_exact = (error == 0.0) & ((a == 0.0) | ((_fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
+    is_exact = (error == 0.0) & ((a == 0.0) | ((fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
     is_exact |= (abs(value) == np.inf) & (abs(a) > 2.0 * error)
     least = TINY if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
     return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
@@ -84,7 +84,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
             small, other = (a, b) if abs(a) < abs(b) else (b, a)
             small *= 2.0**960  # exactly, and large enough to show an error
             scaled = small * other
-            is_exact = scaled == h * 2.0**960 and abs(scaled) > MAY_UNDERFLOW and _fused(small, other, -scaled) == 0.0
+            is_exact = scaled == h * 2.0**960 and abs(scaled) > MAY_UNDERFLOW and fused(small, other, -scaled) == 0.0
             lost += 0.0 if is_exact else 4.0 * TINY
     return lost
 
@@ -106,11 +106,11 @@ def _summing_rows(comparison: bool) -> Any:
                     a = abs(a) if i == j else -abs(a)
                 h = a * b
                 is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
-                total, f = _split_sum(total, h)
-                s, t = _split_sum(_fused(a, b, -h), f)
-                errors, u = _split_sum(errors, s)
+                total, f = split_sum(total, h)
+                s, t = split_sum(fused(a, b, -h), f)
+                errors, u = split_sum(errors, s)
                 lost += abs(t) + abs(u)
-            high[i], low[i] = _split_sum(total, errors)
+            high[i], low[i] = split_sum(total, errors)
             # `lost` was itself rounded at most 2k times.
             radius[i] = lost * (1.0 + (4.0 * (end - first) + 8.0) * EPSILON)
             if not (abs(high[i]) < np.inf and abs(errors) < np.inf and lost < np.inf):
@@ -125,6 +125,20 @@ row_sums = _summing_rows(False)
 comparison_row_sums = _summing_rows(True)
 
 
+@njit(inline="always")
+def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
+    """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip."""
+    step, slip_step = _quotient(slack, scale, slip)
+    below, slip_below = _difference(z, upper)
+    above, slip_above = _difference(z, lower)
+    bottom = _clamp(step - slip_step, below - slip_below, above - slip_above)
+    top = _clamp(step + slip_step, below + slip_below, above + slip_above)
+    is_finite = (abs(slack) < np.inf) & (slip < np.inf) & (abs(z) < np.inf)
+    least = bottom if bottom > -top else -top
+    most = top if top > -bottom else -bottom
+    return least if is_finite & (least > 0.0) else 0.0, abs(most) if is_finite else np.inf  # no −0
+
+
 @compiled
 def residual_ends(  # type: ignore[no-untyped-def]
     indptr, indices, data, stride, x, q, z, lower, upper, scale, smallest, largest
@@ -137,11 +151,9 @@ def residual_ends(  # type: ignore[no-untyped-def]
     so that the second loop, which has no branches, runs on several at a time.
     """
     one, rows = uintp(1), uintp(z.size)
-    slack, slip = np.empty(ROWS_AT_ONCE), np.empty(ROWS_AT_ONCE)
     for begin in range(uintp(0), rows, uintp(ROWS_AT_ONCE)):
         here = min(uintp(ROWS_AT_ONCE), rows - begin)
-        for m in range(here):
-            i = begin + m
+        for i in range(begin, begin + here):
             first, end = uintp(indptr[i]), uintp(indptr[i + one])
             shift = i * uintp(stride)
             total, errors, size, is_small = q[i], 0.0, 0.0, False
@@ -149,23 +161,13 @@ def residual_ends(  # type: ignore[no-untyped-def]
                 a, b = data[k], x[uintp(indices[k - shift])]
                 h = a * b
                 is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
-                e = _fused(a, b, -h)
-                total, f = _split_sum(total, h)
+                e = fused(a, b, -h)
+                total, f = split_sum(total, h)
                 errors += e + f
                 size += abs(e) + abs(f)
-            slack[m], low = _split_sum(total, errors)
-            slip[m] = abs(low) + size * (4.0 * (end - first) + 8.0) * UNIT
+            largest[i], low = split_sum(total, errors)
+            smallest[i] = abs(low) + size * (4.0 * (end - first) + 8.0) * UNIT
             if is_small:
-                slip[m] += _underflow(indices, data, x, first, end, shift)
-        for m in range(here):
-            i = begin + m
-            step, slip_step = _quotient(slack[m], scale[i], slip[m])
-            below, slip_below = _difference(z[i], upper[i])
-            above, slip_above = _difference(z[i], lower[i])
-            bottom = _clamp(step - slip_step, below - slip_below, above - slip_above)
-            top = _clamp(step + slip_step, below + slip_below, above + slip_above)
-            is_finite = (abs(slack[m]) < np.inf) & (slip[m] < np.inf) & (abs(z[i]) < np.inf)
-            least = bottom if bottom > -top else -top
-            most = top if top > -bottom else -bottom
-            smallest[i] = least if is_finite & (least > 0.0) else 0.0
-            largest[i] = abs(most) if is_finite else np.inf  # no −0
+                smallest[i] += _underflow(indices, data, x, first, end, shift)
+        for i in range(begin, begin + here):
+            smallest[i], largest[i] = row_ends(largest[i], smallest[i], scale[i], z[i], lower[i], upper[i])

@@ -29,6 +29,13 @@ DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
 
 
+def comparison_of(M: Any) -> sp.csr_array:
+    """Return ⟨M⟩ for a CSR array, or for rows of one that begin with their own columns."""
+    magnitudes = np.abs(M.data)
+    signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
+    return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
+
+
 class LinearSystem:
     """A system that is solved approximately: by Krylov steps on its grids where it is large, else by a factor.
 
@@ -107,10 +114,7 @@ class ComparisonMatrix(LinearSystem):
     def __init__(self, M: Any) -> None:
         is_symmetric = is_symmetric_entrywise(M)
         self.exponents: Exponents | None = scaling_exponents(M, is_symmetric)
-        magnitudes = np.abs(M.data)
-        signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
-        comparison = sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
-        super().__init__(scaled(comparison, self.exponents), is_symmetric)
+        super().__init__(scaled(comparison_of(M), self.exponents), is_symmetric)
         self.diagonal: FloatVector = self.matrix.diagonal()
 
     def to_caller(self, x: FloatVector) -> FloatVector:

@@ -21,7 +21,7 @@ IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class Exponents(NamedTuple):
-    """The scaled matrix has entries m_ij 2^(row_i + column_j); both of shape (n,)."""
+    """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one a column."""
 
     row: IntVector
     column: IntVector
@@ -67,17 +67,17 @@ def evened(M: Any, aims: Sequence[float]) -> Exponents:
 
     Parameters
     ----------
-    M : CSR array, shape (n, n)
+    M : CSR array, shape (m, n)
     aims : sequence of float
         For each pass what is brought to 1 of a row or column: 1 its largest entry, ½ the middle of largest and
         smallest.
     """
     exponents, places = np.frexp(M.data)[1].astype(float), (row_numbers(M), M.indices)
-    scales = [np.zeros(M.shape[0]), np.zeros(M.shape[0])]
+    scales = [np.zeros(count) for count in M.shape]
     for share in aims:
         for axis, here in enumerate(places):
             now = exponents + scales[0][places[0]] + scales[1][places[1]]
-            largest, smallest = np.full(M.shape[0], -np.inf), np.full(M.shape[0], np.inf)
+            largest, smallest = np.full(M.shape[axis], -np.inf), np.full(M.shape[axis], np.inf)
             np.maximum.at(largest, here, now)
             np.minimum.at(smallest, here, now)
             with np.errstate(invalid="ignore"):

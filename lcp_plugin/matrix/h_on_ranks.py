@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..exact.rounding import comparison_product, lower_end
+from .comparison import comparison_of
 from .matrix import Matrix
 from .symmetry import has_symmetric_entries
 
@@ -41,12 +41,7 @@ def _candidates(matrix: Matrix) -> Iterator[FloatVector]:
 
     ones = np.ones(matrix.own)
     yield ones
-    rows, is_symmetric = matrix.csr_rows, has_symmetric_entries(matrix)
-    numbers = np.arange(matrix.own, dtype=rows.indices.dtype)
-    is_diagonal = rows.indices == np.repeat(numbers, np.diff(rows.indptr))
-    comparison = sp.csr_array(
-        (np.where(is_diagonal, 1.0, -1.0) * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape
-    )
+    comparison, is_symmetric = comparison_of(matrix.csr_rows), has_symmetric_entries(matrix)
     hierarchy = build_hierarchy(comparison, COARSEST, scales_rows=not is_symmetric, peers=matrix.peers)
     residual = matrix.diagonal - comparison @ np.ones(matrix.width)
     solution = KrylovCorrection(Truncation(hierarchy), residual, is_symmetric)

@@ -161,6 +161,7 @@ class Matrix:
         return self._dense is not None
 
     @property
+    @fact
     def index_width(self) -> str:
         """The integer type of the indices of `csr_rows`, which need not exist yet for that."""
         return "int32" if self._dense is not None else str(self.csr_rows.indices.dtype.name)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
 
 from ..checks import FloatVector
-from ..conversions.constraints import activity
 from ..conversions.substitution import put_in
 from ..kernels.floats import EPSILON
+from ..problem.linear_constraints import activity
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import warnings
 import weakref
+from collections.abc import Mapping
 from typing import Any
 
 import cvxpy as cp
@@ -21,6 +22,7 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
+from .batch import ModelBatch, solve_for
 from .builder import Builder, Model
 from .constraint import Complements, box, complements
 from .qp_solver import QPSolver, statistics
@@ -92,6 +94,32 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
         if options.pop("method", "LCP") not in METHODS:
             raise UnsupportedModel('a ComplementarityProblem is solved by method="LCP" only; leave the method out')
         return solve_model(self, algorithm=algorithm, **options)
+
+    def solve_batch(self, parameters: Mapping[cp.Parameter, Any], **options: Any) -> ModelBatch:
+        """Solve for many values of the parameters at once; parameters and variables keep their values.
+
+        Parameters
+        ----------
+        parameters : dict
+            From a parameter to its stacked values, shape (B, *its shape).
+        **options
+            As for :func:`lcp_plugin.solve_batch`.
+
+        Returns
+        -------
+        ModelBatch
+            ``value(x)`` are the stacked values of the variable x, ``batch`` has status and residuals.
+
+        Examples
+        --------
+        >>> import cvxpy as cp
+        >>> from lcp_plugin import complements
+        >>> x, load = cp.Variable(), cp.Parameter()
+        >>> problem = ComplementarityProblem(complements(x >= 0, 2 * x - load >= 0))
+        >>> problem.solve_batch({load: [3.0, -1.0, 5.0]}).value(x).tolist()
+        [1.5, 0.0, 2.5]
+        """
+        return solve_for(self, parameters, build_from, options)
 
     def copy(self, args: Any = None, id_objects: Any = None) -> ComplementarityProblem:
         """Return a problem with the same constraints."""

@@ -1,8 +1,10 @@
 """The policy behind algorithm="auto": what comes next is what is predicted to need the fewest passes over M.
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
-(psor where the first look at the rows proves it quick). As soon as its rate is known, what it still needs is compared
-with what its rivals predict (`Algorithm.predicted_passes`, from :mod:`lcp_plugin.crossovers`):
+and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
+`banded`, where it is predicted to take no more passes over M than a trial of npsor, or no more than multigrid and psor
+is not proved quick. As soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
+(`Algorithm.predicted_passes`, from :mod:`lcp_plugin.crossovers`):
 
 | rival | where | predicts |
 |---|---|---|
@@ -37,9 +39,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
+from ..algorithms.active_sets.banded import Banded
+from ..algorithms.short_road import ShortRoad, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
-from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
+from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, MULTIGRID_PASSES, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
@@ -52,6 +56,8 @@ ASKED_EVERY = 20  # sweeps
 TWICE = 2.0  # who leaves once he has paid what the other way costs never pays more than this many times as much
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
+BANDED = Banded()
+PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
 class Policy(Protocol):
@@ -97,14 +103,17 @@ class Auto:
         self._direct: Turns | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return PSOR where the first look at the rows proves it quick, otherwise NPSOR.
-
-        NPSOR at that row scaling is proved to converge for every H₊-matrix and costs no look at M.
-        """
+        """Return the compiled road of small problems, banded on narrow bands, PSOR where proved quick, or NPSOR."""
+        if is_short(problem):
+            return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
+        passes = BANDED.predicted_passes(problem, math.inf)
+        narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} passes over M")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
+        if passes <= TRIAL_SWEEPS:
+            return narrow
         if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
             return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
-        return Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
+        return narrow if passes <= MULTIGRID_PASSES else PROJECTED_TYPE
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
@@ -114,6 +123,8 @@ class Auto:
         is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
         if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
+        if isinstance(now.algorithm, Banded):
+            return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
         if not (failed or _is_asked(problem, now)):
             return None

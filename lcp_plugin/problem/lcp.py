@@ -52,9 +52,7 @@ class LCP:
     array([0. , 3.5])
     """
 
-    def __init__(
-        self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
-    ) -> None:
+    def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = Matrix(M)
         self._set_vectors(q, lower, upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
@@ -193,6 +191,10 @@ class LCP:
         """
         other = object.__new__(LCP)
         other.origin, other.matrix = None, self.matrix
+        if lower is None and upper is None:  # they have been checked, and cannot be written to
+            other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
+            other.q = self.peers.together(lambda: finite_vector(q, "q", self.own))
+            return other
         bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
         self.peers.together(lambda: other._set_vectors(q, *bounds))
         return other
@@ -394,6 +396,5 @@ def _describe_bounds(lower: FloatVector, upper: FloatVector) -> str:
         return "0 ≤ z"
     free = int(np.count_nonzero((lower == -np.inf) & (upper == np.inf)))
     boxed = int(np.count_nonzero(np.isfinite(lower) & np.isfinite(upper)))
-    one_sided = lower.size - free - boxed
-    parts = [(one_sided, "one-sided"), (boxed, "boxed"), (free, "free")]
+    parts = [(lower.size - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
     return ", ".join(f"{count} {kind}" for count, kind in parts if count)

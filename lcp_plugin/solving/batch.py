@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,16 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
-from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
+from ..algorithms.active_sets.banded import Banded
+from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.bands import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
-from ..settings import CallersOwn, Status
-from .driver import solve
+from ..settings import CallersOwn, Settings, Status
+from .batch_items import Items, Listed, Stacked
+from .batch_result import BatchResult
+from .batch_run import BatchRun, checked_threads
 from .result import Result
 
 
 def prepare(problem: LCP) -> LCP:
-    """Return the same problem with all that depends on M alone computed: diagonal, row splits, symmetry, hierarchy.
+    """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
     needs when it needs it.
@@ -44,11 +49,74 @@ def prepare(problem: LCP) -> LCP:
     from ..algorithms.multigrid_run import hierarchy_of
 
     inverse_residual_scale(problem.matrix)
+    if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
+        bands(problem.matrix)
     for backward in (False, True):
         row_splits(problem.matrix, backward)
     if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
         hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
+
+
+def solve_batch(
+    M: Any,
+    q: ArrayLike | None = None,
+    *,
+    lower: ArrayLike = 0.0,
+    upper: ArrayLike = np.inf,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    measure: str = "relative",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    threads: int | None = None,
+) -> BatchResult:
+    """Return the answers to many problems, small ones in one compiled loop.
+
+    Parameters
+    ----------
+    M : array, shape (B, n, n) or (n, n), a sparse array for all of them, or a sequence of LCPs
+        LCPs may differ in size, and bring q and their bounds. Arrays of shape (B, n, n) are read where they lie: leave
+        their entries as they are while you use what is returned.
+    q : array, shape (B, n) or (n,)
+    lower, upper : scalar or array, shape (n,) or (B, n)
+    z0 : array, shape (B, n) or (n,), optional
+        Warm starts; a list of vectors, or None, beside a list of LCPs.
+    algorithm, tolerance, measure, max_iterations
+        For each problem, as in :func:`lcp_plugin.solve`.
+    max_seconds : float, optional
+        In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
+    threads : int, optional
+        How many take part in the compiled loop; by default all that the process may use. The bits are the same for
+        any number.
+
+    Returns
+    -------
+    BatchResult
+        Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
+        solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
+
+    Raises
+    ------
+    InvalidProblem
+        Where shapes do not fit together, or an item of the sequence is no LCP.
+    UnknownAlgorithm, InvalidOption
+        As :func:`lcp_plugin.solve`.
+
+    Examples
+    --------
+    >>> batch = solve_batch([[[2, 1], [1, 2]], [[4, 0], [0, 4]]], [[-5, 1], [-4, -8]])
+    >>> batch.z.round(6).tolist(), batch.all_solved
+    ([[2.5, 0.0], [1.0, 2.0]], True)
+    >>> batch[1].status.name
+    'SOLVED'
+    """
+    is_list = q is None and isinstance(M, Sequence) and all(isinstance(problem, LCP) for problem in M)
+    items: Items = Listed(M, z0) if is_list else Stacked(M, q, lower, upper, z0)
+    wishes = {"tolerance": tolerance, "measure": measure, "max_iterations": max_iterations}
+    limit = Settings(max_seconds=max_seconds).max_seconds
+    return BatchRun(items, algorithm, wishes, threads=checked_threads(threads), limit=limit).run()
 
 
 def solve_many(
@@ -87,21 +155,23 @@ def solve_many(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve_many needs an LCP, got {type(problem).__name__}; write solve_many(LCP(M, q), Q)")
-    callers = CallersOwn(options["callback"]) if callable(options.get("callback")) else None
-    if callers is not None:
-        options["callback"] = callers
-    answers: list[Result | LCPError] = []
-    for q in _columns(Q, problem.n):
+    if callable(options.get("callback")):
+        options["callback"] = CallersOwn(options["callback"])
+    problems: list[LCP | None] = []
+    errors: dict[int, LCPError] = {}
+    for k, q in enumerate(_columns(Q, problem.n)):
         try:
-            answer: Result | LCPError = solve(problem.with_q(q), algorithm, **options)
-        except (InvalidOption, UnknownAlgorithm):
-            raise
+            problems.append(problem.with_q(q))
         except LCPError as error:
-            if callers is not None and error is callers.raised:
-                raise
-            answer = error
-        answers.append(answer)
-        if isinstance(answer, Result) and answer.status is Status.INTERRUPTED:
+            problems.append(None)
+            errors[k] = error
+    starts = None if options.get("z0") is None else [options.pop("z0")] * len(problems)
+    run = BatchRun(Listed(problems, starts, errors), algorithm, options)
+    run.run()
+    answers: list[Result | LCPError] = []
+    for k in range(len(problems)):
+        answers.append(run.items.errors[k] if k in run.items.errors else run.result_of(k))
+        if isinstance(answers[-1], Result) and answers[-1].status is Status.INTERRUPTED:
             break
     return answers
 

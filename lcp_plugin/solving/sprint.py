@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..algorithms import Algorithm
+from ..algorithms import Algorithm, Sprint
 from ..algorithms.rehearsal import rehearse
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
@@ -23,14 +23,21 @@ def sprinted(
     the sprint does not arrive within the tolerance.
     """
     algorithm = first.algorithm
-    if type(algorithm).sprint is Algorithm.sprint or not _is_unwatched(settings) or first.presolved is not None:
+    if type(algorithm).sprint is Algorithm.sprint or not is_unwatched(settings) or first.presolved is not None:
         return None
     with clock.paused(to_compile=True):
         rehearse(algorithm, problem)
     sprint = algorithm.sprint(problem, start, settings.tolerance, settings.max_iterations)
     if sprint is None:
         return None
-    certificate = Certificate.enclosed(problem, sprint.z, sprint.w, sprint.largest, sprint.least_reference)
+    return arrival(problem, policy, first, sprint, settings, clock.read())
+
+
+def arrival(
+    problem: LCP, policy: Policy, first: Choice, sprint: Sprint, settings: Settings, seconds: float
+) -> Result:
+    """Return the result of a sprint that arrived."""
+    certificate = Certificate.enclosed(problem, sprint.z, sprint.largest, sprint.least_reference)
     stages = tuple(
         StageRecord(name, "" if k else first.because, iterations, work)
         for k, (name, iterations, work) in enumerate(sprint.parts)
@@ -38,11 +45,12 @@ def sprinted(
     return Result(
         z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
         tolerance=settings.tolerance, measure=settings.measure, algorithm=name_of(policy.name, stages),
-        iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
-        seconds=clock.read(), setup_seconds=0.0, stages=stages, chosen=policy.chosen,
+        iterations=sum(stage.iterations for stage in stages), work=sprint.work,
+        seconds=seconds, setup_seconds=0.0, stages=stages, chosen=policy.chosen,
     )
 
 
-def _is_unwatched(settings: Settings) -> bool:
+def is_unwatched(settings: Settings) -> bool:
+    """Return whether nobody wants more of the way than that it ends within the tolerance on the relative residual."""
     is_plain = settings.measure == "relative" and not settings.is_on_error
     return is_plain and not settings.record and not settings.error_bound

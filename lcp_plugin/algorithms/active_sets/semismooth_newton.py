@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
-from ..base import Algorithm, Step, direct_passes, without_warnings
+from ..base import Algorithm, Plan, Sprint, Step, direct_passes, without_warnings
+from ..short_road import ROUNDS_ONLY, is_short, sprint, steps
 from .active_set import classify
 from .damped_newton import damped_steps
 from .newton_state import LARGE_PATIENCE, NewtonState
@@ -60,6 +61,7 @@ class Newton(Algorithm):
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
         "doi:10.1007/BF02592192"
     )
+    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
@@ -79,7 +81,17 @@ class Newton(Algorithm):
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 
+    def short_plan(self) -> Plan:
+        """Return full steps only."""
+        return ROUNDS_ONLY
+
+    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
+        """Return where compiled full steps arrive on a small dense problem."""
+        return sprint(problem, z0, tolerance, max_iterations, ROUNDS_ONLY) if is_short(problem) else None
+
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        if is_short(problem):
+            yield from steps(problem, z0, ROUNDS_ONLY)
         start = np.clip(z0, problem.lower, problem.upper)
         is_elsewhere = problem.n <= PIVOTED_ROWS and not np.array_equal(start, problem.nearest_to_zero)
         state = NewtonState(problem, start)

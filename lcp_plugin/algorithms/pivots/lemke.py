@@ -17,7 +17,8 @@ from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
-from ..base import Algorithm, Step, without_warnings
+from ..base import Algorithm, Plan, Sprint, Step, without_warnings
+from ..short_road import PIVOTS_ONLY, is_short, sprint, steps
 from .canonical_box import CanonicalBox, canonical_box
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
@@ -104,7 +105,21 @@ class Lemke(Algorithm):
         """
         return without_warnings(self._steps(problem, z0))
 
+    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
+        """Return where a first compiled path arrives on a small dense problem."""
+        return sprint(problem, z0, tolerance, max_iterations, PIVOTS_ONLY) if self._may_sprint(problem, z0) else None
+
+    def short_plan(self) -> Plan | None:
+        """Return a path of pivots, where nothing limits it."""
+        return PIVOTS_ONLY if self.max_pivots is None and self.restarts is None else None
+
+    def _may_sprint(self, problem: LCP, z0: FloatVector) -> bool:
+        has_plan = self.short_plan() is not None and is_short(problem)
+        return has_plan and np.array_equal(z0, problem.nearest_to_zero)
+
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        if self._may_sprint(problem, z0):
+            yield from steps(problem, z0, PIVOTS_ONLY)
         parts = _parts_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)

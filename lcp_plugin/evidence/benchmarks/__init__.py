@@ -9,7 +9,7 @@ BENCHMARKS = {
     "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",
     "paper-at-scale": "the paper's Example 1 at n = 10⁶ by NPSOR(1.7) against scipy implementations, end to end",
     "multigrid": "projected multigrid on obstacle, bearing, wind, jumps … against a linear solve, up to n = 4·10⁶",
-    "small": "a warm solve of Example 1 with n = 100",
+    "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "crossovers": "each constant of lcp_plugin.crossovers beside what this machine says of it",

@@ -20,6 +20,7 @@ from ...problem.lcp import LCP
 from ...solving.driver import solve
 from ..contestants import fresh
 from ..gallery import build
+from .small import friction
 from .timing import medians
 
 
@@ -89,46 +90,39 @@ def _least(repeats: int) -> str:
     return f"{psor} sweeps where the rows are dominated and npsor takes {npsor}"
 
 
-def frictional_contact(contacts: int) -> LCP:
-    """Bodies that slide on each other, one step in time: copositive, neither symmetric nor of positive diagonal.
-
-    Four contacts a body. Rows: normal impulses, those along four tangents, speeds of sliding; M is
-    [J W Jᵀ, E; F, 0] with E, F of the cone of friction.
-
-    References
-    ----------
-    Stewart, Trinkle 1996, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
-    """
-    rng = np.random.default_rng(contacts)
-    bodies, directions = max(contacts // 4, 1), 4
-    axes = np.zeros((contacts, 3, bodies, 6))  # a normal and two tangents
-    for k in range(contacts):
-        for body in rng.choice(bodies, size=min(2, bodies), replace=False):
-            axes[k, :, body] = rng.normal(size=(3, 6))
-    axes = axes.reshape((contacts, 3, 6 * bodies))
-    tangents = np.concatenate([axes[:, 1:], -axes[:, 1:]], axis=1)
-    J = np.concatenate([axes[:, 0], tangents.reshape((directions * contacts, -1))])
-    ones = np.kron(np.eye(contacts), np.ones((directions, 1)))
-    zero, friction = np.zeros((contacts, contacts)), 0.5 * np.eye(contacts)
-    right = np.concatenate([zero, ones])
-    M = np.block([[J / rng.uniform(0.5, 2.0, size=J.shape[1]) @ J.T, right], [friction, -ones.T, zero]])
-    return LCP(M, np.concatenate([J @ rng.normal(size=J.shape[1]), np.zeros(contacts)]))
+def _friction(contacts: int) -> LCP:
+    case = friction(contacts)
+    return LCP(case.M, case.q)
 
 
 def _interior_steps(repeats: int) -> str:
-    steps = [solve(frictional_contact(contacts), "interior_point").iterations for contacts in (10, 40, 100)]
+    steps = [solve(_friction(contacts), "interior_point").iterations for contacts in (10, 40, 100)]
     return "on frictional contact with n = 60, 240 and 600: " + ", ".join(map(str, steps))
 
 
 def _pivots_or_interior(repeats: int) -> str:
     names, last = ("lemke", "interior_point"), 0
     for contacts in (10, 20, 40, 70, 100, 150, 200):
-        problem = frictional_contact(contacts)
+        problem = _friction(contacts)
         seconds = medians({name: partial(_solved_afresh, problem, name) for name in names}, repeats)
         if seconds["lemke"] > seconds["interior_point"]:
             return f"lemke, then interior_point is the faster one between {last} and {problem.n} rows"
         last = problem.n
     return f"lemke is the faster one up to {last} rows"
+
+
+def random_band(n: int, width: int, coupling: float) -> LCP:
+    """Return a problem with full random diagonals that dominates its rows by little; the couplings have that sign."""
+    rng = np.random.default_rng(n)
+    sides = [k for k in range(-width, width + 1) if k]
+    M = sp.diags_array([coupling * rng.random(n - abs(k)) for k in sides], offsets=sides, shape=(n, n))
+    M = M + sp.diags_array(1.01 * np.asarray(abs(M).sum(axis=1)).ravel())
+    return LCP(M, rng.normal(size=n), upper=rng.exponential(size=n))
+
+
+def _rounds(width: int, coupling: float, repeats: int) -> str:
+    counts = [solve(random_band(1000 + k, width, coupling), "banded").iterations for k in range(repeats)]
+    return f"{min(counts)} to {max(counts)} rounds in boxes, {width} diagonals on either side"
 
 
 def _factor_or_multigrid(repeats: int) -> str:
@@ -182,6 +176,16 @@ def _dense_or_sparse(repeats: int) -> str:
     return f"a dense factor costs {ratio:.1f} sparse ones on a grid of {M.shape[0]} rows, where fill is small"
 
 
+def _compiled(repeats: int) -> str:
+    """Return what the compiled road costs at its end, and a row beyond it."""
+    n = crossovers.COMPILED_UP_TO
+    problems = {"compiled": _dense(n), "long": _dense(n + 1)}
+    ways = {name: partial(_solved_afresh, problem, "auto") for name, problem in problems.items()}
+    seconds = medians(ways, repeats)
+    ratio = seconds["long"] / seconds["compiled"]
+    return f"auto takes {ratio:.1f} times as long for a dense n = {n + 1} as for {n}, {seconds['compiled']:.1e} s"
+
+
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
@@ -191,6 +195,8 @@ def _sharp_bound(repeats: int) -> str:
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
+    "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
+    "COMPILED_UP_TO": _compiled,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,

@@ -1,0 +1,25 @@
+"""The desk of one small problem: which row of its few work arrays holds what.
+
+On a few unknowns a compiled call with twelve arrays, or a view of a part of one, costs more than what is done with it.
+So all vectors of a problem lie in one array `real`, shape (16, n + 1), all indices in one array `whole`, (7, 2n + 1),
+and matrices in `room`, (n + 4, n + 1); functions take these three and (M, k), M of shape (B, n, n).
+"""
+
+from __future__ import annotations
+
+from .compilation import compiled
+
+# Rows of `real`: the problem, the point, what a search for the next point needs, what a path needs.
+Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = 0, 1, 2, 3, 4, 5, 6, 7
+WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, PIVOT_ROW = 8, 9, 10, 11, 12, 13, 14, 15
+
+# Rows of `whole`.
+SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
+
+AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
+
+
+@compiled
+def sizes(n):  # type: ignore[no-untyped-def]
+    """Return the shapes of `real`, `whole` and `room`."""
+    return (16, n + 1), (7, 2 * n + 1), (n + 4, n + 1)

@@ -1,0 +1,179 @@
+"""The problems of a batch: arrays with an axis in front, one matrix with many right-hand sides, or a list of LCPs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..algorithms.short_road import as_dense
+from ..checks import read_only, real_array
+from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..problem.lcp import LCP
+
+
+@dataclass(frozen=True)
+class Group:
+    """Problems of one size as arrays for a compiled run; one row in front stands for all of them.
+
+    Attributes
+    ----------
+    items : array of int, shape (k,)
+        Which of the batch they are.
+    M : array, shape (k or 1, n, n)
+    q, lower, upper, starts : arrays, shape (k or 1, n)
+        Without columns, `starts` means z°.
+    """
+
+    items: Any
+    M: Any
+    q: Any
+    lower: Any
+    upper: Any
+    starts: Any
+
+
+class Items:
+    """The problems, checked: ``errors[k]`` says what is wrong with problem k, and does not stop the rest.
+
+    `sizes` holds the numbers of unknowns.
+    """
+
+    sizes: set[int]
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.errors: dict[int, LCPError] = {}
+
+    def problem(self, k: int) -> LCP:
+        """Return problem k."""
+        raise NotImplementedError
+
+    def start(self, k: int) -> Any:
+        """Return its z0, or None."""
+        raise NotImplementedError
+
+    def groups(self, largest: int) -> Iterator[Group]:
+        """Yield those with at most so many unknowns, without errors."""
+        raise NotImplementedError
+
+    def _note_errors(self, suspects: Sequence[int]) -> None:
+        for k in suspects:
+            try:
+                self.problem(k)
+            except LCPError as error:
+                self.errors[k] = error
+
+
+class Listed(Items):
+    """LCPs of any sizes; None where an error says why there is none."""
+
+    def __init__(
+        self, problems: Sequence[LCP | None], z0: Any = None, errors: dict[int, LCPError] | None = None
+    ) -> None:
+        super().__init__(len(problems))
+        self.errors |= errors or {}
+        if z0 is not None and (isinstance(z0, str) or not hasattr(z0, "__len__") or len(z0) != len(problems)):
+            raise InvalidOption(f"z0 must be a list of {len(problems)} starts, one a problem, or None")
+        self._problems, self._starts = problems, z0
+        self.sizes = {problem.n for problem in problems if problem is not None}
+
+    def problem(self, k: int) -> LCP:
+        """Return problem k."""
+        problem = self._problems[k]
+        assert problem is not None
+        return problem
+
+    def start(self, k: int) -> Any:
+        """Return its z0, or None."""
+        return None if self._starts is None else self._starts[k]
+
+    def groups(self, largest: int) -> Iterator[Group]:
+        """Yield those with at most so many unknowns, without errors."""
+        for n in sorted(self.sizes if self._starts is None else ()):
+            items = [k for k, one in enumerate(self._problems) if one is not None and one.n == n <= largest]
+            chosen = [self.problem(k) for k in items if n > 0]
+            if not chosen or any(problem.is_distributed for problem in chosen):
+                continue
+            matrices = {id(problem.matrix): as_dense(problem.matrix) for problem in chosen}
+            each = [matrices[id(problem.matrix)] for problem in chosen[: 1 if len(matrices) == 1 else None]]
+            vectors = (np.array([getattr(p, name) for p in chosen]) for name in ("q", "lower", "upper"))
+            yield Group(np.array(items), *map(read_only, (np.concatenate(each), *vectors, np.empty((1, 0)))))
+
+
+class Stacked(Items):
+    """Arrays: M of shape (B, n, n), or one (n, n) for all; the vectors of shape (B, n), (n,) or numbers."""
+
+    def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
+        self._shared = sp.issparse(M) or np.ndim(M) == 2
+        self._M = M if sp.issparse(M) else real_array(M, "M must be an array of shape (B, n, n) or (n, n)")
+        n = self._M.shape[-1] if self._M.ndim else 0
+        if self._M.ndim not in (2, 3) or self._M.shape[-2] != n:
+            raise InvalidProblem(f"M must have shape (B, n, n), or (n, n) for all, got {self._M.shape}")
+        if q is None:
+            raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none")
+        named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
+        self._vectors = {name: _rows(values, name, n) for name, values in named.items()}
+        counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
+        counts |= {} if self._shared else {"M": self._M.shape[0]}
+        if len(set(counts.values())) > 1:
+            found = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {found}")
+        super().__init__(next(iter(counts.values()), 1))
+        self.sizes = {n}
+        self._base = LCP(self._M, np.zeros(n)) if self._shared else None
+        self._note_errors(self._suspects())
+
+    def _suspects(self) -> Any:
+        """Return what may not be a problem: numbers that are not finite, bounds that are none."""
+        q, lower, upper = (self._vectors[name] for name in ("q", "lower", "upper"))
+        with np.errstate(all="ignore"):
+            is_good = np.isfinite(q).all(1) & ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
+            if not self._shared:
+                is_good = is_good & np.isfinite(self._M.sum(axis=(1, 2)))
+            if "z0" in self._vectors and not np.isfinite(self._vectors["z0"]).all():
+                raise InvalidOption("z0 must be finite, got NaN or infinite entries")
+        return np.flatnonzero(~np.broadcast_to(is_good, self.count)).tolist()
+
+    def _row(self, name: str, k: int) -> Any:
+        rows = self._vectors[name]
+        return rows[k if rows.shape[0] > 1 else 0]
+
+    def problem(self, k: int) -> LCP:
+        """Return problem k."""
+        q, lower, upper = (self._row(name, k) for name in ("q", "lower", "upper"))
+        if self._base is not None:
+            return self._base.with_q(q, lower=lower, upper=upper)
+        return LCP(self._M[k], q, lower=lower, upper=upper)
+
+    def start(self, k: int) -> Any:
+        """Return its z0, or None."""
+        return self._row("z0", k) if "z0" in self._vectors else None
+
+    def groups(self, largest: int) -> Iterator[Group]:
+        """Yield those with at most so many unknowns, without errors."""
+        n = self._M.shape[-1]
+        if not 0 < n <= largest or self.count == 0:
+            return
+        M = np.ascontiguousarray(self._M) if self._base is None else as_dense(self._base.matrix)
+        q, lower, upper = (self._vectors[name] for name in ("q", "lower", "upper"))
+        starts = np.clip(self._vectors["z0"], lower, upper) if "z0" in self._vectors else np.empty((1, 0))
+        items = np.arange(self.count) if not self.errors else np.setdiff1d(np.arange(self.count), [*self.errors])
+        chosen = (a if a.shape[0] == 1 or not self.errors else a[items] for a in (M, q, lower, upper, starts))
+        yield Group(items, *map(read_only, chosen))
+
+
+def _rows(values: ArrayLike, name: str, n: int) -> Any:
+    """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
+    is_bound = name in ("lower", "upper")
+    need = f"{name} must have shape (B, n) or (n,), n = {n}{', or be a number' if is_bound else ''}"
+    array = real_array(values, need)
+    if array.ndim == 0 and is_bound:
+        array = np.full(n, float(array))
+    if array.ndim not in (1, 2) or array.shape[-1] != n:
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
+    return np.array(np.atleast_2d(array), order="C")

@@ -1,0 +1,186 @@
+"""The run of a batch: a compiled loop over what is small, in chunks on several threads; the long road for the rest."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from ..algorithms import Algorithm
+from ..algorithms.base import Plan
+from ..algorithms.rehearsal import rehearse
+from ..algorithms.short_road import Answers
+from ..crossovers import COMPILED_UP_TO
+from ..errors import InvalidOption, LCPError, UnknownAlgorithm
+from ..policy.choice import policy_for
+from ..problem.lcp import LCP
+from ..settings import CallersOwn, Settings, Status
+from .batch_items import Group, Items
+from .batch_result import BatchResult
+from .driver import solve
+from .result import Result
+from .sprint import arrival, is_unwatched
+
+LARGEST_CHUNK = 256  # problems between two looks at the clock
+CHUNKS_A_THREAD = 4  # so that none waits long for another
+
+
+def checked_threads(threads: Any) -> int:
+    """Return how many threads take part; all that the process may use for None.
+
+    Raises
+    ------
+    InvalidOption
+        Where it is no whole number ≥ 1.
+    """
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise InvalidOption(f"threads must be a whole number ≥ 1, or None for all that may be used, got {threads!r}")
+    return int(threads)
+
+
+class BatchRun:
+    """The answers as they come: of the compiled loop in arrays, of the long road as results.
+
+    Parameters
+    ----------
+    items : Items
+    algorithm : str or Algorithm
+    wishes : dict
+        Whatever else :func:`lcp_plugin.solve` takes, for each problem.
+    threads : int
+    limit : float
+        Seconds for all problems together.
+    """
+
+    def __init__(
+        self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int = 1,
+        limit: float = np.inf,
+    ) -> None:
+        self.items, self.algorithm, self.wishes, self.threads, self.limit = items, algorithm, wishes, threads, limit
+        known = {field.name for field in fields(Settings)}
+        self.settings = Settings(**{name: wish for name, wish in wishes.items() if name in known})
+        options = {name: wish for name, wish in wishes.items() if name not in {*known, "callback"}}
+        self.policy = policy_for(algorithm, options)
+        self.results: dict[int, Result] = {}
+        self.compiled: list[tuple[Group, Answers]] = []
+        self.place = np.full((2, items.count), -1)  # which of those has an answer, and where
+        self.is_interrupted = False
+        self.compiling = self.seconds = 0.0
+        self.began = time.perf_counter()
+
+    def run(self) -> BatchResult:
+        """Solve all, and gather what was found."""
+        plan = self._plan()
+        try:
+            for group in () if plan is None else self.items.groups(COMPILED_UP_TO):
+                if plan and (group.starts.shape[1] == 0 or plan[1]):  # pivots alone begin at z°
+                    self._run_compiled(group, plan)
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+        for k in np.flatnonzero(self.place[0] < 0).tolist():
+            if k not in self.items.errors:
+                self._take_the_long_road(k)
+        self.seconds = self._elapsed()
+        return self._gathered()
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.began - self.compiling
+
+    def _plan(self) -> Plan | None:
+        """Return the phases of the compiled road that the caller's choice takes, compiled; None where it takes none."""
+        tiny = LCP([[1.0]], [-1.0])
+        self.first = self.policy.first(tiny)
+        plan = self.first.algorithm.short_plan()
+        if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
+            return None
+        before = time.perf_counter()
+        rehearse(self.first.algorithm, tiny)
+        self.compiling += time.perf_counter() - before
+        return plan
+
+    def _run_compiled(self, group: Group, plan: Plan) -> None:
+        from ..kernels.small_problems import run_all
+
+        count, n = group.items.size, group.M.shape[1]
+        answers, size = Answers(count, n), int(np.clip(count // (CHUNKS_A_THREAD * self.threads), 1, LARGEST_CHUNK))
+        arrays = group.M, group.q, group.lower, group.upper, group.starts
+        limits = self.settings.tolerance, self.settings.max_iterations
+
+        def solve_chunk(first: int) -> None:
+            if self._elapsed() < self.limit and not self.is_interrupted:
+                run_all(*arrays, *plan, *limits, first, min(first + size, count), *answers.arrays)
+
+        chunks = range(0, count, size)
+        try:
+            if self.threads == 1 or len(chunks) == 1:
+                for first in chunks:
+                    solve_chunk(first)
+            else:
+                with ThreadPoolExecutor(self.threads) as pool:
+                    try:
+                        list(pool.map(solve_chunk, chunks))
+                    except KeyboardInterrupt:
+                        self.is_interrupted = True  # the chunks that wait end at once
+                        raise
+        finally:
+            arrived = np.flatnonzero(answers.has_arrived)
+            self.place[0, group.items[arrived]], self.place[1, group.items[arrived]] = len(self.compiled), arrived
+            self.compiled.append((group, answers))
+
+    def _take_the_long_road(self, k: int) -> None:
+        callback, wishes = self.wishes.get("callback"), dict(self.wishes)
+        if self.limit < np.inf:
+            wishes["max_seconds"] = max(self.limit - self._elapsed(), 0.0)
+        try:
+            if self.is_interrupted:
+                begun = solve(self.items.problem(k), z0=self.items.start(k), max_iterations=0)
+                self.results[k] = replace(begun, status=Status.INTERRUPTED)
+            else:
+                self.results[k] = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            if isinstance(callback, CallersOwn) and error is callback.raised:
+                raise
+            self.items.errors[k] = error
+        else:
+            self.is_interrupted |= self.results[k].status is Status.INTERRUPTED
+
+    # --- telling ----------------------------------------------------------------------------------------
+
+    def result_of(self, k: int) -> Result:
+        """Return the result of problem k, which has no error."""
+        if k in self.results:
+            return self.results[k]
+        which, at = self.place[:, k].tolist()
+        sprint = self.compiled[which][1].sprint(at)
+        assert sprint is not None
+        share = self.seconds / self.items.count
+        return arrival(self.items.problem(k), self.policy, self.first, sprint, self.settings, share)
+
+    def _gathered(self) -> BatchResult:
+        count, sizes = self.items.count, self.items.sizes
+        is_even = len(sizes) <= 1
+        z: Any = np.full((count, *sizes), np.nan) if is_even else [np.empty(0)] * count
+        status, residual, iterations = np.full(count, None), np.full(count, np.nan), np.zeros(count, np.int64)
+        for which, (_, answers) in enumerate(self.compiled):
+            items = np.flatnonzero(self.place[0] == which)
+            at = self.place[1, items]
+            status[items], residual[items] = Status.SOLVED, answers.found[at, 2]
+            iterations[items] = answers.made[at].sum(1)
+            if is_even:
+                z[items] = answers.z[at]
+            for k, row in zip(items.tolist(), at.tolist(), strict=True) if not is_even else ():
+                z[k] = answers.z[row]
+        for k, result in self.results.items():
+            z[k], status[k], iterations[k] = result.z, result.status, result.iterations
+            residual[k] = result.certificate.relative_residual
+        for array in (z, status, residual, iterations) if is_even else (status, residual, iterations):
+            array.flags.writeable = False
+        return BatchResult(z, status, residual, iterations, self.seconds, self.items.errors, self.result_of)

@@ -1,0 +1,179 @@
+"""A march in time: one matrix, and a q that the answer of each step gives to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, overload
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..algorithms import Algorithm, Sprint
+from ..algorithms.active_sets.banded import Banded
+from ..algorithms.rehearsal import rehearse
+from ..checks import FloatVector, checked_vector, is_number, real_array
+from ..errors import InvalidOption, InvalidProblem
+from ..policy.choice import Policy, policy_for
+from ..policy.stages import Choice
+from ..problem.lcp import LCP
+from ..settings import Settings
+from .driver import solve
+from .result import Result
+from .sprint import arrival
+from .state import Clock
+
+
+class March(Sequence[Result]):
+    """The results of a march in time, in order; each is put together when it is looked at.
+
+    Attributes
+    ----------
+    z : list of ndarray, shape (n,)
+        The answer of each step.
+    all_solved : bool
+        Whether every step that was taken is SOLVED.
+    """
+
+    def __init__(self) -> None:
+        self.z: list[FloatVector] = []
+        self.all_solved = True
+        self._results: list[Result | Callable[[], Result]] = []
+
+    @overload
+    def __getitem__(self, k: int) -> Result: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Result]: ...
+    def __getitem__(self, k: int | slice) -> Result | list[Result]:
+        if isinstance(k, slice):
+            return [self[i] for i in range(len(self))[k]]
+        found = self._results[k]
+        if not isinstance(found, Result):
+            found = self._results[k] = found()
+        return found
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def _take(self, result: Result) -> None:
+        self.z.append(result.z)
+        self.all_solved &= result.is_solved
+        self._results.append(result)
+
+    def _take_later(self, sprint: Sprint, result: Callable[[], Result]) -> None:
+        self.z.append(sprint.z)
+        self._results.append(result)
+
+
+def march(
+    problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
+) -> March:
+    """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
+
+    Parameters
+    ----------
+    problem : LCP
+        Gives M and the bounds; its own q is not used.
+    forcing : array, shape (k, n)
+        A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
+    carry : number or array or sparse array, shape (n, n)
+        What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
+        Euler step (I + Δt A) z = z_before has −1.
+    z0 : array, shape (n,), optional
+        The state before the first step; by default the point of [lower, upper] nearest to 0.
+    algorithm, tolerance, max_iterations
+        As for :func:`lcp_plugin.solve`, of each step.
+
+    Returns
+    -------
+    March
+        A sequence of k Results; of fewer where a step was not solved, which is the last one then.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        Before the first step; the last where the rows of M are spread over ranks.
+
+    Notes
+    -----
+    Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
+    `auto` takes `banded`, all steps run in one compiled loop, certificates included.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
+    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
+    [array([0.875, 0.625]), array([0.781, 0.469])]
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
+    problem.matrix.require_all_rows()
+    offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    settings = Settings(tolerance, "residual", "relative", max_iterations, None, False, False)
+    policy, state = policy_for(algorithm, {}), problem.nearest_to_zero
+    if z0 is not None:
+        state = checked_vector(z0, "z0", problem.n)
+    done = March()
+    while len(done) < len(offsets) and done.all_solved:
+        before = len(done)
+        for sprint, result in _sprinted(problem, policy, settings, offsets[before:], rows, state):
+            done._take_later(sprint, result)
+        if len(done) == before:
+            step = problem.with_q(offsets[before] + rows @ state)
+            done._take(solve(step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations))
+        state = done.z[-1]
+    return done
+
+
+def _sprinted(
+    problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, carry: sp.csr_array, state: FloatVector
+) -> Iterator[tuple[Sprint, Callable[[], Result]]]:
+    """Yield the steps that one compiled loop takes, up to the first that does not arrive."""
+    first, clock = policy.first(problem), Clock(problem.peers)
+    if not isinstance(first.algorithm, Banded):
+        return
+    with clock.paused(to_compile=True):
+        rehearse(None, problem)
+        rehearse(first.algorithm, problem)
+    Q, Z = np.array(offsets), np.empty(offsets.shape)
+    Q[0] += carry @ state
+    np.clip(state, problem.lower, problem.upper, out=Z[0])
+    sprints = first.algorithm.sprints(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
+    seconds = clock.read() / len(sprints)
+    for q, sprint in zip(Q, sprints, strict=True):
+        if sprint is None:
+            return
+        yield sprint, partial(_result, problem, q, policy, first, settings, sprint, seconds)
+
+
+def _result(
+    problem: LCP, q: FloatVector, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
+) -> Result:
+    return arrival(problem.with_q(q), policy, first, sprint, settings, seconds)
+
+
+def _checked_forcing(forcing: Any, n: int) -> FloatVector:
+    need = f"forcing must be a finite array of shape (k, n), n = {n}, a row a step"
+    offsets = real_array(forcing, need)
+    if offsets.ndim != 2 or offsets.shape[1] != n:
+        raise InvalidProblem(f"{need}, got shape {offsets.shape}")
+    if not np.isfinite(offsets).all():
+        k, i = np.argwhere(~np.isfinite(offsets))[0]
+        raise InvalidProblem(f"{need}, but forcing[{k}, {i}] = {offsets[k, i]}; repair that entry")
+    return offsets
+
+
+def _checked_carry(carry: Any, n: int) -> sp.csr_array:
+    need = f"carry must be a number or a finite array of shape ({n}, {n})"
+    if is_number(carry):
+        carry = float(carry) * sp.eye_array(n)
+    elif not sp.issparse(carry):
+        carry = real_array(carry, need)
+    if carry.shape != (n, n):
+        raise InvalidProblem(f"{need}, got shape {carry.shape}")
+    rows = sp.csr_array(carry, dtype=np.float64)
+    if not np.isfinite(rows.data).all():
+        raise InvalidProblem(f"{need}, got NaN or infinite entries; repair them")
+    return rows

@@ -1,0 +1,109 @@
+"""Small problems of every kind, the nasty ones included: what the compiled road must not be wrong about."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lcp_plugin import LCP
+
+Generator = np.random.Generator
+Matrix = np.ndarray
+
+
+def definite(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Symmetric positive definite, condition 1 … 1e10."""
+    Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    M = (Q * np.geomspace(1.0, 10.0 ** -rng.uniform(0.0, 10.0), n)) @ Q.T
+    return 0.5 * (M + M.T), rng.normal(size=n)
+
+
+def friction(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Contacts with Coulomb friction on a pyramid of four edges (Stewart, Trinkle): copositive, not symmetric."""
+    contacts, dof = max(1, n // 6), 6 * max(1, n // 12)
+    J = rng.normal(size=(5 * contacts, dof))
+    J[contacts + 2 * np.arange(2 * contacts) + 1] = -J[contacts + 2 * np.arange(2 * contacts)]
+    m = 5 * contacts
+    M = np.zeros((m + contacts, m + contacts))
+    M[:m, :m] = (J * np.exp(0.5 * rng.normal(size=dof))) @ J.T
+    for c in range(contacts):
+        M[m + c, c] = rng.uniform(0.1, 0.9)
+        edges = contacts + 4 * c + np.arange(4)
+        M[m + c, edges], M[edges, m + c] = -1.0, 1.0
+    return M, np.concatenate([J @ rng.normal(size=dof), np.zeros(contacts)])
+
+
+def integers(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Often singular, degenerate or without solution."""
+    return rng.integers(-2, 3, (n, n)).astype(float), rng.integers(-2, 3, n).astype(float)
+
+
+def arbitrary(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    return rng.normal(size=(n, n)), rng.normal(size=n)
+
+
+def semidefinite(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Of half the rank, q in its range or not."""
+    B = rng.integers(-3, 4, (n, max(1, n // 2))).astype(float)
+    return B @ B.T, B @ rng.normal(size=B.shape[1]) if rng.random() < 0.5 else rng.normal(size=n)
+
+
+def chain(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """A tridiagonal M-matrix."""
+    M = np.diag(rng.uniform(2.0, 3.0, n)) - np.diag(rng.random(n - 1), 1) - np.diag(rng.random(n - 1), -1)
+    return M, rng.normal(size=n)
+
+
+def murty(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Exponential for pivoting; Fathi's is its product with the transpose."""
+    L = np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
+    return (L, L.T, L @ L.T)[rng.integers(3)], -np.ones(n)
+
+
+def cyclic(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Rounds of active sets cycle (Ben Gharbia, Gilbert 2012); a P-matrix for odd n."""
+    return np.eye(n) + rng.uniform(1.0, 3.0) * np.roll(np.eye(n), -1, axis=0), -np.ones(n)
+
+
+def game(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """A bimatrix game: every path from a positive covering vector ends on a ray."""
+    m = max(1, n // 2)
+    A, B = rng.integers(1, 9, (2, m, n - m if n > m else 1)).astype(float)
+    zero = np.zeros
+    return np.block([[zero((m, m)), A], [B.T, zero((B.shape[1], B.shape[1]))]]), -np.ones(m + B.shape[1])
+
+
+def extreme(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Of any size, 1e±150."""
+    M, q = definite(n, rng)
+    return M * 10.0 ** rng.integers(-150, 151), q * 10.0 ** rng.integers(-100, 101)
+
+
+def scaled(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Rows and columns of any unit."""
+    M, q = definite(n, rng)
+    units = 10.0 ** rng.integers(-8, 9, n)
+    return M * units[:, None] * units, q * units
+
+
+FAMILIES: dict[str, Callable[[int, Generator], tuple[Matrix, Matrix]]] = {
+    one.__name__: one
+    for one in (
+        definite, friction, integers, arbitrary, semidefinite, chain, murty, cyclic, game, extreme, scaled,
+    )
+}
+
+
+def problem(family: str, largest: int, rng: Generator) -> LCP:
+    """Draw a problem with up to about so many unknowns; half of them with boxes, fixed, free or one-sided rows."""
+    M, q = FAMILIES[family](int(rng.integers(2, largest + 1)), rng)
+    n = q.size
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if rng.random() < 0.5:
+        unit = abs(q).max() / max(abs(M).max(), 1e-300) or 1.0
+        lower = np.where(rng.random(n) < 0.3, -unit * rng.random(n), lower)
+        upper = np.where(rng.random(n) < 0.3, lower + unit * rng.exponential(size=n), upper)
+        upper = np.where(rng.random(n) < 0.05, lower, upper)
+        lower = np.where(rng.random(n) < rng.choice([0.0, 0.1]), -np.inf, lower)
+    return LCP(M, q, lower=lower, upper=upper)

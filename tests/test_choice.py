@@ -270,20 +270,20 @@ def test_where_m_seems_monotone_the_interior_point_method_comes_first(M: list[li
 
 
 def test_where_m_does_not_newton_comes_first() -> None:
-    """Where the diagonal is positive; up to 600 rows lemke before interior_point, beyond after it."""
+    """Where the diagonal is positive; up to 500 rows lemke before interior_point, beyond after it."""
     assert order(cycle(24, 1.0)) == ["newton", "lemke", "interior_point", "feasibility", "search"]
-    assert order(cycle(600, 1.0)) == ["newton", "lemke", "interior_point", "feasibility"]
-    assert order(cycle(601, 1.0)) == ["newton", "interior_point", "feasibility", "lemke"]
+    assert order(cycle(500, 1.0)) == ["newton", "lemke", "interior_point", "feasibility"]
+    assert order(cycle(501, 1.0)) == ["newton", "interior_point", "feasibility", "lemke"]
 
 
 def test_where_the_diagonal_is_not_positive_either_pivoting_comes_first() -> None:
-    """No H₊-matrix, no monotone one: lemke up to 600 rows, interior_point beyond, newton after them."""
+    """No H₊-matrix, no monotone one: lemke up to 500 rows, interior_point beyond, newton after them."""
     assert order(cycle(24, -1.0)) == ["lemke", "interior_point", "feasibility", "newton", "search"]
-    assert order(cycle(600, 0.0)) == ["lemke", "interior_point", "feasibility", "newton"]
-    assert order(cycle(601, 0.0)) == ["interior_point", "newton", "feasibility", "lemke"]
+    assert order(cycle(500, 0.0)) == ["lemke", "interior_point", "feasibility", "newton"]
+    assert order(cycle(501, 0.0)) == ["interior_point", "newton", "feasibility", "lemke"]
 
 
-@pytest.mark.parametrize("contacts", [25, 40, 100])
+@pytest.mark.parametrize("contacts", [25, 40, 80])
 def test_frictional_contact_is_pivoted(contacts: int) -> None:
     """Copositive, neither symmetric nor H₊: solved at once by pivots, at a cost within 1.3 of lemke's own."""
     case = friction(contacts)

@@ -16,7 +16,7 @@ BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
 PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
 PSOR_GAIN = 2.0  # sweeps that npsor promises after its trial by those that psor with automatic relaxation needs
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
-PIVOTS_FIRST_UP_TO = 500  # rows from which on those are cheaper than lemke's pivots
+PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
 COMPILED_UP_TO = 128  # rows of a dense M that one compiled call solves faster than libraries called step by step
 

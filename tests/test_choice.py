@@ -281,6 +281,8 @@ def test_where_the_diagonal_is_not_positive_either_pivoting_comes_first() -> Non
     assert order(cycle(24, -1.0)) == ["lemke", "interior_point", "feasibility", "newton", "search"]
     assert order(cycle(500, 0.0)) == ["lemke", "interior_point", "feasibility", "newton"]
     assert order(cycle(501, 0.0)) == ["interior_point", "newton", "feasibility", "lemke"]
+    dense = np.random.default_rng(0).standard_normal((501, 501)) * (1.0 - np.eye(501))
+    assert order(LCP(dense, -np.ones(501)))[:2] == ["lemke", "interior_point"]
 
 
 @pytest.mark.parametrize("contacts", [25, 40, 80])

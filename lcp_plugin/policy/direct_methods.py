@@ -6,7 +6,7 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
-| the same, n > 500 | newton and interior_point (the latter first where the diagonal is not > 0), feasibility, lemke |
+| the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
 
 They run on the presolved problem, each until it ends; but where no theorem promises an end, a method that has cost as
 much as the next one is predicted to cost waits until all others have had their turn: so none costs more than twice what
@@ -103,7 +103,7 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
     else:
         may_be_p = bool(has_positive_diagonal(left.matrix).all())
         newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
-        if left.n <= PIVOTS_FIRST_UP_TO:
+        if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:
             order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
         else:
             order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]

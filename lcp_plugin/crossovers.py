@@ -7,13 +7,16 @@ precision of a double, fixes stands beside its proof, not here.
 from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
-DIRECT_PASSES = 20.0  # newton or interior_point on a sparse M of at most DIRECT_UP_TO rows
-DIRECT_PASSES_DENSE = 5.0  # the same where M is an ndarray
+DIRECT_PASSES = 10.0  # newton or interior_point on a dense M: a third of what is measured, as npsor promises too much
+DIRECT_ENTRIES = 2000.0  # the same in entries a row, where rows are short: what is done for each row costs more then
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
-MULTIGRID_PASSES = 100.0
+MULTIGRID_PASSES = 150.0
 BANDED_ROUNDS = 5.0  # active sets that banded solves for on random bands
 BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
-PSOR_GAIN = 3.0  # sweeps of npsor by those of psor with automatic relaxation
+PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
+PSOR_GAIN = 2.0  # sweeps that npsor promises after its trial by those that psor with automatic relaxation needs
+INTERIOR_STEPS = 20  # factorisations that interior_point takes
+PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
 COMPILED_UP_TO = 128  # rows of a dense M that one compiled call solves faster than libraries called step by step
 

@@ -87,7 +87,7 @@ MEASURED: dict[str, tuple[int | None, ...]] = {
     "banded": (2, 4, 2, 1, 2, 3),
     "lemke": (1, 3, 2, 2, 2, 1),
     "multigrid": (3, 14, 7, 7, 8, 5),
-    "auto": (14, 8, 11, 5, 5, 3),
+    "auto": (15, 14, 15, 16, 30, 3),
 }
 PAIRS = [
     pytest.param(name, kind, count, id=f"{name}-{kind}")

@@ -17,8 +17,9 @@ from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
     scaled_by,
 )
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
-from lcp_plugin.algorithms.interior_points.primal_active_set import BorderedFactor, NotConvex, PrimalActiveSet
+from lcp_plugin.algorithms.interior_points.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+from lcp_plugin.kernels import triangles
 from lcp_plugin.matrix.symmetry import is_symmetric_to_rounding
 from lcp_plugin.settings import Status
 
@@ -96,6 +97,21 @@ def test_ill_conditioned_dense_problem_needs_few_factors(condition: float, activ
     assert result.work <= 10 * n / 6 + 60
 
 
+@pytest.mark.parametrize("skew", [0.0, 1e-6])
+@pytest.mark.parametrize("n", [60, 200])
+def test_an_answer_much_larger_than_q_takes_a_dozen_steps(n: int, skew: float) -> None:
+    """Eigenvalues from 1 to 1e-8 and q ~ 1: z is 1e4 times as large as w, and no path of short steps leads there."""
+    rng = np.random.default_rng(1)
+    orthogonal, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (orthogonal * np.logspace(0, -8, n)) @ orthogonal.T
+    turn = rng.standard_normal((n, n))
+    problem = LCP((M + M.T) / 2.0 + skew * (turn - turn.T), rng.standard_normal(n))
+    result = solve(problem, "interior_point")
+    assert result.is_solved
+    assert result.z.max() > 1e3 * result.w.max()
+    assert result.iterations <= 20
+
+
 def test_contact_matrix_of_low_rank() -> None:
     """A Delassus matrix J W Jᵀ with more contacts than freedoms: w is the known one, z one of many."""
     rng = np.random.default_rng(3)
@@ -156,29 +172,42 @@ def test_units_do_not_matter() -> None:
     np.testing.assert_allclose(second.w / c, first.w, atol=1e-8)
 
 
-def test_bordered_factor_solves_like_a_fresh_one() -> None:
-    """After any sequence of joins and leaves the border gives what LAPACK gives on the present rows."""
+def test_updated_factor_is_that_of_the_present_rows() -> None:
+    """After any sequence of joins and leaves L Lᵀ is the block of the present rows, in their order."""
     rng = np.random.default_rng(0)
     n = 30
     M = random_matrix("definite", n, rng)
-    present = rng.random(n) < 0.5
-    factor = BorderedFactor(M, np.flatnonzero(present))
+    order, L = np.empty(n, dtype=np.intp), np.empty((n, n))
+    size = triangles.join(M, 0.0, L, order, 0, np.flatnonzero(rng.random(n) < 0.5))
     for _ in range(40):
         j = int(rng.integers(n))
-        (factor.fix if present[j] else factor.free)(j)
-        present[j] = not present[j]
-        right = np.where(present, rng.standard_normal(n), 0.0)
-        expected = np.zeros(n)
-        expected[present] = np.linalg.solve(M[np.ix_(present, present)], right[present])
-        np.testing.assert_allclose(factor.solve(right), expected, atol=1e-9)
-        assert len(factor.rows) <= n
+        place = np.flatnonzero(order[:size] == j)
+        if place.size:
+            triangles.leave(L, order, size, int(place[0]))
+            size -= 1
+        else:
+            size = triangles.join(M, 0.0, L, order, size, np.array([j]))
+        factor, rows = np.tril(L[:size, :size]), order[:size]
+        np.testing.assert_allclose(factor @ factor.T, M[np.ix_(rows, rows)], rtol=1e-12, atol=1e-12)
+        x, right = np.zeros(n), rng.standard_normal(n)
+        x[:size] = right[rows]
+        triangles.forward(L, size, x)
+        triangles.backward(L, size, x)
+        np.testing.assert_allclose(x[:size], np.linalg.solve(M[np.ix_(rows, rows)], right[rows]), atol=1e-9)
 
 
-def test_bordered_factor_refuses_an_indefinite_block() -> None:
+def test_a_row_that_makes_the_block_singular_does_not_join() -> None:
+    """Where the new pivot is rounding, the size is −1; a factor of both rows is shifted."""
+    order, L = np.empty(2, dtype=np.intp), np.empty((2, 2))
+    assert triangles.join(np.ones((2, 2)), 0.0, L, order, 0, np.arange(2)) == -1
+    assert UpdatedFactor(np.ones((2, 2)), np.arange(1)).join(np.arange(1, 2)) is False
+
+
+def test_a_factor_refuses_an_indefinite_block() -> None:
     """A block with a clearly negative eigenvalue is refused, a singular one shifted."""
     with pytest.raises(NotConvex):
-        BorderedFactor(np.array([[1.0, 2.0], [2.0, 1.0]]), np.arange(2))
-    assert 0.0 < BorderedFactor(np.ones((2, 2)), np.arange(2)).shift <= 1e-9
+        UpdatedFactor(np.array([[1.0, 2.0], [2.0, 1.0]]), np.arange(2))
+    assert 0.0 < UpdatedFactor(np.ones((2, 2)), np.arange(2)).shift <= 1e-9
 
 
 def test_energy_falls_at_every_factor() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..certificates.convergence import IterationFacts
 from ..checks import FloatVector, is_number
-from ..crossovers import DIRECT_PASSES, DIRECT_PASSES_DENSE, DIRECT_UP_TO
+from ..crossovers import DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
 from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
@@ -226,10 +226,10 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
 
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    if problem.is_dense:
-        return DIRECT_PASSES_DENSE
-    is_last = problem.n <= DIRECT_UP_TO or not has_positive_diagonal(problem.matrix).all()
-    return DIRECT_PASSES if is_last else math.inf
+    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
+        return DIRECT_PASSES
+    per_row = DIRECT_ENTRIES * problem.n / max(problem.nonzeros, 1)
+    return max(DIRECT_PASSES, per_row) if problem.n <= DIRECT_UP_TO else math.inf
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:

@@ -16,6 +16,7 @@ from .matrix import Matrix, fact
 
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x, x and y arbitrary, beyond which M is not symmetric
 UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do not notice
+DENSE_FROM, LARGEST_DENSE = 0.05, 2000  # share of the entries, and rows: a difference of sparse matrices takes longer
 ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 
@@ -72,7 +73,11 @@ def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
     True
     """
     size = np.abs(M.diagonal()) if size is None else size
-    return mismatch(M, size, ROUNDED)[1] is None if sp.issparse(M) else _is_symmetric_by_tiles(M, np.sqrt(size))
+    if sp.issparse(M):
+        if M.nnz < DENSE_FROM * M.shape[0] ** 2 or M.shape[0] > LARGEST_DENSE:
+            return mismatch(M, size, ROUNDED)[1] is None
+        M = M.toarray()
+    return _is_symmetric_by_tiles(M, np.sqrt(size))
 
 
 @np.errstate(over="ignore", invalid="ignore")

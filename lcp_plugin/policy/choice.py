@@ -8,18 +8,21 @@ is not proved quick. As soon as the rate of npsor is known, what it still needs 
 
 | rival | where | predicts |
 |---|---|---|
-| psor with automatic relaxation | after npsor; sparse, n > 1000, positive diagonal | npsor's sweeps by 3, or 20 |
-| multigrid | once; sparse, n > 1000, positive diagonal | 100 passes |
-| the direct methods | M is dense | 5 passes |
-| the direct methods | n ≤ 1000, or no positive diagonal | 20 passes |
+| psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 2, or 20 |
+| multigrid | once; sparse, n > 1000, positive diagonal | 150 passes |
+| the direct methods | M is dense, or its diagonal not positive | 10 passes |
+| the direct methods | n ≤ 1000 | 2000 entries a row, or 10 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
 | the question is asked | |
 |---|---|
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
-| of npsor, M dense | from 2 sweeps on |
+| of npsor, M dense | from its first sweep on |
 | of psor | every 20 sweeps |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
+
+What sweeps have cost and still need must together stay below twice what the rival predicts, so that nothing that is
+always nearly there goes on for ever.
 
 Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is exact;
 where multigrid ends without an answer and n > 20 000, psor goes on until it fails. No clock is asked: the same call
@@ -29,7 +32,7 @@ gives the same answer bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -45,11 +48,12 @@ from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
 from ..settings import OF_SOLVE
-from .direct_methods import direct_methods
+from .direct_methods import Turns
 from .stages import Choice, Stage
 
-TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 2, 3
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 1, 3
 ASKED_EVERY = 20  # sweeps
+TWICE = 2.0  # who leaves once he has paid what the other way costs never pays more than this many times as much
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
 BANDED = Banded()
@@ -96,7 +100,7 @@ class Auto:
     name = chosen = "auto"
 
     def __init__(self) -> None:
-        self._direct: Iterator[Choice] | None = None
+        self._direct: Turns | None = None
 
     def first(self, problem: LCP) -> Choice:
         """Return the compiled road of small problems, banded on narrow bands, PSOR where proved quick, or NPSOR."""
@@ -115,7 +119,7 @@ class Auto:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if self._direct is not None:
-            return next(self._direct, None) if failed else None
+            return self._direct.after(now, target, failed=failed)
         is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
         if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
@@ -131,11 +135,12 @@ class Auto:
             return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
         least = min(predicted, key=lambda rival: predicted[rival])
-        if sweeps <= predicted[least] and not failed:
+        is_hovering = now.work + sweeps > TWICE * predicted[least]  # its prediction came true too late before
+        if sweeps <= predicted[least] and not (failed or is_hovering):
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
-            self._direct = direct_methods(problem)
-            first = next(self._direct, None)
+            self._direct = Turns(problem)
+            first = self._direct.first()
             return first and replace(first, because=f"{needs}; {first.because}")
         return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
 
@@ -161,7 +166,7 @@ def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
     """Return what could take over, in the order in which a tie is decided."""
     now = stages[-1].algorithm
     rivals: list[Algorithm] = []
-    if problem.n > DIRECT_UP_TO and not problem.is_dense and has_positive_diagonal(problem.matrix).all():
+    if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
         rivals += [create("multigrid", {})] if isinstance(now, (NPSOR, PSOR)) and not was_tried else []

@@ -4,9 +4,13 @@
 |---|---|
 | sparse, the diagonal positive and nothing else | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
-| any other | newton, feasibility, lemke and interior_point (the latter first where n > 1000), search |
+| any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
+| any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
+| the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
 
-They run on the presolved problem, each until it ends. Where a factor would fill in too much (n > 5000), newton and
+They run on the presolved problem, each until it ends; but where no theorem promises an end, a method that has cost as
+much as the next one is predicted to cost waits until all others have had their turn: so none costs more than twice what
+the right one would have (:class:`Turns`). Where a factor would fill in too much (n > 5000), newton and
 interior_point are left out. A row that contradicts its bounds by itself brings `feasibility` to the front: it looks
 for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it
 stalls), `search` looks at all cases of problems with at most 24 rows that leave a choice, until a counted number of
@@ -25,15 +29,58 @@ from ..algorithms import Algorithm, create
 from ..algorithms.base import has_positive_diagonal
 from ..certificates.infeasibility import contradictory_row
 from ..conversions.presolve import presolve
-from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SEMIDEFINITENESS_UP_TO
+from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO, SEMIDEFINITENESS_UP_TO
 from ..problem.lcp import LCP
-from .stages import Choice
+from .stages import Choice, Stage
 
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
-    """Yield the methods that factorise, pivot or search, in the order of the second table."""
-    from ..algorithms.search import is_searchable
-    from ..algorithms.search.stages import ExhaustiveSearch, FeasibilityCheck
+    """Yield the methods that factorise, pivot or search, in the order of the table."""
+    yield from _by_prospects(problem)
+    yield from _at_last(problem)
+
+
+class Turns:
+    """The direct methods one after the other; those that may wait, and go on too long, once more before the search."""
+
+    def __init__(self, problem: LCP) -> None:
+        self._problem = problem
+        self._coming, self._waiting, self._last = _by_prospects(problem), list[Choice](), _at_last(problem)
+        self._now: Choice | None = None
+
+    def first(self) -> Choice | None:
+        """Return the method with the best prospects."""
+        self._now = next(self._coming, None) or next(self._last, None)
+        return self._now
+
+    def after(self, stage: Stage, target: float, *, failed: bool) -> Choice | None:
+        """Return what takes over from the stage, or None to go on (where that failed: to end)."""
+        is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, target)
+        if not (failed or is_overdue):
+            return None
+        following = next(self._coming, None)
+        if following is not None:
+            if self._now is not None and not failed:
+                self._waiting.append(replace(self._now, because="the others have had their turn", may_wait=False))
+        elif failed:
+            following = self._waiting.pop(0) if self._waiting else next(self._last, None)
+        self._now = following or self._now
+        return following
+
+
+def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
+    """Return whether a method has cost what the one after it is predicted to cost, and shows no end.
+
+    Newton's steps are factorisations, as those of interior_point; a path of n pivots touches 2 n² entries with each,
+    and lemke follows two.
+    """
+    if stage.algorithm.name == "lemke":
+        return stage.work * problem.nonzeros > 4.0 * problem.n**3
+    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(target) > INTERIOR_STEPS
+
+
+def _by_prospects(problem: LCP) -> Iterator[Choice]:
+    from ..algorithms.search.stages import FeasibilityCheck
     from ..matrix.factors import factor_fits
 
     reduced = presolve(problem)
@@ -43,19 +90,30 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
-    left_out = [] if problem.n <= LINEAR_PROGRAM_UP_TO else [check]
+    left_out = [] if problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
     if not (left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
-        left_out += [newton, interior]
+        left_out += [newton.algorithm, interior.algorithm]
     if contradictory_row(problem) is not None:
         yield replace(check, because="one row contradicts its bounds by itself")
-    elif newton not in left_out and not left.is_dense and _suits_newton(left):
+    elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
         yield newton
-        left_out.append(newton)
+        left_out.append(newton.algorithm)
     if _seems_monotone(left, problem.origin):
         order = [interior, check, newton, lemke]
     else:
-        order = [newton, check, interior, lemke] if left.n > DIRECT_UP_TO else [newton, check, lemke, interior]
-    yield from (choice for choice in order if choice not in left_out)
+        may_be_p = bool(has_positive_diagonal(left.matrix).all())
+        newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
+        if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:
+            order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
+        else:
+            order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
+    yield from (choice for choice in order if choice.algorithm not in left_out)
+
+
+def _at_last(problem: LCP) -> Iterator[Choice]:
+    from ..algorithms.search import is_searchable
+    from ..algorithms.search.stages import ExhaustiveSearch
+
     if is_searchable(problem):
         yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():

@@ -19,11 +19,15 @@ KEPT_RESIDUALS = 512
 
 @dataclass(frozen=True)
 class Choice:
-    """An algorithm, the reason for it, and the smaller problem it is to run on, if any."""
+    """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
+
+    `may_wait` says that another one may have its turn before this one has come to its end.
+    """
 
     algorithm: Algorithm
     because: str = ""
     presolved: Presolved | None = None
+    may_wait: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the steps of the algorithm in terms of the caller's problem."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,13 +19,15 @@ from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
-from .primal_active_set import PrimalActiveSet
+from .primal_active_set import PrimalActiveSet, rehearse
 
-SWEEPS_AT_ONCE = (20, 5)  # small or not
+SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
-FIRST_GUESS = (100, 0.25)  # changes of the first active set before interior steps are tried: 100 + n/4
-LATER_GUESS = (20, 0.02)
+FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
+LATER_GUESS = (10, 0.02)
+MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
+SHORT = 0.15  # of the whole second step: the start is not as large as the answer
 EARLIEST_GUESS = 3
 PATIENCE = 12
 MOST_ITERATIONS = 150
@@ -78,6 +80,11 @@ class InteriorPoint(Algorithm):
         yield Step(z, work=1.0)
         yield from without_warnings(self._steps(problem, z))
 
+    def rehearsal(self) -> InteriorPoint:
+        """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor."""
+        rehearse()
+        return self
+
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
         yield from _Search(problem).steps(z)
 
@@ -96,15 +103,12 @@ class _Search:
             q = (q + M @ fixed)[kept]
             M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
             lower, upper = lower[kept], upper[kept]
-        self.is_symmetric = not sp.issparse(M) and self._is_symmetric(M)
+        M, self.is_symmetric = self._dense_where_symmetric(M)
         r = None if self.is_symmetric else monotone_rows(M)
         if r is not None:
             M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
+            M, self.is_symmetric = self._dense_where_symmetric(M) if sp.issparse(M) else (M, False)
             q = r * q
-        if sp.issparse(M) and q.size <= DENSE_NEWTON_UP_TO and M.nnz > SPARSE_BELOW * q.size**2:
-            dense = M.toarray()
-            self.is_symmetric = self._is_symmetric(dense) if r is None else is_symmetric_to_rounding(dense)
-            M = dense if self.is_symmetric else M
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
         c = np.ones(q.size) if c is None else c
@@ -147,13 +151,18 @@ class _Search:
             yield from self.guessed(primal, y)
         yield from self.interior(primal)
 
-    def _is_symmetric(self, M: FloatVector) -> bool:
-        """Whether a dense M could be that of a convex energy."""
-        if M.size and float(M.diagonal().min()) < 0.0:
-            return False
-        if self.kept is None:
-            return is_nearly_symmetric(self.problem.matrix) if M is self.problem.M else is_symmetric_to_rounding(M)
-        return is_symmetric_to_rounding(M)
+    def _dense_where_symmetric(self, M: Any) -> tuple[Any, bool]:
+        """Return M, dense where it is symmetric and not too sparse for that, and whether it is both.
+
+        Symmetric: it could be that of a convex energy.
+        """
+        if self.kept is None and M is self.problem.M and not sp.issparse(M):
+            return M, float(M.diagonal().min(initial=0.0)) >= 0.0 and is_nearly_symmetric(self.problem.matrix)
+        if sp.issparse(M) and (M.shape[0] > DENSE_NEWTON_UP_TO or M.nnz <= SPARSE_BELOW * M.shape[0] ** 2):
+            return M, False
+        dense = M.toarray() if sp.issparse(M) else M
+        is_symmetric = float(dense.diagonal().min(initial=0.0)) >= 0.0 and is_symmetric_to_rounding(dense)
+        return (dense if is_symmetric else M), is_symmetric
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
@@ -162,9 +171,7 @@ class _Search:
         n = y.size
         diagonal = self.M.diagonal()
         inverse = np.divide(1.0, diagonal, out=np.zeros(n), where=diagonal > 0.0)
-        M = np.ascontiguousarray(self.M).view()
-        M.flags.writeable = False
-        y = y.copy()
+        y, M = y.copy(), primal.M
         sweeps, at_once = 0, SWEEPS_AT_ONCE[n > SWEEPS_FIRST_UP_TO]
         inside, changes = np.zeros(n, dtype=bool), n
         w = M @ y + self.q
@@ -178,48 +185,56 @@ class _Search:
             yield self.step(y, sweeps * self.entries)
         else:  # a step of its own would cost more than it tells
             primal.work += sweeps * self.entries
-        yield from self.corrected(primal, FIRST_GUESS)
+        yield from self.corrected(primal, self._limit(FIRST_GUESS))
 
-    def corrected(self, primal: PrimalActiveSet, limit: tuple[int, float]) -> Iterator[Step]:
-        for _ in primal.steps(limit[0] + int(limit[1] * self.q.size)):
+    def corrected(self, primal: PrimalActiveSet, limit: int) -> Iterator[Step]:
+        for _ in primal.steps(limit):
             yield self.step(primal.z, primal.work - self.counted)
             self.counted = primal.work
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
-        """Make interior steps; after each, where the active set has settled, solve for it."""
-        symmetric = primal is not None
-        matrix = newton_matrix(self.M, symmetric)
+        """Make interior steps; where the active set has settled, solve for it."""
+        matrix = newton_matrix(self.M, primal is not None)
         corrections = 2 if self.q.size >= LARGE else 1
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, corrections)
-        if not point.start():
+        starts = _Starts(_weight_of(primal))
+        if not point.start(starts.weight):
             return
         first_gap, counted, since_best = point.gap, 0.0, 0
-        polishes, settled_for, last = 0, 0, None
-        for k in range(MOST_ITERATIONS):
+        polishes, settled_for, last, steps = 0, 0, _active(point, 1.0)[0], 0
+        for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
+            steps += 1
             before = self.best
             yield self.step(point.z, matrix.work - counted)
             counted = matrix.work
+            if steps == 2 and starts.has_better(point.length):
+                steps = 0
+                if not point.start(starts.weight):
+                    return
+                continue
             since_best = 0 if self.best < 0.9 * before else since_best + 1
             if since_best >= PATIENCE:
                 break
+            present = _active(point, 1.0)[0]
+            changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
-                if k + 1 >= EARLIEST_GUESS:
-                    primal.start(np.clip(point.z, self.lower, self.upper), ~_active(point, 1.0)[0])
-                    yield from self.corrected(primal, LATER_GUESS)
+                if steps >= EARLIEST_GUESS and changes <= self._limit(LATER_GUESS):
+                    primal.start(np.clip(point.z, self.lower, self.upper), ~present)
+                    yield from self.corrected(primal, self._limit(LATER_GUESS))
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
-            present = _active(point, 1.0)
-            has_settled = last is not None and np.array_equal(last[0], present[0])
-            last = present
-            settled_for = settled_for + 1 if has_settled else 0
+            settled_for = 0 if changes else settled_for + 1
             if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point, 1.0)
         for threshold in CLASSIFICATIONS:
             yield from self.polished(point, threshold)
+
+    def _limit(self, share: tuple[int, float]) -> int:
+        return share[0] + int(share[1] * self.q.size)
 
     def polished(self, point: PredictorCorrector, threshold: float) -> Iterator[Step]:
         """Solve the linear system of the active set and correct the set, as long as that improves the residual."""
@@ -253,6 +268,32 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
+
+
+class _Starts:
+    """The weight of the start: smaller ones as long as the second step is short, and gets longer by that."""
+
+    def __init__(self, weight: float) -> None:
+        self.weight = self._best = weight
+        self._longest, self._left = 0.0, MOST_STARTS
+
+    def has_better(self, length: float) -> bool:
+        """Return whether to start again, with the present weight, after a second step of that length."""
+        self._left -= 1
+        if length >= SHORT or self._left <= 0:
+            return False
+        if length > self._longest:
+            self._longest, self._best = length, self.weight
+            self.weight *= LIGHTER
+        else:  # the one before was better
+            self.weight, self._left = self._best, 0
+        return True
+
+
+def _weight_of(primal: PrimalActiveSet | None) -> float:
+    """Return the size of w beside that of z where an active set has told it, else 1."""
+    z, w = (0.0, 0.0) if primal is None else (float(np.abs(values).max(initial=0.0)) for values in (primal.z, primal.w))
+    return w / z if z > 0.0 and 0.0 < w / z < np.inf else 1.0
 
 
 def _unit_of(q: FloatVector, entries: FloatVector) -> float:

@@ -37,31 +37,37 @@ class PredictorCorrector:
         Distance to the lower bound and the positive part of w, on the rows of `has_lower`.
     above, w_upper : ndarray
         The same for the upper bounds, on the rows of `has_upper`.
+    length : float
+        Share of the last direction that was taken.
     """
 
     def __init__(
         self, matrix: NewtonMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector, corrections: int
     ) -> None:
         self.matrix, self.q, self.corrections = matrix, q, corrections
+        self.length = 0.0
         self.has_lower, self.has_upper = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
         self.lower, self.upper = lower[self.has_lower], upper[self.has_upper]
         self._pairs = self.has_lower.size + self.has_upper.size
         self._both = np.isin(self.has_lower, self.has_upper), np.isin(self.has_upper, self.has_lower)
 
-    def start(self) -> bool:
-        """Begin well inside, at a size that one linear system tells; return False where it cannot be factorised."""
+    def start(self, weight: float) -> bool:
+        """Begin well inside, where M z + q = weight (anchor − z); return False where that cannot be factorised.
+
+        A good weight is the size of w beside that of z. With another one the first steps are short.
+        """
         n = self.q.size
-        weight, anchor = np.zeros(n), np.zeros(n)
-        weight[self.has_lower] = weight[self.has_upper] = 1.0
+        weights, anchor = np.zeros(n), np.zeros(n)
+        weights[self.has_lower] = weights[self.has_upper] = weight
         anchor[self.has_upper] = self.upper
         anchor[self.has_lower] = self.lower
         middle = self._both
         anchor[self.has_lower[middle[0]]] = 0.5 * (self.lower[middle[0]] + self.upper[middle[1]])
-        if not self.matrix.factorise(weight):
+        if not self.matrix.factorise(weights):
             return False
-        # w = anchor − z there: what one side lacks, the other has.
-        z = self.matrix.solve(weight * anchor - self.q)
-        self.begin(z, anchor - z)
+        # What one side lacks, the other has.
+        z = self.matrix.solve(weights * anchor - self.q)
+        self.begin(z, weight * (anchor - z))
         return bool(np.isfinite(z).all())
 
     def begin(self, z: FloatVector, w: FloatVector) -> None:
@@ -109,7 +115,8 @@ class PredictorCorrector:
             if longer < WORTH_A_CORRECTION * length:
                 break
             direction, length = better, longer
-        self._move(direction, min(1.0, TO_THE_BOUNDARY * length))
+        self.length = min(1.0, TO_THE_BOUNDARY * length)
+        self._move(direction, self.length)
         return bool(np.isfinite(self.z).all())
 
     def _remember_residuals(self) -> None:

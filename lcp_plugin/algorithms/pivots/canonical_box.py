@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
@@ -28,7 +27,7 @@ LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 @dataclass(frozen=True, eq=False)
 class CanonicalBox:
-    """M, q, upper of the canonical problem, and the way back: z = recovery z̄ + offset.
+    """M, q, upper of the canonical problem, and the way back: z[rows] = offset[rows] + step z̄, and what was eliminated.
 
     Attributes
     ----------
@@ -36,42 +35,48 @@ class CanonicalBox:
         Rows and columns scaled by powers of two to about 1.
     q, upper : ndarray, shape (k,)
         max |q_i| is about 1; upper > 0.
-    recovery : sparse array, shape (n, k)
     offset : ndarray, shape (n,)
     rows : ndarray, shape (k,)
-        The variable of the problem that each canonical variable is, up to shift, sign and scale.
+        The variable of the problem that each canonical variable is, up to shift, sign and scale; one that was split is
+        there twice.
     step : ndarray, shape (k,)
         By how much that variable changes when the canonical one grows by 1; negative where the bounds change places.
+    eliminated : ndarray, shape (g,)
+        The free variables that were eliminated.
+    elimination : ndarray, shape (g, k)
+        By how much each of them changes when a canonical variable grows by 1.
     """
 
     M: FloatMatrix
     q: FloatVector
     upper: FloatVector
-    recovery: sp.csr_array
     offset: FloatVector
     rows: IndexVector
     step: FloatVector
+    eliminated: IndexVector
+    elimination: FloatMatrix
 
     @property
     def is_finite(self) -> bool:
         """Whether nothing in it has left the range of doubles."""
-        return all(bool(np.isfinite(part).all()) for part in (self.M, self.q, self.recovery.data, self.offset))
+        return all(bool(np.isfinite(part).all()) for part in (self.M, self.q, self.step, self.elimination, self.offset))
 
     def recover(self, z: FloatVector) -> FloatVector:
         """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
-        result: FloatVector = self.recovery @ z + self.offset
-        return result
+        return self.direction(z) + self.offset
 
     def direction(self, ray: FloatVector) -> FloatVector:
         """Return the direction in the problem's z, shape (n,), for one of the canonical problem, shape (k,)."""
-        result: FloatVector = self.recovery @ ray
+        result = np.zeros(self.offset.size)
+        np.add.at(result, self.rows, self.step * ray)
+        result[self.eliminated] = self.elimination @ ray
         return result
 
     def restrict(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return the canonical z that comes closest to a z of the problem, shape (k,)."""
         with np.errstate(all="ignore"):
             inner = (z[self.rows] - self.offset[self.rows]) / self.step
-        return np.clip(np.nan_to_num(inner), 0.0, self.upper)
+        return np.clip(np.where(np.isfinite(inner), inner, 0.0), 0.0, self.upper)
 
 
 @np.errstate(all="ignore")
@@ -97,46 +102,52 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     upper = np.where(is_free, np.inf, np.ldexp(problem.upper - problem.lower, -column_scale))
     unit = np.ldexp(sign, column_scale)
     keep = np.flatnonzero(problem.lower < problem.upper)
-    return _without_free_rows(M[np.ix_(keep, keep)], q[keep], upper[keep], unit, base, keep, is_free[keep])
+    if keep.size < problem.n:
+        M = M[np.ix_(keep, keep)]
+    return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
 
 
 def _without_free_rows(
     M: FloatMatrix, q: FloatVector, upper: FloatVector, unit: FloatVector, base: FloatVector,
     keep: IndexVector, is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
-    n, free = unit.size, np.flatnonzero(is_free)
+    free = np.flatnonzero(is_free)
+    if not free.size:
+        size = _unit_of(q)
+        none, nothing = np.empty(0, dtype=np.intp), np.empty((0, keep.size))
+        return CanonicalBox(M, q / size, upper / size, base, keep, unit[keep] * size, none, nothing)
     gone_rows, gone = _pivot_rows_and_columns(M, free)
     # Free rows and free variables may be paired in any way, so those that remain are.
     kept, kept_rows = np.setdiff1d(free, gone), np.setdiff1d(free, gone_rows)
     stays = np.concatenate([np.flatnonzero(~is_free), kept])
     stays_rows = np.concatenate([np.flatnonzero(~is_free), kept_rows])
     split = np.arange(stays.size - kept.size, stays.size)
-    offset = np.zeros(keep.size)
-    recovery = sp.csr_array((np.ones(stays.size), (stays, np.arange(stays.size))), shape=(keep.size, stays.size))
     reduced, constant, upper = M[np.ix_(stays_rows, stays)], q[stays_rows], upper[stays]
+    offset, elimination = base.copy(), np.empty((0, stays.size))
     if gone.size:
         others = np.column_stack([M[np.ix_(gone_rows, stays)], q[gone_rows]])
         solved = np.linalg.solve(M[np.ix_(gone_rows, gone)], others)
-        eliminated = sp.coo_array(-solved[:, :-1])
-        recovery += sp.csr_array((eliminated.data, (gone[eliminated.row], eliminated.col)), shape=recovery.shape)
-        offset[gone] = -solved[:, -1]
-        reduced = reduced - M[np.ix_(stays_rows, gone)] @ solved[:, :-1]
+        elimination = -solved[:, :-1]
+        offset[keep[gone]] -= solved[:, -1] * unit[keep[gone]]
+        reduced = reduced + M[np.ix_(stays_rows, gone)] @ elimination
         constant = constant - M[np.ix_(stays_rows, gone)] @ solved[:, -1]
     if split.size:
         reduced = np.block([[reduced, -reduced[:, split]], [-reduced[split], reduced[np.ix_(split, split)]]])
         constant = np.concatenate([constant, -constant[split]])
-        recovery = sp.csr_array(sp.hstack([recovery, -recovery[:, split]]))
+        elimination = np.hstack([elimination, -elimination[:, split]])
         upper = np.concatenate([upper, np.full(split.size, np.inf)])
-    _, exponent = np.frexp(np.abs(constant).max(initial=0.0))
-    size = float(np.ldexp(1.0, int(exponent)))
-    shift = base.copy()
-    shift[keep] += offset * unit[keep]
-    placed = sp.csr_array((np.ones(keep.size), (keep, np.arange(keep.size))), shape=(n, keep.size))
-    whole = sp.csr_array(placed @ (sp.diags_array(unit[keep] * size) @ recovery))
+    size = _unit_of(constant)
     rows = keep[np.concatenate([stays, stays[split]])]
     step = unit[rows] * size
     step[stays.size :] *= -1.0
-    return CanonicalBox(reduced, constant / size, upper / size, whole, shift, rows, step)
+    elimination = elimination * (unit[keep[gone]] * size)[:, None]
+    return CanonicalBox(reduced, constant / size, upper / size, offset, rows, step, keep[gone], elimination)
+
+
+def _unit_of(q: FloatVector) -> float:
+    """Return the power of two that makes the largest |q_i| about 1."""
+    _, exponent = np.frexp(np.abs(q).max(initial=0.0))
+    return float(np.ldexp(1.0, int(exponent)))
 
 
 def is_well_conditioned(block: FloatMatrix) -> bool:

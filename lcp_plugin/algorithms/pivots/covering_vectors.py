@@ -18,7 +18,7 @@ Start = Callable[[Path], bool]
 INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
-def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
+def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -> Iterator[Start]:
     """Yield ways to start the path, the most promising first; each returns whether it could.
 
     Parameters
@@ -29,9 +29,11 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
         A guess; z = 0 says nothing.
     restarts : int
         How many arbitrary starts follow the principled ones.
+    is_near : bool
+        Whether the cell of z is likely to be close to that of the answer; otherwise it is tried late.
     """
     n, q = path.n, path.q
-    if z.any():
+    if z.any() and is_near:
         yield partial(_warm, z=z)
     players = bimatrix_players(path.M, q)
     if players is not None and np.all(path.upper == np.inf):
@@ -41,6 +43,8 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
     size = np.maximum(np.abs(q), 2.0**-10)
     if np.ptp(size) > 0.0:
         yield partial(Path.start_along, covering=size)
+    if z.any():
+        yield partial(_warm, z=z, in_part=True)
     generator = np.random.default_rng(0)
     for k in range(restarts):
         if k % 4 == 0:
@@ -53,8 +57,8 @@ def starts(path: Path, z: FloatVector, restarts: int) -> Iterator[Start]:
             yield _random_cell(path, generator)
 
 
-def _warm(path: Path, z: FloatVector) -> bool:
-    """Start in the cell that z and its w stand for, a little inside."""
+def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:
+    """Start in the cell that z and its w stand for, a little inside, if its block is regular; or in that part of it."""
     w = path.M @ z + path.q
     upper = path.upper
     with np.errstate(all="ignore"):
@@ -62,12 +66,12 @@ def _warm(path: Path, z: FloatVector) -> bool:
         at_upper = ~at_lower & (upper - z <= -w)
         margin = np.minimum(INSIDE, 0.25 * upper)
         inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
-    is_between = _regular_part(path.M, ~at_lower & ~at_upper)
-    at_lower |= ~at_upper & ~is_between
+    if in_part:
+        at_lower |= ~at_upper & ~_regular_part(path.M, ~at_lower & ~at_upper)
     side = np.where(at_lower, AT_LOWER, np.where(at_upper, AT_UPPER, BETWEEN))
     z = np.where(at_lower, 0.0, np.where(at_upper, upper, inside))
     w = np.where(at_lower, np.maximum(w, INSIDE), np.where(at_upper, np.minimum(w, -INSIDE), 0.0))
-    return path.start_in_cell(side, z, w)
+    return path.start_in_cell(side, z, w) and (in_part or path.is_well_conditioned)
 
 
 def _random_cell(path: Path, generator: np.random.Generator) -> Start:

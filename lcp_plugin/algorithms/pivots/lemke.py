@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...certificates.residuals import Certificate
+from ...certificates.row_residuals import measured_residual
 from ...checks import FloatVector
 from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
@@ -26,6 +27,7 @@ START_SIZES = 20_000  # n times the number of arbitrary starts, between those
 WORK_A_BLOCK = 5e7  # entries touched between two steps, about
 CAREFUL_BLOCK = 5
 CERTIFIED = 1e-10
+NEAR = 0.1  # a guess that is farther away leads no shorter way than a start from 0
 
 
 @dataclass(slots=True)
@@ -157,7 +159,7 @@ class Lemke(Algorithm):
         restarts = self.restarts
         if restarts is None:
             restarts = int(np.clip(START_SIZES // path.n, *ARBITRARY_STARTS))
-        waiting: Any = starts(path, box.restrict(part, guess), restarts)
+        waiting: Any = starts(path, box.restrict(part, guess), restarts, is_near=_is_near(part, guess))
         rounds = PIVOTS_A_ROUND if self.max_pivots is None else (0,)
         for multiple in rounds:
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
@@ -237,6 +239,8 @@ def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
 
     if problem.n == 0:
         return []
+    if problem.is_dense and problem.M[0].all():  # the first row ties all together
+        return [np.arange(problem.n)]
     count, label = connected_components(problem.csr, directed=False)
     if count == 1:
         return [np.arange(problem.n)]
@@ -247,6 +251,11 @@ def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
 def _part(problem: LCP, rows: NDArray[np.intp]) -> LCP:
     M = sp.csr_array(problem.csr[rows][:, rows])
     return LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
+
+
+def _is_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether the residual of z is much smaller than that of the point of the bounds nearest to 0."""
+    return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
 
 
 def _extended(ray: FloatVector | None, rows: NDArray[np.intp], n: int) -> FloatVector | None:

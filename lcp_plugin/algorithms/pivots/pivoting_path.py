@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...checks import FloatVector
 from ...kernels import pivoting
 from ...kernels.pivoting import AT_LOWER, AT_UPPER, BETWEEN, CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
+from .canonical_box import WELL_CONDITIONED
 
 FloatMatrix = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ class Path:
         self.inverse = np.zeros((n, n))
         self.entries = 0.0  # touched so far
         self.fresh_for = max(FRESH_FOR, n // 3)
+        self.is_well_conditioned = True  # B, when it was last inverted
         self._begin(np.zeros(n), n + np.arange(n), np.zeros(n, dtype=np.int64), 2 * n, 1.0, 0.0)
 
     def _begin(
@@ -154,8 +156,11 @@ class Path:
         n, basis = self.n, self.basis
         self._note_places()
         others, rows = np.flatnonzero((basis < n) | (basis == 2 * n)), np.flatnonzero(self.place < 0)
-        block = np.column_stack([-self.covering if v == 2 * n else -self.columns[v] for v in basis[others]] or [self.q])
-        core = block[rows][:, : others.size]
+        block = np.empty((n, others.size))
+        is_t = basis[others] == 2 * n
+        block[:, ~is_t] = -self.columns[basis[others[~is_t]]].T
+        block[:, is_t] = -self.covering[:, None]
+        core = block[rows]
         try:
             inverse = np.linalg.inv(core)
         except np.linalg.LinAlgError:
@@ -163,12 +168,14 @@ class Path:
         if not np.isfinite(inverse).all():
             return False
         absolute = np.abs(inverse)
+        size = absolute.sum(axis=0).max(initial=0.0) * np.abs(core).sum(axis=0).max(initial=0.0)
+        self.is_well_conditioned = bool(size < WELL_CONDITIONED)
         # What is zero in exact arithmetic must be zero here, or a pivot could stand on it.
         inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
         if not inverse.any(axis=1).all():  # a row of nothing but rounding
             return False
         slack_rows = np.flatnonzero(self.place >= 0)
-        below = block[slack_rows][:, : others.size]
+        below = block[slack_rows]
         image = -below @ inverse
         image[np.abs(image) <= CANCELLED * (np.abs(below) @ np.abs(inverse))] = 0.0
         self.inverse[:] = 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ...checks import FloatVector
-from ...crossovers import DIRECT_PASSES, PSOR_GAIN
+from ...crossovers import PSOR_GAIN, PSOR_PASSES
 from ...errors import InvalidOption
 from ...matrix.pivots import pivot_weight
 from ...matrix.symmetry import has_symmetric_entries
@@ -127,8 +127,8 @@ class PSOR(_InPlace):
             raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return those of npsor by the gain of relaxation; as many as a direct answer at least."""
-        return max(DIRECT_PASSES, sweeps / PSOR_GAIN)
+        """Return those of npsor by the gain of relaxation, and some in any case."""
+        return max(PSOR_PASSES, sweeps / PSOR_GAIN)
 
     def fixed_relaxation(self) -> float | None:
         """Return ω, or None for "auto"."""

@@ -15,10 +15,12 @@ from ...certificates.error_bounds import error_bound
 from ...certificates.infeasibility import decide_feasibility
 from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ...matrix.factors import factorise, solver_of
+from ...policy.stages import Stage
 from ...problem.lcp import LCP
 from ...solving.driver import solve
 from ..contestants import fresh
 from ..gallery import build
+from .small import friction
 from .timing import medians
 
 
@@ -57,7 +59,8 @@ def _passes(problem: LCP, name: str, repeats: int) -> str:
 
 
 def _direct(repeats: int) -> str:
-    return _passes(_grid(30), "newton", repeats)
+    problem = _grid(30)
+    return f"{_passes(problem, 'newton', repeats)}, of {problem.nonzeros / problem.n:.0f} entries a row"
 
 
 def _direct_dense(repeats: int) -> str:
@@ -69,12 +72,43 @@ def _multigrid(repeats: int) -> str:
 
 
 def _gain(repeats: int) -> str:
-    """Return how many sweeps of npsor one of psor is worth, over a range of grids."""
+    """Return how many sweeps npsor promises after ten for each that psor then needs, over a range of grids."""
     found = []
     for size in (10, 20, 40):
-        npsor, psor = (solve(_grid(size), one).iterations for one in (NPSOR(scaling="diagonal"), PSOR()))
-        found.append(npsor / psor)
+        trial = Stage(NPSOR(scaling="diagonal"))
+        for sample in solve(_grid(size), trial.algorithm, max_iterations=10, record=True).history:
+            trial.iterations = sample.iteration
+            trial.note(sample.residual or 0.0)
+        found.append(trial.steps_to_go(1e-8) / solve(_grid(size), PSOR()).iterations)
     return "on grids of 10², 20² and 40²: " + ", ".join(f"{one:.1f}" for one in found)
+
+
+def _least(repeats: int) -> str:
+    grid = _grid(30)
+    problem = LCP(grid.csr + sp.diags_array(grid.diagonal), np.linspace(-1.0, 0.5, grid.n))
+    npsor, psor = (solve(problem, one).iterations for one in (NPSOR(scaling="diagonal"), PSOR()))
+    return f"{psor} sweeps where the rows are dominated and npsor takes {npsor}"
+
+
+def _friction(contacts: int) -> LCP:
+    case = friction(contacts)
+    return LCP(case.M, case.q)
+
+
+def _interior_steps(repeats: int) -> str:
+    steps = [solve(_friction(contacts), "interior_point").iterations for contacts in (10, 40, 100)]
+    return "on frictional contact with n = 60, 240 and 600: " + ", ".join(map(str, steps))
+
+
+def _pivots_or_interior(repeats: int) -> str:
+    names, last = ("lemke", "interior_point"), 0
+    for contacts in (10, 20, 40, 70, 100, 150, 200):
+        problem = _friction(contacts)
+        seconds = medians({name: partial(_solved_afresh, problem, name) for name in names}, repeats)
+        if seconds["lemke"] > seconds["interior_point"]:
+            return f"lemke, then interior_point is the faster one between {last} and {problem.n} rows"
+        last = problem.n
+    return f"lemke is the faster one up to {last} rows"
 
 
 def random_band(n: int, width: int, coupling: float) -> LCP:
@@ -159,9 +193,10 @@ def _sharp_bound(repeats: int) -> str:
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
+    "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
+    "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": _compiled,
-    "DIRECT_PASSES": _direct, "DIRECT_PASSES_DENSE": _direct_dense, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,

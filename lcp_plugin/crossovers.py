@@ -18,7 +18,10 @@ PSOR_GAIN = 2.0  # sweeps that npsor promises after its trial by those that psor
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
-COMPILED_UP_TO = 128  # rows of a dense M that one compiled call solves faster than libraries called step by step
+# Up to where one compiled call is quicker than libraries called step by step.
+COMPILED_UP_TO = 256  # rows of a dense M
+COMPILED_SPARSE_UP_TO = 128  # rows of a sparse one, treated as dense
+PIVOTED_AT_ONCE_UP_TO = 160  # rows of a dense M with a positive diagonal: beyond, an interior point is less than a path
 
 # Sizes that a policy never exceeds.
 SURE_FACTOR_UP_TO = 20_000  # rows of a sparse M beyond which psor is tried once more before a factor

@@ -71,11 +71,12 @@ def test_the_roads_agree(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
             assert not ExactData(drawn).is_lie(short.z, 1e-8)
         with monkeypatch.context() as patch:
             patch.setattr(short_road, "COMPILED_UP_TO", 0)
+            patch.setattr(short_road, "COMPILED_SPARSE_UP_TO", 0)
             long = solve(LCP(drawn.M, drawn.q, lower=drawn.lower, upper=drawn.upper))
         assert (short.status in SOLVED) == (long.status in SOLVED)
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 17, 60, 128])
+@pytest.mark.parametrize("n", [1, 2, 5, 17, 60, 128, 256])
 def test_a_planted_solution_is_found_at_once(n: int) -> None:
     """z* and w* chosen first, bounds on both sides and free rows among them; M definite, or triangular and P."""
     rng = np.random.default_rng(n)

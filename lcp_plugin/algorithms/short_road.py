@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import FloatVector, read_only
-from ..crossovers import COMPILED_UP_TO
+from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..matrix.matrix import Matrix, fact
 from ..problem.lcp import LCP
 from .base import Algorithm, Plan, Sprint, Step, without_warnings
@@ -48,7 +48,8 @@ class ShortRoad(Algorithm):
 
 def is_short(problem: LCP) -> bool:
     """Return whether the problem is small enough, and all of it is here."""
-    return 0 < problem.n <= COMPILED_UP_TO and not problem.is_distributed
+    largest = COMPILED_UP_TO if problem.is_dense else COMPILED_SPARSE_UP_TO
+    return 0 < problem.n <= largest and not problem.is_distributed
 
 
 @fact

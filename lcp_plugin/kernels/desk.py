@@ -1,7 +1,7 @@
 """The desk of one small problem: which row of its few work arrays holds what.
 
 On a few unknowns a compiled call with twelve arrays, or a view of a part of one, costs more than what is done with it.
-So all vectors of a problem lie in one array `real`, shape (16, n + 1), all indices in one array `whole`, (7, 2n + 1),
+So all vectors of a problem lie in one array `real`, shape (16, n + 1), all indices in one array `whole`, (7, 2n + 6),
 and matrices in `room`, (n + 4, n + 1); functions take these three and (M, k), M of shape (B, n, n).
 """
 
@@ -22,4 +22,4 @@ AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
 @compiled
 def sizes(n):  # type: ignore[no-untyped-def]
     """Return the shapes of `real`, `whole` and `room`."""
-    return (16, n + 1), (7, 2 * n + 1), (n + 4, n + 1)
+    return (16, n + 1), (7, 2 * n + 6), (n + 4, n + 1)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
+from ..crossovers import PIVOTED_AT_ONCE_UP_TO
 from .compilation import compiled, compiled_in_any_order, compiled_into_others
 from .desk import (
     AT_LOWER,
@@ -41,8 +42,8 @@ SWEEP, ROUND, PIVOT, OVER = 0, 1, 2, 3
 TOTAL = 3  # behind the work of the phases
 
 # The row STATE: what comes next, how many of these were made, the fewest swaps of a round so far, rounds without fewer,
-# and what follows the rounds.
-PHASE, MADE, FEWEST, IDLE, LAST = 0, 1, 2, 3, 4
+# what follows the rounds, and whether these go on as long as they may help an M-matrix.
+PHASE, MADE, FEWEST, IDLE, LAST, TO_THE_END = 0, 1, 2, 3, 4, 5
 
 SWEEPS = 2  # as many as improve the guess of the active set
 ROUNDS = 12  # these cost about as much as the pivots of a whole path
@@ -146,7 +147,8 @@ def begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold):  # typ
     wants_rounds = rounds and (may_sweep or not is_cold or not pivots)
     whole[STATE, PHASE] = SWEEP if wants_sweeps else ROUND if wants_rounds else PIVOT
     whole[STATE, MADE], whole[STATE, FEWEST], whole[STATE, IDLE] = 0, n + 1, 0
-    whole[STATE, LAST] = PIVOT if pivots else OVER
+    whole[STATE, TO_THE_END] = not pivots
+    whole[STATE, LAST] = PIVOT if pivots and (n <= PIVOTED_AT_ONCE_UP_TO or not may_sweep) else OVER
     classify(real, whole, n, Z)
     return residual(real, n)
 
@@ -194,7 +196,7 @@ def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
     is_long = whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS
     if changes == 0:
         whole[STATE, PHASE] = OVER
-    elif is_long if whole[STATE, LAST] == PIVOT else whole[STATE, MADE] > n + 1:  # enough where M is an M-matrix
+    elif whole[STATE, MADE] > n + 1 if whole[STATE, TO_THE_END] else is_long:  # enough where M is an M-matrix
         whole[STATE, PHASE] = whole[STATE, LAST]
 
 

@@ -1,5 +1,9 @@
 """The policy behind algorithm="auto": what comes next is what is predicted to need the fewest passes over M.
 
+A small problem (256 unknowns where M is dense, 128 elsewhere) is solved by one compiled call, which does the same in
+miniature: sweeps of npsor guess the active set, rounds solve for it, pivots follow; where no positive diagonal entry
+allows a sweep they come first. What that leaves open goes to the direct methods. Otherwise:
+
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
 `banded`, where it is predicted to take no more passes over M than a trial of npsor, or no more than multigrid and psor

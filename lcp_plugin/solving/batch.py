@@ -39,6 +39,7 @@ def prepare(problem: LCP) -> LCP:
 
     Examples
     --------
+    >>> from lcp_plugin import LCP, solve
     >>> problem = prepare(LCP([[2, -1], [-1, 2]], [-1, 0]))
     >>> [float(solve(problem.with_q([-1, q])).z[0].round(6)) for q in (0.0, 1.0)]
     [0.666667, 0.5]

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms.short_road import as_dense
-from ..checks import read_only, real_array
+from ..algorithms.short_road import as_dense, is_short
+from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
+from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..problem.lcp import LCP
 
@@ -57,8 +58,8 @@ class Items:
         """Return its z0, or None."""
         raise NotImplementedError
 
-    def groups(self, largest: int) -> Iterator[Group]:
-        """Yield those with at most so many unknowns, without errors."""
+    def groups(self) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors."""
         raise NotImplementedError
 
     def _note_errors(self, suspects: Sequence[int]) -> None:
@@ -92,12 +93,12 @@ class Listed(Items):
         """Return its z0, or None."""
         return None if self._starts is None else self._starts[k]
 
-    def groups(self, largest: int) -> Iterator[Group]:
-        """Yield those with at most so many unknowns, without errors."""
+    def groups(self) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors."""
         for n in sorted(self.sizes if self._starts is None else ()):
-            items = [k for k, one in enumerate(self._problems) if one is not None and one.n == n <= largest]
-            chosen = [self.problem(k) for k in items if n > 0]
-            if not chosen or any(problem.is_distributed for problem in chosen):
+            items = [k for k, one in enumerate(self._problems) if one is not None and one.n == n and is_short(one)]
+            chosen = [self.problem(k) for k in items]
+            if not chosen:
                 continue
             matrices = {id(problem.matrix): as_dense(problem.matrix) for problem in chosen}
             each = [matrices[id(problem.matrix)] for problem in chosen[: 1 if len(matrices) == 1 else None]]
@@ -154,16 +155,24 @@ class Stacked(Items):
         """Return its z0, or None."""
         return self._row("z0", k) if "z0" in self._vectors else None
 
-    def groups(self, largest: int) -> Iterator[Group]:
-        """Yield those with at most so many unknowns, without errors."""
+    def groups(self) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors."""
         n = self._M.shape[-1]
-        if not 0 < n <= largest or self.count == 0:
+        is_here = np.ones(self.count, np.bool_)
+        is_here[[*self.errors]] = False
+        if self._base is not None:
+            is_here &= is_short(self._base)
+        elif n > COMPILED_SPARSE_UP_TO:
+            is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
+            is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)
+        items = np.flatnonzero(is_here)
+        if n == 0 or items.size == 0:
             return
         M = np.ascontiguousarray(self._M) if self._base is None else as_dense(self._base.matrix)
         q, lower, upper = (self._vectors[name] for name in ("q", "lower", "upper"))
         starts = np.clip(self._vectors["z0"], lower, upper) if "z0" in self._vectors else np.empty((1, 0))
-        items = np.arange(self.count) if not self.errors else np.setdiff1d(np.arange(self.count), [*self.errors])
-        chosen = (a if a.shape[0] == 1 or not self.errors else a[items] for a in (M, q, lower, upper, starts))
+        is_whole = items.size == self.count
+        chosen = (a if a.shape[0] == 1 or is_whole else a[items] for a in (M, q, lower, upper, starts))
         yield Group(items, *map(read_only, chosen))
 
 

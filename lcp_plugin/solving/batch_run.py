@@ -14,7 +14,6 @@ from ..algorithms import Algorithm
 from ..algorithms.base import Plan
 from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import Answers
-from ..crossovers import COMPILED_UP_TO
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..policy.choice import policy_for
 from ..problem.lcp import LCP
@@ -78,7 +77,7 @@ class BatchRun:
         """Solve all, and gather what was found."""
         plan = self._plan()
         try:
-            for group in () if plan is None else self.items.groups(COMPILED_UP_TO):
+            for group in () if plan is None else self.items.groups():
                 if plan and (group.starts.shape[1] == 0 or plan[1]):  # pivots alone begin at z°
                     self._run_compiled(group, plan)
         except KeyboardInterrupt:

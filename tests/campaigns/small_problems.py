@@ -34,7 +34,8 @@ SECONDS = 20.0
 
 def long_road(drawn: LCP, algorithm: str) -> Result:
     """Solve without the compiled road."""
-    with mock.patch("lcp_plugin.algorithms.short_road.COMPILED_UP_TO", 0):
+    limits = dict.fromkeys(("COMPILED_UP_TO", "COMPILED_SPARSE_UP_TO"), 0)
+    with mock.patch.multiple("lcp_plugin.algorithms.short_road", **limits):
         return solve(drawn, algorithm, max_seconds=SECONDS)
 
 

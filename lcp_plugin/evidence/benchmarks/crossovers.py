@@ -176,14 +176,29 @@ def _dense_or_sparse(repeats: int) -> str:
     return f"a dense factor costs {ratio:.1f} sparse ones on a grid of {M.shape[0]} rows, where fill is small"
 
 
-def _compiled(repeats: int) -> str:
+def _compiled(make: Callable[[int], LCP], constant: str, repeats: int) -> str:
     """Return what the compiled road costs at its end, and a row beyond it."""
-    n = crossovers.COMPILED_UP_TO
-    problems = {"compiled": _dense(n), "long": _dense(n + 1)}
+    n = getattr(crossovers, constant)
+    problems = {"compiled": make(n), "long": make(n + 1)}
     ways = {name: partial(_solved_afresh, problem, "auto") for name, problem in problems.items()}
     seconds = medians(ways, repeats)
     ratio = seconds["long"] / seconds["compiled"]
-    return f"auto takes {ratio:.1f} times as long for a dense n = {n + 1} as for {n}, {seconds['compiled']:.1e} s"
+    return f"auto takes {ratio:.1f} times as long for n = {n + 1} as for {n}, {seconds['compiled']:.1e} s"
+
+
+def _scattered(n: int) -> LCP:
+    """Return a sparse H₊ problem without narrow bands."""
+    rng = np.random.default_rng(n)
+    places = sp.random_array((n, n), density=0.04, rng=rng)
+    M = sp.csr_array(sp.diags_array(0.5 + np.asarray((places + places.T).sum(axis=1))) - (places + places.T))
+    return LCP(M, rng.normal(size=n))
+
+
+def _path_or_interior_point(repeats: int) -> str:
+    """Return what a compiled path costs beside an interior point where M has a positive diagonal."""
+    problem = _dense(crossovers.PIVOTED_AT_ONCE_UP_TO)
+    seconds = medians({name: partial(_solved_afresh, problem, name) for name in ("lemke", "interior_point")}, repeats)
+    return f"lemke takes {seconds['lemke'] / seconds['interior_point']:.1f} times as long as interior_point there"
 
 
 def _sharp_bound(repeats: int) -> str:
@@ -196,7 +211,9 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
-    "COMPILED_UP_TO": _compiled,
+    "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),
+    "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
+    "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,

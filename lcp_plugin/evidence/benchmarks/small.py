@@ -93,7 +93,7 @@ def rows(*, quick: bool) -> Iterator[Row]:
         yield Row(f"dense SPD n = {n}, κ = 1e8", [spectrum(n, 1e8, 0.4)])
     yield Row(f"PSD n = {200 // scale}, rank-deficient", [contact(200 // scale, 7)])
     if not quick:
-        for scene, options in (("american_put", {"n": 10_000}), ("obstacle_3d", {"size": 31})):
+        for scene, options in (("american_put", {"size": 10_000}), ("obstacle_3d", {"size": 31})):
             yield Row(scene, [_of_scene(scene, **options)], ("compiled PGS",))
 
 

@@ -25,7 +25,7 @@ from .result import Result
 from .sprint import arrival, is_unwatched
 
 LARGEST_CHUNK = 256  # problems between two looks at the clock
-CHUNKS_A_THREAD = 4  # so that none waits long for another
+CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 
 
 def checked_threads(threads: Any) -> int:

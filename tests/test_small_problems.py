@@ -14,7 +14,7 @@ from collection.truth import ExactData
 from small_families import FAMILIES, problem
 
 import lcp_plugin.algorithms.short_road as short_road
-from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, solve, solve_batch, solve_many
+from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption
 from lcp_plugin.solving import batch_run
 
@@ -284,3 +284,81 @@ def test_nothing_is_said_in_passing() -> None:
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ConvergenceWarning)
         solve_batch([drawn for family in FAMILIES for drawn in draw(family, 3, 7)])
+
+
+def test_nobody_can_change_what_was_judged() -> None:
+    """The z of a batch, even or ragged, and of a march are read-only."""
+    M, q = definite(3, 4)
+    ragged = solve_batch([LCP(M[0], q[0]), LCP([[1.0]], [-1.0])])
+    chain = sp.diags_array([-np.ones(199), np.full(200, 3.0), -np.ones(199)], offsets=[-1, 0, 1])
+    steps = march(LCP(chain, np.zeros(200)), -np.ones((3, 200)))
+    for z in (ragged.z[0], solve_batch(M, q).z, steps.z[0], steps[1].z):
+        with pytest.raises(ValueError, match="read-only"):
+            z[0] = 7.0
+
+
+def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
+    """What would be ignored is refused, and so is a list of something else."""
+    drawn = LCP([[2.0]], [-5.0])
+    for options in ({"upper": 1.0}, {"lower": 3.0}, {"lower": [0.0]}, {"q": [1.0]}):
+        with pytest.raises(InvalidOption, match="with_q"):
+            solve_batch([drawn], **options)
+    pairs = [(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]
+    for wrong in ([drawn, (np.eye(1), [1.0])], pairs, drawn, iter([drawn])):
+        with pytest.raises(InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)"):
+            solve_batch(wrong)
+    with pytest.raises(InvalidProblem, match="give its transpose"):
+        solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor"])
+def test_what_a_batch_did_not_begin_costs_nothing(algorithm: str) -> None:
+    """Beyond the limit nothing is solved; each stands at its start, with the settings that were asked for."""
+    M, q = definite(5000, 8)
+    starts = np.full((5000, 8), 0.25)
+    batch = solve_batch(M, q, algorithm=algorithm, z0=starts, max_seconds=1e-9, tolerance=1e-6)
+    assert batch.seconds < 1.0
+    assert set(batch.status) == {Status.MAX_SECONDS}
+    assert (batch.z == 0.25).all()
+    assert np.isnan(batch.relative_residual).all()
+    late = batch[4999]
+    assert (late.status, late.tolerance) == (Status.MAX_SECONDS, 1e-6)
+    assert late.chosen == solve(LCP(M[0], q[0]), algorithm).chosen
+    assert late.iterations == 0
+
+
+def test_narrow_bands_are_solved_as_bands_in_batches_too() -> None:
+    """A tridiagonal M-matrix kept sparse goes to banded, alone, in a stack, in a list and in a march."""
+    n = 30
+    chain = np.diag(np.full(n, 3.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
+    q = np.random.default_rng(0).normal(size=(4, n))
+    alone = [solve(LCP(chain, one)) for one in q]
+    assert alone[0].algorithm == "auto: banded"
+    stacked = solve_batch(np.array([chain] * 4), q)
+    listed = solve_batch([LCP(chain, one) for one in q])
+    shared = solve_batch(chain, q)
+    for k, one in enumerate(alone):
+        assert told(one) == told(stacked[k]) == told(listed[k]) == told(shared[k])
+        assert stacked.w[k].tobytes() == one.w.tobytes()
+    assert {result.algorithm for result in march(LCP(chain, q[0]), q)} == {"auto: banded"}
+
+
+def test_a_march_keeps_what_it_has() -> None:
+    """A q that overflows on the way ends it and says so; the first step's is refused."""
+    steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, carry=-1e200)
+    assert not steps.all_solved
+    assert 1 <= len(steps) < 3
+    assert "q[0]" in str(steps.error)
+    assert "ended by" in repr(steps)
+    with pytest.raises(InvalidProblem):
+        march(LCP([[1.0]], [0.0]), [[-1.0]], carry=[[1j]])
+    assert march(LCP([[2.0]], [0.0]), sp.csr_array([[-1.0], [-1.0]])).all_solved
+
+
+def test_a_batch_is_a_sequence() -> None:
+    """Slices and negative numbers, as a list has them."""
+    M, q = definite(5, 3)
+    batch = solve_batch(M, q)
+    assert [told(one) for one in batch[1:4:2]] == [told(batch[1]), told(batch[3])]
+    with pytest.raises(TypeError):
+        batch[1.0]

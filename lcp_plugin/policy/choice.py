@@ -1,8 +1,9 @@
 """The policy behind algorithm="auto": what comes next is what is predicted to need the fewest passes over M.
 
-A small problem (256 unknowns where M is dense, 128 elsewhere) is solved by one compiled call, which does the same in
-miniature: sweeps of npsor guess the active set, rounds solve for it, pivots follow; where no positive diagonal entry
-allows a sweep they come first. What that leaves open goes to the direct methods. Otherwise:
+A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridiagonal M-matrices) is solved by one
+compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
+follow; where no positive diagonal entry allows a sweep they come first. What that leaves open goes to the direct
+methods. Otherwise:
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
@@ -108,7 +109,7 @@ class Auto:
 
     def first(self, problem: LCP) -> Choice:
         """Return the compiled road of small problems, banded on narrow bands, PSOR where proved quick, or NPSOR."""
-        if is_short(problem):
+        if takes_the_short_road(problem):
             return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
         passes = BANDED.predicted_passes(problem, math.inf)
         narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} passes over M")
@@ -164,6 +165,11 @@ class AutoOnRanks:
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return PSOR where multigrid came to an end."""
         return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
+
+
+def takes_the_short_road(problem: LCP) -> bool:
+    """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
+    return is_short(problem) and (problem.is_dense or BANDED.predicted_passes(problem, math.inf) > TRIAL_SWEEPS)
 
 
 def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:

@@ -113,11 +113,23 @@ def solve_batch(
     >>> batch[1].status.name
     'SOLVED'
     """
-    is_list = q is None and isinstance(M, Sequence) and all(isinstance(problem, LCP) for problem in M)
-    items: Items = Listed(M, z0) if is_list else Stacked(M, q, lower, upper, z0)
+    items: Items
+    if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
+        items = Listed(_checked_list(M, q, lower, upper), z0)
+    else:
+        items = Stacked(M, q, lower, upper, z0)
     wishes = {"tolerance": tolerance, "measure": measure, "max_iterations": max_iterations}
     limit = Settings(max_seconds=max_seconds).max_seconds
     return BatchRun(items, algorithm, wishes, threads=checked_threads(threads), limit=limit).run()
+
+
+def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
+    for k, problem in enumerate(problems):
+        if not isinstance(problem, LCP):
+            raise InvalidProblem(f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)")
+    if q is not None or np.ndim(lower) or np.ndim(upper) or (lower, upper) != (0.0, np.inf):
+        raise InvalidOption("LCPs bring q and their bounds; write problem.with_q(q, lower=…, upper=…) for others")
+    return problems
 
 
 def solve_many(

@@ -10,11 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms.short_road import as_dense, is_short
+from ..algorithms.short_road import as_dense
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
-from ..problem.lcp import LCP
+from ..policy.choice import takes_the_short_road
+from ..problem.lcp import LCP, checked_start
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,14 @@ class Items:
         """Yield those that are small enough for a compiled call, without errors."""
         raise NotImplementedError
 
+    def slack(self, k: int, z: Any) -> Any:
+        """Return w = M z + q of problem k."""
+        return self.problem(k).slack(z)
+
+    def projected_start(self, k: int) -> Any:
+        """Return where problem k begins."""
+        return checked_start(self.problem(k), self.start(k))
+
     def _note_errors(self, suspects: Sequence[int]) -> None:
         for k in suspects:
             try:
@@ -96,7 +105,8 @@ class Listed(Items):
     def groups(self) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors."""
         for n in sorted(self.sizes if self._starts is None else ()):
-            items = [k for k, one in enumerate(self._problems) if one is not None and one.n == n and is_short(one)]
+            same = [(k, one) for k, one in enumerate(self._problems) if one is not None and one.n == n]
+            items = [k for k, one in same if takes_the_short_road(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue
@@ -110,8 +120,11 @@ class Stacked(Items):
     """Arrays: M of shape (B, n, n), or one (n, n) for all; the vectors of shape (B, n), (n,) or numbers."""
 
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
-        self._shared = sp.issparse(M) or np.ndim(M) == 2
-        self._M = M if sp.issparse(M) else real_array(M, "M must be an array of shape (B, n, n) or (n, n)")
+        need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
+        if isinstance(M, LCP):
+            raise InvalidProblem(f"{need}, got one LCP; write solve(problem), or solve_batch([problem])")
+        self._M = M if sp.issparse(M) else real_array(M, need)
+        self._shared = self._M.ndim == 2
         n = self._M.shape[-1] if self._M.ndim else 0
         if self._M.ndim not in (2, 3) or self._M.shape[-2] != n:
             raise InvalidProblem(f"M must have shape (B, n, n), or (n, n) for all, got {self._M.shape}")
@@ -151,6 +164,18 @@ class Stacked(Items):
             return self._base.with_q(q, lower=lower, upper=upper)
         return LCP(self._M[k], q, lower=lower, upper=upper)
 
+    def slack(self, k: int, z: Any) -> Any:
+        """Return w = M z + q of problem k; what a sparse M is multiplied by is left to it."""
+        n = z.size
+        if self._shared or np.count_nonzero(self._M[k]) <= DENSE_ABOVE_DENSITY * n * n:
+            return self.problem(k).slack(z)
+        return self._M[k] @ z + self._row("q", k)
+
+    def projected_start(self, k: int) -> Any:
+        """Return where problem k begins."""
+        start = self._row("z0", k) if "z0" in self._vectors else 0.0
+        return np.clip(start, self._row("lower", k), self._row("upper", k))
+
     def start(self, k: int) -> Any:
         """Return its z0, or None."""
         return self._row("z0", k) if "z0" in self._vectors else None
@@ -161,10 +186,12 @@ class Stacked(Items):
         is_here = np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         if self._base is not None:
-            is_here &= is_short(self._base)
+            is_here &= takes_the_short_road(self._base)
         elif n > COMPILED_SPARSE_UP_TO:
             is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
             is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)
+        elif n > 2:
+            is_here[_tridiagonal(self._M)] = False  # solve knows better
         items = np.flatnonzero(is_here)
         if n == 0 or items.size == 0:
             return
@@ -176,6 +203,14 @@ class Stacked(Items):
         yield Group(items, *map(read_only, chosen))
 
 
+def _tridiagonal(M: Any) -> list[int]:
+    """Return which of the matrices are tridiagonal with most entries zero; a look at one row spares most of them."""
+    n = M.shape[-1]
+    outside = abs(np.subtract.outer(np.arange(n), np.arange(n))) > 1
+    suspects = np.flatnonzero(~M[:, 0, 2:].any(axis=1)).tolist()
+    return [k for k in suspects if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n]
+
+
 def _rows(values: ArrayLike, name: str, n: int) -> Any:
     """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
     is_bound = name in ("lower", "upper")
@@ -184,5 +219,7 @@ def _rows(values: ArrayLike, name: str, n: int) -> Any:
     if array.ndim == 0 and is_bound:
         array = np.full(n, float(array))
     if array.ndim not in (1, 2) or array.shape[-1] != n:
-        raise InvalidProblem(f"{need}, got shape {array.shape}")
+        hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
+        hint = "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)" if is_bound else hint
+        raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
     return np.array(np.atleast_2d(array), order="C")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any
+from operator import index
+from typing import Any, overload
 
 import numpy as np
 
@@ -24,14 +25,14 @@ class BatchResult:
     status : array of Status, shape (B,)
         None where the problem is none.
     relative_residual : array, shape (B,)
-        As in :class:`lcp_plugin.Certificate`; NaN where the problem is none.
+        As in :class:`lcp_plugin.Certificate`; NaN where the problem is none, or was not begun.
     iterations : array of int, shape (B,)
     seconds : float
         Seconds of the whole batch, compilation excluded.
     errors : dict
         What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
-    result_of : callable
-        Gives ``batch[k]``, for k ≥ 0 without error.
+    result_of, slack : callable
+        Give ``batch[k]``, for k ≥ 0 without error, and M z + q of problem k for z.
 
     Notes
     -----
@@ -41,15 +42,16 @@ class BatchResult:
 
     def __init__(
         self, z: Any, status: Any, relative_residual: Any, iterations: Any, seconds: float,
-        errors: dict[int, LCPError], result_of: Callable[[int], Result],
+        errors: dict[int, LCPError], result_of: Callable[[int], Result], slack: Callable[[int, Any], Any],
     ) -> None:
+        self._slack = slack
         self.z, self.status, self.relative_residual, self.iterations = z, status, relative_residual, iterations
         self.seconds, self.errors, self.result_of = seconds, errors, result_of
 
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; computed when it is looked at."""
-        rows = [np.full(len(z), np.nan) if k in self.errors else self[k].w for k, z in enumerate(self.z)]
+        rows = [np.full(len(z), np.nan) if k in self.errors else self._slack(k, z) for k, z in enumerate(self.z)]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
 
     @property
@@ -60,7 +62,14 @@ class BatchResult:
     def __len__(self) -> int:
         return len(self.status)
 
-    def __getitem__(self, k: int) -> Result:
+    @overload
+    def __getitem__(self, k: int) -> Result: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Result]: ...
+    def __getitem__(self, k: int | slice) -> Result | list[Result]:
+        if isinstance(k, slice):
+            return [self[i] for i in range(len(self))[k]]
+        k = index(k)
         if not -len(self) <= k < len(self):
             raise IndexError(f"the batch has {len(self)} problems, and none has the number {k}")
         k %= len(self)

@@ -67,7 +67,7 @@ class BatchRun:
         options = {name: wish for name, wish in wishes.items() if name not in {*known, "callback"}}
         self.policy = policy_for(algorithm, options)
         self.results: dict[int, Result] = {}
-        self.compiled: list[tuple[Group, Answers]] = []
+        self.compiled: list[Answers] = []
         self.place = np.full((2, items.count), -1)  # which of those has an answer, and where
         self.is_interrupted = False
         self.compiling = self.seconds = 0.0
@@ -75,16 +75,18 @@ class BatchRun:
 
     def run(self) -> BatchResult:
         """Solve all, and gather what was found."""
-        plan = self._plan()
         try:
+            plan = self._plan()
             for group in () if plan is None else self.items.groups():
                 if plan and (group.starts.shape[1] == 0 or plan[1]):  # pivots alone begin at z°
                     self._run_compiled(group, plan)
+            for k in np.flatnonzero(self.place[0] < 0).tolist():
+                if self.is_interrupted or self._elapsed() >= self.limit:
+                    break
+                if k not in self.items.errors:
+                    self._take_the_long_road(k)
         except KeyboardInterrupt:
             self.is_interrupted = True
-        for k in np.flatnonzero(self.place[0] < 0).tolist():
-            if k not in self.items.errors:
-                self._take_the_long_road(k)
         self.seconds = self._elapsed()
         return self._gathered()
 
@@ -130,18 +132,15 @@ class BatchRun:
         finally:
             arrived = np.flatnonzero(answers.has_arrived)
             self.place[0, group.items[arrived]], self.place[1, group.items[arrived]] = len(self.compiled), arrived
-            self.compiled.append((group, answers))
+            answers.z.flags.writeable = False  # they are judged
+            self.compiled.append(answers)
 
     def _take_the_long_road(self, k: int) -> None:
         callback, wishes = self.wishes.get("callback"), dict(self.wishes)
         if self.limit < np.inf:
             wishes["max_seconds"] = max(self.limit - self._elapsed(), 0.0)
         try:
-            if self.is_interrupted:
-                begun = solve(self.items.problem(k), z0=self.items.start(k), max_iterations=0)
-                self.results[k] = replace(begun, status=Status.INTERRUPTED)
-            else:
-                self.results[k] = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+            self.results[k] = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
@@ -158,17 +157,28 @@ class BatchRun:
         if k in self.results:
             return self.results[k]
         which, at = self.place[:, k].tolist()
-        sprint = self.compiled[which][1].sprint(at)
+        if which < 0:
+            return self._not_begun(k)
+        sprint = self.compiled[which].sprint(at)
         assert sprint is not None
         share = self.seconds / self.items.count
         return arrival(self.items.problem(k), self.policy, self.first, sprint, self.settings, share)
+
+    @property
+    def _reason(self) -> Status:
+        return Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+
+    def _not_begun(self, k: int) -> Result:
+        wishes = self.wishes | {"max_iterations": 0}
+        start = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+        return start if start.is_solved else replace(start, status=self._reason)
 
     def _gathered(self) -> BatchResult:
         count, sizes = self.items.count, self.items.sizes
         is_even = len(sizes) <= 1
         z: Any = np.full((count, *sizes), np.nan) if is_even else [np.empty(0)] * count
         status, residual, iterations = np.full(count, None), np.full(count, np.nan), np.zeros(count, np.int64)
-        for which, (_, answers) in enumerate(self.compiled):
+        for which, answers in enumerate(self.compiled):
             items = np.flatnonzero(self.place[0] == which)
             at = self.place[1, items]
             status[items], residual[items] = Status.SOLVED, answers.found[at, 2]
@@ -180,6 +190,12 @@ class BatchRun:
         for k, result in self.results.items():
             z[k], status[k], iterations[k] = result.z, result.status, result.iterations
             residual[k] = result.certificate.relative_residual
+        for k in np.flatnonzero((self.place[0] < 0) & (status == None)).tolist():  # noqa: E711 - elementwise
+            if k not in self.items.errors:
+                z[k], status[k] = self.items.projected_start(k), self._reason
         for array in (z, status, residual, iterations) if is_even else (status, residual, iterations):
             array.flags.writeable = False
-        return BatchResult(z, status, residual, iterations, self.seconds, self.items.errors, self.result_of)
+        items = self.items
+        return BatchResult(
+            z, status, residual, iterations, self.seconds, items.errors, self.result_of, items.slack
+        )

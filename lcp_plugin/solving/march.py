@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm, Sprint
 from ..algorithms.active_sets.banded import Banded
 from ..algorithms.rehearsal import rehearse
-from ..checks import FloatVector, checked_vector, is_number, real_array
-from ..errors import InvalidOption, InvalidProblem
+from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
+from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..policy.choice import Policy, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
@@ -23,6 +23,8 @@ from .driver import solve
 from .result import Result
 from .sprint import arrival
 from .state import Clock
+
+BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
 
 class March(Sequence[Result]):
@@ -33,12 +35,15 @@ class March(Sequence[Result]):
     z : list of ndarray, shape (n,)
         The answer of each step.
     all_solved : bool
-        Whether every step that was taken is SOLVED.
+        Whether every step that was taken is SOLVED, and none was refused or interrupted.
+    error : LCPError or None
+        What was wrong with the q of the step that ended the march.
     """
 
     def __init__(self) -> None:
         self.z: list[FloatVector] = []
         self.all_solved = True
+        self.error: LCPError | None = None
         self._results: list[Result | Callable[[], Result]] = []
 
     @overload
@@ -55,6 +60,10 @@ class March(Sequence[Result]):
 
     def __len__(self) -> int:
         return len(self._results)
+
+    def __repr__(self) -> str:
+        end = f"; ended by {self.error}" if self.error else "" if self.all_solved else "; the last one is not solved"
+        return f"March({len(self)} steps{end})"
 
     def _take(self, result: Result) -> None:
         self.z.append(result.z)
@@ -89,7 +98,8 @@ def march(
     Returns
     -------
     March
-        A sequence of k Results; of fewer where a step was not solved, which is the last one then.
+        A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
+        overflows (``error`` says so), or after Ctrl-C.
 
     Raises
     ------
@@ -118,12 +128,24 @@ def march(
     done = March()
     while len(done) < len(offsets) and done.all_solved:
         before = len(done)
-        for sprint, result in _sprinted(problem, policy, settings, offsets[before:], rows, state):
-            done._take_later(sprint, result)
-        if len(done) == before:
-            step = problem.with_q(offsets[before] + rows @ state)
-            done._take(solve(step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations))
-        state = done.z[-1]
+        try:
+            block = offsets[before : before + BLOCK]
+            for sprint, result in _sprinted(problem, policy, settings, block, rows, state):
+                done._take_later(sprint, result)
+            if len(done) == before:
+                with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
+                    q = offsets[before] + rows @ state
+                step = problem.with_q(q)
+                done._take(solve(step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations))
+            state = done.z[-1]
+        except InvalidProblem as error:
+            if not done:
+                raise
+            done.error, done.all_solved = error, False
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            done.all_solved = False
     return done
 
 
@@ -156,7 +178,7 @@ def _result(
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:
     need = f"forcing must be a finite array of shape (k, n), n = {n}, a row a step"
-    offsets = real_array(forcing, need)
+    offsets = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
     if offsets.ndim != 2 or offsets.shape[1] != n:
         raise InvalidProblem(f"{need}, got shape {offsets.shape}")
     if not np.isfinite(offsets).all():
@@ -173,6 +195,7 @@ def _checked_carry(carry: Any, n: int) -> sp.csr_array:
         carry = real_array(carry, need)
     if carry.shape != (n, n):
         raise InvalidProblem(f"{need}, got shape {carry.shape}")
+    check_kind(carry.dtype, need)
     rows = sp.csr_array(carry, dtype=np.float64)
     if not np.isfinite(rows.data).all():
         raise InvalidProblem(f"{need}, got NaN or infinite entries; repair them")

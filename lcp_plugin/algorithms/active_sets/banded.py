@@ -117,7 +117,7 @@ class Banded(Algorithm):
         problem : LCP
             Gives M and the bounds.
         Q, Z : arrays, shape (k, n)
-            Offsets, and starts within the bounds; the latter are overwritten.
+            Offsets, and starts within the bounds; the latter are overwritten by the answers, and read-only then.
         tolerance, max_iterations
             As for `sprint`, of each.
         bounds : pair of arrays, shape (k, n), optional
@@ -145,6 +145,7 @@ class Banded(Algorithm):
             M.data, *carried, Q, lower, upper, nearest, tolerance, max_iterations, Z, rounds, ends,
         )
         costs = _costs(band, problem)
+        Z.flags.writeable = False  # they are judged
         found: list[Sprint | None] = []
         for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
             work = _work(costs, direct, blocks)

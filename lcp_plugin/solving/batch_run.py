@@ -195,7 +195,5 @@ class BatchRun:
                 z[k], status[k] = self.items.projected_start(k), self._reason
         for array in (z, status, residual, iterations) if is_even else (status, residual, iterations):
             array.flags.writeable = False
-        items = self.items
-        return BatchResult(
-            z, status, residual, iterations, self.seconds, items.errors, self.result_of, items.slack
-        )
+        errors, slack = self.items.errors, self.items.slack
+        return BatchResult(z, status, residual, iterations, self.seconds, errors, self.result_of, slack)

@@ -96,7 +96,8 @@ def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
     (band(1, 2.0, -1.0), "banded"), (band(1, 9.0, -1.0), "banded"),  # M-matrices: one round
     (band(1, 2.0, 1.0), "banded"), (band(1, 9.0, 1.0), "psor"), (band(1, -2.0, 1.0), "banded"),
     (band(15, 1.0, 0.5), "banded"), (band(40, 1.0, 0.5), "npsor"), (band(15, 99.0, 0.5), "psor"),
-    (band(1, 2.0, -1.0, n=128), "short road"),  # whatever its band is
+    (band(1, 2.0, -1.0, n=128), "banded"), (band(1, 2.0, 1.0, n=128), "short road"),
+    (band(15, 1.0, 0.5, n=128), "short road"),
 ])
 def test_a_narrow_band_comes_before_everything(problem: LCP, first: str) -> None:
     """Tridiagonal M-matrices always, other bands where rounds are cheap and no psor is proved quick."""

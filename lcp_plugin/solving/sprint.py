@@ -27,6 +27,9 @@ def sprinted(
         return None
     with clock.paused(to_compile=True):
         rehearse(algorithm, problem)
+    clock.read()
+    if clock.elapsed >= settings.max_seconds:
+        return None
     sprint = algorithm.sprint(problem, start, settings.tolerance, settings.max_iterations)
     if sprint is None:
         return None

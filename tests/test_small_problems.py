@@ -225,7 +225,7 @@ def test_batches_of_nothing_of_one_and_of_sparse_matrices() -> None:
     batch = solve_batch(chain, q, upper=0.1, lower=np.full(5, -0.1))
     assert batch.all_solved
     assert told(batch[3]) == told(solve(LCP(chain, q[3], lower=-0.1, upper=0.1)))
-    with pytest.raises(IndexError, match="6 problems"):
+    with pytest.raises(IndexError, match="6 results"):
         batch[6]
     assert told(batch[-1]) == told(batch[5])
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..exact.rounding import compensated_product
-from ..kernels.floats import EPSILON
-from ..matrix.matrix import NEGLIGIBLE_DIAGONAL
+from ..kernels.floats import EPSILON, NEGLIGIBLE_DIAGONAL
 from ..problem.lcp import LCP
 
 Indices = NDArray[np.int64]

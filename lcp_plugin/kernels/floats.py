@@ -6,3 +6,4 @@ EPSILON = 2.0**-52  # from 1 to the next double
 UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
 LARGEST = 1.7976931348623157e308  # the largest double
+NEGLIGIBLE_DIAGONAL = 1e-10  # beside the largest entry of its row: no measure of that row then

@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from .compilation import compiled
+from .desk import AT_LOWER, AT_UPPER, BETWEEN
 
-AT_LOWER, BETWEEN, AT_UPPER = 0, 1, 2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 NOISE = 2.0**-41  # rounding of a number, relative to the terms that made it, after a few dozen pivots

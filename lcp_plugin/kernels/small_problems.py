@@ -34,7 +34,7 @@ from .desk import (
     sizes,
 )
 from .enclosures import MAY_UNDERFLOW, fused, row_ends, split_sum
-from .floats import UNIT
+from .floats import NEGLIGIBLE_DIAGONAL, UNIT
 from .small_systems import solve_free
 from .tableau import follow_path
 
@@ -51,7 +51,6 @@ IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
-NEGLIGIBLE_DIAGONAL = 1e-10  # as in `Matrix.residual_scale`
 
 
 @compiled_in_any_order

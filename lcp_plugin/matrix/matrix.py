@@ -11,13 +11,12 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
 from ..errors import UnsuitableProblem
+from ..kernels.floats import NEGLIGIBLE_DIAGONAL
 from ..locks import Lock
 from ..peers.alone import ALONE, Peers
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-NEGLIGIBLE_DIAGONAL = 1e-10
 
 
 class fact(Generic[P, T]):  # noqa: N801 - a decorator

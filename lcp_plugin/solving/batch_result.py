@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
-from operator import index
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
 from ..errors import LCPError
 from ..settings import Status
-from .result import Result
+from .result import Result, Results
 
 
-class BatchResult:
+class BatchResult(Results):
     """The answers to a batch of problems.
 
     Attributes
@@ -62,23 +61,11 @@ class BatchResult:
     def __len__(self) -> int:
         return len(self.status)
 
-    @overload
-    def __getitem__(self, k: int) -> Result: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[Result]: ...
-    def __getitem__(self, k: int | slice) -> Result | list[Result]:
-        if isinstance(k, slice):
-            return [self[i] for i in range(len(self))[k]]
-        k = index(k)
-        if not -len(self) <= k < len(self):
-            raise IndexError(f"the batch has {len(self)} problems, and none has the number {k}")
-        k %= len(self)
+    def at(self, k: int) -> Result:
+        """Return result k, or raise what is wrong with its problem."""
         if k in self.errors:
             raise self.errors[k]
         return self.result_of(k)
-
-    def __iter__(self) -> Iterator[Result]:
-        return (self[k] for k in range(len(self)))
 
     def __repr__(self) -> str:
         counts = Counter("no problem" if one is None else one.name for one in self.status)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from typing import Any
@@ -15,6 +14,7 @@ from ..algorithms.base import Plan
 from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import Answers
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
+from ..peers.alone import ALONE
 from ..policy.choice import policy_for
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
@@ -23,6 +23,7 @@ from .batch_result import BatchResult
 from .driver import solve
 from .result import Result
 from .sprint import arrival, is_unwatched
+from .state import Clock
 
 LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
@@ -70,8 +71,8 @@ class BatchRun:
         self.compiled: list[Answers] = []
         self.place = np.full((2, items.count), -1)  # which of those has an answer, and where
         self.is_interrupted = False
-        self.compiling = self.seconds = 0.0
-        self.began = time.perf_counter()
+        self.seconds = 0.0
+        self.clock = Clock(ALONE)
 
     def run(self) -> BatchResult:
         """Solve all, and gather what was found."""
@@ -81,17 +82,14 @@ class BatchRun:
                 if plan and (group.starts.shape[1] == 0 or plan[1]):  # pivots alone begin at z°
                     self._run_compiled(group, plan)
             for k in np.flatnonzero(self.place[0] < 0).tolist():
-                if self.is_interrupted or self._elapsed() >= self.limit:
+                if self.is_interrupted or self.clock.read() >= self.limit:
                     break
                 if k not in self.items.errors:
                     self._take_the_long_road(k)
         except KeyboardInterrupt:
             self.is_interrupted = True
-        self.seconds = self._elapsed()
+        self.seconds = self.clock.read()
         return self._gathered()
-
-    def _elapsed(self) -> float:
-        return time.perf_counter() - self.began - self.compiling
 
     def _plan(self) -> Plan | None:
         """Return the phases of the compiled road that the caller's choice takes, compiled; None where it takes none."""
@@ -100,9 +98,8 @@ class BatchRun:
         plan = self.first.algorithm.short_plan()
         if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
             return None
-        before = time.perf_counter()
-        rehearse(self.first.algorithm, tiny)
-        self.compiling += time.perf_counter() - before
+        with self.clock.paused(to_compile=True):
+            rehearse(self.first.algorithm, tiny)
         return plan
 
     def _run_compiled(self, group: Group, plan: Plan) -> None:
@@ -114,7 +111,7 @@ class BatchRun:
         limits = self.settings.tolerance, self.settings.max_iterations
 
         def solve_chunk(first: int) -> None:
-            if self._elapsed() < self.limit and not self.is_interrupted:
+            if self.clock.read() < self.limit and not self.is_interrupted:
                 run_all(*arrays, *plan, *limits, first, min(first + size, count), *answers.arrays)
 
         chunks = range(0, count, size)
@@ -138,7 +135,7 @@ class BatchRun:
     def _take_the_long_road(self, k: int) -> None:
         callback, wishes = self.wishes.get("callback"), dict(self.wishes)
         if self.limit < np.inf:
-            wishes["max_seconds"] = max(self.limit - self._elapsed(), 0.0)
+            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
         try:
             self.results[k] = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
         except (InvalidOption, UnknownAlgorithm):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,14 +20,14 @@ from ..policy.stages import Choice
 from ..problem.lcp import LCP
 from ..settings import Settings
 from .driver import solve
-from .result import Result
+from .result import Result, Results
 from .sprint import arrival
 from .state import Clock
 
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
 
-class March(Sequence[Result]):
+class March(Results):
     """The results of a march in time, in order; each is put together when it is looked at.
 
     Attributes
@@ -46,13 +46,8 @@ class March(Sequence[Result]):
         self.error: LCPError | None = None
         self._results: list[Result | Callable[[], Result]] = []
 
-    @overload
-    def __getitem__(self, k: int) -> Result: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[Result]: ...
-    def __getitem__(self, k: int | slice) -> Result | list[Result]:
-        if isinstance(k, slice):
-            return [self[i] for i in range(len(self))[k]]
+    def at(self, k: int) -> Result:
+        """Return the result of step k."""
         found = self._results[k]
         if not isinstance(found, Result):
             found = self._results[k] = found()

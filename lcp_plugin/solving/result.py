@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from operator import index
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
@@ -20,6 +21,25 @@ from .error_watch import BoundOrReason
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
     from ..certificates.theorems import Guarantee
+
+class Results(Sequence["Result"]):
+    """A sequence of results, each put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
+
+    def at(self, k: int) -> Result:
+        """Return result k."""
+        raise NotImplementedError
+
+    @overload
+    def __getitem__(self, k: int) -> Result: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Result]: ...
+    def __getitem__(self, k: int | slice) -> Result | list[Result]:
+        if isinstance(k, slice):
+            return [self.at(i) for i in range(len(self))[k]]
+        if not -len(self) <= index(k) < len(self):
+            raise IndexError(f"there are {len(self)} results, and none has the number {k}")
+        return self.at(index(k) % len(self))
+
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6

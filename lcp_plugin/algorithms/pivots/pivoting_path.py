@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...kernels import pivoting
-from ...kernels.pivoting import AT_LOWER, AT_UPPER, BETWEEN, CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
+from ...kernels.desk import AT_LOWER, AT_UPPER, BETWEEN
+from ...kernels.pivoting import CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
 from .canonical_box import WELL_CONDITIONED
 
 FloatMatrix = NDArray[np.float64]

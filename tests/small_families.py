@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lcp_plugin import LCP
+from lcp_plugin.evidence.benchmarks.small import friction as falling_bodies
 
 Generator = np.random.Generator
 Matrix = np.ndarray
@@ -21,17 +22,8 @@ def definite(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
 
 def friction(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     """Contacts with Coulomb friction on a pyramid of four edges (Stewart, Trinkle): copositive, not symmetric."""
-    contacts, dof = max(1, n // 6), 6 * max(1, n // 12)
-    J = rng.normal(size=(5 * contacts, dof))
-    J[contacts + 2 * np.arange(2 * contacts) + 1] = -J[contacts + 2 * np.arange(2 * contacts)]
-    m = 5 * contacts
-    M = np.zeros((m + contacts, m + contacts))
-    M[:m, :m] = (J * np.exp(0.5 * rng.normal(size=dof))) @ J.T
-    for c in range(contacts):
-        M[m + c, c] = rng.uniform(0.1, 0.9)
-        edges = contacts + 4 * c + np.arange(4)
-        M[m + c, edges], M[edges, m + c] = -1.0, 1.0
-    return M, np.concatenate([J @ rng.normal(size=dof), np.zeros(contacts)])
+    case = falling_bodies(max(1, n // 6), int(rng.integers(2**31)))
+    return case.M, case.q
 
 
 def integers(n: int, rng: Generator) -> tuple[Matrix, Matrix]:

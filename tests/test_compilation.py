@@ -98,3 +98,15 @@ def test_a_kernel_is_compiled_anew_when_another_file_of_kernels_changes() -> Non
     for kernel in (small_problems.run_all, enclosures.residual_ends):
         _, others = kernel._cache._cache_file._source_stamp  # the first is numba's, of its own file
         assert others == dates
+
+
+def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:
+    """Of a kernel called with constants and variables there is one version for the same kinds of arrays."""
+    from lcp_plugin import LCP, solve
+    from lcp_plugin.kernels import small_problems, small_systems
+
+    assert solve(LCP([[2.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), "newton").is_solved
+    for kernel in (small_problems._ends, small_problems.slack, small_problems.classify, small_systems._eliminate):
+        kinds = [tuple(str(kind) for kind in signature) for signature in kernel.signatures]
+        assert len(kinds) == len(set(kinds))
+        assert not any("Literal" in kind for key in kinds for kind in key)

@@ -353,6 +353,13 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
+PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
+    "auto": ("solving.driver._Run.__init__", "solving.judge.reference_residual", "policy.choice.Single.first"),
+    "npsor": ("policy.choice.Auto.first",),
+    "lemke": ("policy.choice.Auto.first",),
+}
+
+
 @pytest.mark.parametrize("algorithm", ["auto", "npsor", "lemke"])
 @pytest.mark.parametrize(
     ("place", "options"),
@@ -384,9 +391,7 @@ def test_ctrl_c_during_the_set_up_returns_the_projected_start(
     monkeypatch.setattr(owner, name, interrupted)
     result = solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
     if not hits:  # not every set-up passes everywhere
-        assert place.rpartition(".")[2] in (
-            "warn_where_known_to_be_uncovered", "first", "sprinted", "__init__", "reference_residual"
-        )
+        assert place in PASSED_BY[algorithm]
         return
     assert result.status is Status.INTERRUPTED
     assert result.z.tolist() == [0.0, 7.0]

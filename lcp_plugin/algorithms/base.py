@@ -68,10 +68,8 @@ class Sprint:
     ----------
     z : ndarray, shape (n,)
         Within the bounds; the caller's own from now on.
-    largest : float
-        An upper bound of ‖r(z)‖∞, by :mod:`lcp_plugin.kernels.enclosures`.
-    least_reference : float
-        A lower bound of ‖r(z°)‖∞.
+    residual : float
+        The relative one, enclosed by :mod:`lcp_plugin.kernels.enclosures`: as the certificate has it.
     work : float
         In passes over M, summed step by step.
     parts : tuple of (label, iterations, work)
@@ -79,8 +77,7 @@ class Sprint:
     """
 
     z: FloatVector
-    largest: float
-    least_reference: float
+    residual: float
     work: float
     parts: tuple[tuple[str, int, float], ...]
 

@@ -110,8 +110,8 @@ class Answers:
     Attributes
     ----------
     z : array, shape (count, n)
-    found : array, shape (count, 3)
-        An upper bound of ‖r(z)‖∞, a lower one of ‖r(z°)‖∞, and the relative residual.
+    residual : array, shape (count,)
+        The relative one of z, enclosed.
     made, work : arrays, shapes (count, 3) and (count, 4)
         Steps of each phase; passes over M of each phase and of all.
     has_arrived : array of bool, shape (count,)
@@ -119,23 +119,22 @@ class Answers:
     """
 
     def __init__(self, count: int, n: int) -> None:
-        self.z, self.found = np.empty((count, n)), np.empty((count, 3))
+        self.z, self.residual = np.empty((count, n)), np.empty(count)
         self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
         self.has_arrived = np.zeros(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
-        return self.z, self.found, self.made, self.work, self.has_arrived
+        return self.z, self.residual, self.made, self.work, self.has_arrived
 
     def sprint(self, k: int) -> Sprint | None:
         """Return the answer of problem k, None where there is none."""
         if not self.has_arrived[k]:
             return None
-        largest, least, _ = self.found[k].tolist()
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return Sprint(self.z[k], largest, least, self.work[k, 3].item(), parts)
+        return Sprint(self.z[k], self.residual[k].item(), self.work[k, 3].item(), parts)
 
 
 def as_batch(array: Any) -> Any:

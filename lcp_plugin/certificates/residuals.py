@@ -102,21 +102,10 @@ class Certificate:
         return certificate
 
     @classmethod
-    def enclosed(cls, problem: LCP, z: FloatVector, largest: float, least: float) -> Certificate:
-        """Return the certificate of a z that the enclosures have measured already, in one pass with other things.
-
-        Parameters
-        ----------
-        problem : LCP
-        z : array, shape (n,)
-            Kept, and read-only from now on.
-        largest : float
-            An upper bound of ‖r(z)‖∞.
-        least : float
-            A lower bound of ‖r(z°)‖∞, above 0 unless z is z°.
-        """
+    def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
+        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way."""
         certificate = cls(problem, read_only(z))
-        certificate.__dict__["relative_residual"] = ratio_upwards(largest, least)
+        certificate.__dict__["relative_residual"] = relative_residual
         return certificate
 
     def _measure_at_once(self) -> None:

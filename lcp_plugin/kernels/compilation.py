@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from pickle import PickleError
-from typing import Any
+from typing import Any, cast
 
-from numba import config, njit, vectorize
+from numba import config, njit, types, vectorize
 from platformdirs import user_cache_path
 
 from ..locks import Lock
@@ -45,11 +45,31 @@ def compiled_into_others(function: Any) -> Any:
     return _compiled(function, forceinline=True)
 
 
+def compiled_in_place(function: Any) -> Any:
+    """Compile a function as a part of the only kernel that calls it: neither is optimised twice."""
+    return _compiled(function, inline="always")
+
+
 def _compiled(function: Any, **options: Any) -> Any:
     dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy", **options)(function))
     if hasattr(dispatcher, "_cache"):  # there is none where numba is told not to compile
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
+        _forget_constants(dispatcher)
     return dispatcher
+
+
+def _forget_constants(dispatcher: Any) -> None:
+    """Let a call with a constant use the kernel for variables: numba would compile another one for every constant.
+
+    It would do so for the first value of a variable in a loop, too; that was a third of the time which the first small
+    problem of an installation waited.
+    """
+    resolve, plain = dispatcher.get_call_template, cast(Any, types.unliteral)
+
+    def of_types(arguments: Any, named: Any) -> Any:
+        return resolve(tuple(map(plain, arguments)), {name: plain(kind) for name, kind in named.items()})
+
+    dispatcher.get_call_template = of_types
 
 
 def compiled_elementwise(function: Any) -> Any:

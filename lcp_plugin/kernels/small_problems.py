@@ -16,7 +16,7 @@ import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
 from ..crossovers import PIVOTED_AT_ONCE_UP_TO
-from .compilation import compiled, compiled_in_any_order, compiled_into_others
+from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -87,7 +87,7 @@ def slack(M, k, real, point):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def residual(real, n):  # type: ignore[no-untyped-def]
+def largest_residual(real, n):  # type: ignore[no-untyped-def]
     """Return max_i |mid(z_i − u_i, z_i − l_i, w_i / d_i)|, as double precision gives it."""
     largest = 0.0
     for i in range(n):
@@ -120,7 +120,7 @@ def moved(M, k, real, point):  # type: ignore[no-untyped-def]
     for i in range(n):
         real[Z, i] = min(max(real[point, i], real[LOWER, i]), real[UPPER, i])
     slack(M, k, real, Z)
-    return residual(real, n)
+    return largest_residual(real, n)
 
 
 @compiled_in_any_order
@@ -149,7 +149,7 @@ def begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold):  # typ
     whole[STATE, TO_THE_END] = not pivots
     whole[STATE, LAST] = PIVOT if pivots and (n <= PIVOTED_AT_ONCE_UP_TO or not may_sweep) else OVER
     classify(real, whole, n, Z)
-    return residual(real, n)
+    return largest_residual(real, n)
 
 
 @compiled
@@ -199,7 +199,7 @@ def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
         whole[STATE, PHASE] = whole[STATE, LAST]
 
 
-@compiled_into_others
+@compiled_in_place
 def _refined(M, k, real, whole, room, is_symmetric, size):  # type: ignore[no-untyped-def]
     """Solve for the end of a path once more on the problem's own data; keep what has the smaller residual."""
     for i in range(M.shape[1]):
@@ -210,7 +210,7 @@ def _refined(M, k, real, whole, room, is_symmetric, size):  # type: ignore[no-un
     return after if after <= size else moved(M, k, real, KEPT)
 
 
-@compiled_into_others
+@compiled
 def _ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
     """Return (a lower, an upper bound) of ‖r(z)‖∞ as `residual_ends` does; ∞ where a product may underflow."""
     n, least, most = M.shape[1], 0.0, 0.0
@@ -240,9 +240,9 @@ def _ratio_upwards(a, b):  # type: ignore[no-untyped-def]
     return np.nextafter(quotient, np.inf) if fused(quotient, b, -a) < 0.0 else quotient
 
 
-@compiled
+@compiled_in_place
 def _run(  # type: ignore[no-untyped-def]
-    M, k, starts, sweeps, rounds, pivots, tolerance, max_iterations, real, whole, room, found, made, work, item
+    M, k, starts, sweeps, rounds, pivots, tolerance, max_iterations, real, whole, room, residual, made, work, item
 ):
     """Solve one problem; `starts` has no columns for z°. Return whether it arrived."""
     n = M.shape[1]
@@ -262,7 +262,7 @@ def _run(  # type: ignore[no-untyped-def]
             real[Z, i] = starts[at, i]
     size = begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold)
     work[item, whole[STATE, PHASE]] = work[item, TOTAL] = n * n / nonzeros
-    found[item, 0], found[item, 1], found[item, 2] = most, least, 0.0
+    residual[item] = 0.0
     if most == 0.0:
         return True
     if not (least > 0.0 and USUAL[0] < most < USUAL[1]):
@@ -270,9 +270,8 @@ def _run(  # type: ignore[no-untyped-def]
     for count in range(max_iterations + 1):
         if size / most <= tolerance:
             _, largest = _ends(M, k, real, False, is_dense)
-            found[item, 2] = _ratio_upwards(largest, least)
-            if found[item, 2] <= tolerance:
-                found[item, 0] = largest
+            residual[item] = _ratio_upwards(largest, least)
+            if residual[item] <= tolerance:
                 return True
         if count < max_iterations:
             phase, size, touched = advance(M, k, real, whole, room, is_symmetric)
@@ -287,12 +286,12 @@ def _run(  # type: ignore[no-untyped-def]
 @compiled
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end,
-    z, found, made, work, has_arrived,
+    z, residual, made, work, has_arrived,
 ):
     """Solve the problems first ≤ k < end of a batch; an array with one row in front stands for all of them.
 
-    Written are z, shape (B, n), `found` (B, 3): an upper bound of ‖r(z)‖∞, a lower one of ‖r(z°)‖∞, their quotient;
-    `made` (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all, and `has_arrived` (B,).
+    Written are z, shape (B, n), `residual` (B,), the relative one; `made` (B, 3): steps of each phase, `work` (B, 4):
+    passes of each phase and of all, and `has_arrived` (B,).
     """
     n = M.shape[1]
     of_real, of_whole, of_room = sizes(n)
@@ -305,7 +304,7 @@ def run_all(  # type: ignore[no-untyped-def]
             made[k, phase], work[k, phase], work[k, TOTAL] = 0, 0.0, 0.0
         has_arrived[k] = _run(
             M, k if M.shape[0] > 1 else 0, starts, sweeps, rounds, pivots, tolerance, max_iterations, real, whole, room,
-            found, made, work, k,
+            residual, made, work, k,
         )
         for i in range(n):
             z[k, i] = real[Z, i]

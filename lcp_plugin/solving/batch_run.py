@@ -178,7 +178,7 @@ class BatchRun:
         for which, answers in enumerate(self.compiled):
             items = np.flatnonzero(self.place[0] == which)
             at = self.place[1, items]
-            status[items], residual[items] = Status.SOLVED, answers.found[at, 2]
+            status[items], residual[items] = Status.SOLVED, answers.residual[at]
             iterations[items] = answers.made[at].sum(1)
             if is_even:
                 z[items] = answers.z[at]

@@ -40,7 +40,7 @@ def arrival(
     problem: LCP, policy: Policy, first: Choice, sprint: Sprint, settings: Settings, seconds: float
 ) -> Result:
     """Return the result of a sprint that arrived."""
-    certificate = Certificate.enclosed(problem, sprint.z, sprint.largest, sprint.least_reference)
+    certificate = Certificate.enclosed(problem, sprint.z, sprint.residual)
     stages = tuple(
         StageRecord(name, "" if k else first.because, iterations, work)
         for k, (name, iterations, work) in enumerate(sprint.parts)

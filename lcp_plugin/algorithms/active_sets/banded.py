@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...certificates.residuals import ratio_upwards
 from ...checks import FloatVector
 from ...crossovers import BANDED_ROUNDS, BOXED_ROUNDS, MULTIGRID_PASSES
 from ...errors import UnsuitableMatrix
@@ -150,7 +151,7 @@ class Banded(Algorithm):
         for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
             work = _work(costs, direct, blocks)
             part = self.name, direct + blocks, work
-            found.append(None if direct < 0 else Sprint(z, largest, least, work, (part,)))
+            found.append(None if direct < 0 else Sprint(z, ratio_upwards(largest, least), work, (part,)))
         return found
 
     def _bands(self, problem: LCP) -> Bands:

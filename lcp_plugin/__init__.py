@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
     from .solving.batch_result import BatchResult as BatchResult
+    from .solving.derivative import Derivative as Derivative
+    from .solving.derivative import Gradient as Gradient
+    from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
     from .solving.march import march as march
@@ -64,6 +67,9 @@ _HOME = {
     "Sample": "solving.result",
     "Status": "settings",
     "solve": "solving.driver",
+    "derivative": "solving.derivative",
+    "Derivative": "solving.derivative",
+    "Gradient": "solving.derivative",
     "prepare": "solving.batch",
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_result",

@@ -12,8 +12,8 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Result, Status, UnknownAlgorithm, UnsuitableMatrix, solve
 from lcp_plugin.algorithms.multigrid import SMOOTHERS, Multigrid
-from lcp_plugin.algorithms.multigrid_run import hierarchy_of
 from lcp_plugin.evidence import gallery
+from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
 from lcp_plugin.solving.batch import prepare, solve_many
 
 SCENES = [

@@ -14,9 +14,8 @@ from ..checks import FloatVector
 from ..kernels import splitting_sweeps as kernels
 from ..matrix.hierarchy import sweeps
 from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
-from ..matrix.hierarchy.levels import Grid, Hierarchy, build_hierarchy
+from ..matrix.hierarchy.levels import Grid, hierarchy_of
 from ..matrix.hierarchy.truncation import Truncation
-from ..matrix.matrix import Matrix, fact
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step
@@ -370,13 +369,6 @@ class MultigridRun:
         work = self.peers.total(self.work + self.truncation.take_work())
         self.work = 0.0
         return work / self.entries
-
-
-@fact
-def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
-    """Return the hierarchy of M."""
-    is_symmetric = has_symmetric_entries(matrix)
-    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=not is_symmetric, peers=matrix.peers)
 
 
 def rehearse(algorithm: Multigrid) -> None:

@@ -118,21 +118,23 @@ class RowInequality:
 
         Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
         """
-        problem = self.problem
         inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
+        is_exact = (y == 0.0) & (self.low == 0.0)
+        at_bound = is_exact & ((self.high == self.problem.lower) | (self.high == self.problem.upper))
+        return self.held(y) | at_bound, inactive
+
+    def held(self, y: FloatVector) -> BoolVector:
+        """Return the rows at a bound as far as |e| ≤ y proves that w*_i ≠ 0 holds them there, or both are equal."""
+        problem = self.problem
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
 
         def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
             direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
             return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
 
-        is_exact = (y == 0.0) & (self.low == 0.0)
-        active = (
-            forced(self.above, self.negative_slack) | forced(self.below, self.slack)
-            | (problem.lower == problem.upper)
-            | (is_exact & ((self.high == problem.lower) | (self.high == problem.upper)))
-        )
-        return active, inactive
+        is_forced = forced(self.above, self.negative_slack) | forced(self.below, self.slack)
+        held: BoolVector = is_forced | (problem.lower == problem.upper)
+        return held
 
     def distance(self, z: FloatVector) -> FloatVector:
         """Return an upper bound of |z − (high + low)|, shape (n,)."""

@@ -39,8 +39,8 @@ class Factor:
     ----------
     kind : str
         "Cholesky", "LU", "banded LU" or "sparse LU".
-    solve : callable
-        right ↦ x with A x = right, shape (n,); not finite where A is singular.
+    solve, solve_transposed : callable
+        right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite where A is singular.
     work : float
         Multiplications that the factorisation took.
     solve_work : float
@@ -49,6 +49,7 @@ class Factor:
 
     kind: str
     solve: Callable[[Any], Any]
+    solve_transposed: Callable[[Any], Any]
     work: float
     solve_work: float
 
@@ -105,7 +106,11 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     factor, info = lapack.dpotrf(matrix.T, lower=1, overwrite_a=overwrite, clean=0)
     if info != 0:
         return None
-    return Factor("Cholesky", lambda right: lapack.dpotrs(factor, right, lower=1)[0], n**3 / 6.0, float(n * n))
+
+    def solve(right: Any) -> Any:
+        return lapack.dpotrs(factor, right, lower=1)[0]
+
+    return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
 
 
 def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
@@ -119,8 +124,11 @@ def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool =
     factor, pivots, info = lapack.dgetrf(matrix if by_columns else matrix.T, overwrite_a=overwrite)
     if info != 0:
         return None
-    trans = 0 if by_columns else 1
-    return Factor("LU", lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0], n**3 / 3.0, float(n * n))
+
+    def solver(trans: int) -> Callable[[Any], Any]:
+        return lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0]
+
+    return Factor("LU", solver(not by_columns), solver(by_columns), n**3 / 3.0, float(n * n))
 
 
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
@@ -132,8 +140,12 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     factor, pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
     if info != 0:
         return None
+
+    def solver(trans: int) -> Callable[[Any], Any]:
+        return lambda right: lapack.dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
+
     return Factor(
-        "banded LU", lambda right: lapack.dgbtrs(factor, below, above, right, pivots)[0],
+        "banded LU", solver(0), solver(1),
         float(n * below * (below + above + 1)), float(n * (2 * below + above + 1)),
     )
 
@@ -146,7 +158,11 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
         factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
     except RuntimeError:
         return None
-    return Factor("sparse LU", lambda right: factor.solve(right, trans="T"), sparse_work(factor), float(factor.nnz))
+
+    def solver(trans: str) -> Callable[[Any], Any]:
+        return lambda right: factor.solve(right, trans=trans)
+
+    return Factor("sparse LU", solver("T"), solver("N"), sparse_work(factor), float(factor.nnz))
 
 
 def sparse_work(factor: Any) -> float:

@@ -47,7 +47,7 @@ def prepare(problem: LCP) -> LCP:
     if not isinstance(problem, LCP):
         raise InvalidOption(f"prepare needs an LCP, got {type(problem).__name__}; write prepare(LCP(M, q))")
     from ..algorithms.multigrid import Multigrid
-    from ..algorithms.multigrid_run import hierarchy_of
+    from ..matrix.hierarchy.levels import hierarchy_of
 
     inverse_residual_scale(problem.matrix)
     if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:

@@ -68,8 +68,8 @@ def _anatomy(size: int) -> dict[str, Any]:
     """Time a fetch of foreign values and a cycle over all grids; count the foreign values of each grid."""
     from mpi4py import MPI
 
-    from lcp_plugin.algorithms.multigrid_run import hierarchy_of
     from lcp_plugin.evidence.gallery.on_ranks import build
+    from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
     from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})

@@ -21,10 +21,15 @@ class KrylovCorrection:
     residual : ndarray, shape (n,)
         −w on the free rows, 0 elsewhere; overwritten by what is left of it.
     is_symmetric : bool
+    transposed : bool
+        Mᵀ in the place of M, by the rows of M; one process has them all.
     """
 
-    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
+    def __init__(
+        self, truncation: Truncation, residual: FloatVector, is_symmetric: bool, *, transposed: bool = False
+    ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
+        self.transposed = transposed and not is_symmetric
         self.peers = truncation.grids[0].grid.peers
         # Squares of very large or small numbers leave the range of a double.
         self.unit = power_of_two(self.peers.largest(span(residual)))
@@ -49,11 +54,17 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         np.copyto(top.b, self.residual)
-        self.truncation.correct(0)
-        p = top.x[: top.grid.n].copy()
-        product = np.empty(p.size)
-        self.peers.fetch(top.x)
-        sweeps.free_product(*matrix.arrays, top.is_free, top.x, product)
+        if self.transposed:
+            self.truncation.correct_transposed(0)
+            p, product = top.x.copy(), np.zeros(top.x.size)
+            sweeps.add_transposed_product(*matrix.arrays, 1.0, p, product)
+            product *= top.is_free
+        else:
+            self.truncation.correct(0)
+            p = top.x[: top.grid.n].copy()
+            product = np.empty(p.size)
+            self.peers.fetch(top.x)
+            sweeps.free_product(*matrix.arrays, top.is_free, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale

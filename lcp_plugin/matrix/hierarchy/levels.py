@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from ...checks import FloatVector
 from ...kernels import splitting_sweeps as kernels
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
+from ..matrix import Matrix, fact
 from ..pivots import pivot_weight
+from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
@@ -213,6 +215,13 @@ def build_hierarchy(
         grids.append(grid)
         transfers.append(transfer)
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
+
+
+@fact
+def hierarchy_of(matrix: Matrix, coarsest: int = COARSEST) -> Hierarchy:
+    """Return the hierarchy of M, which its solves share."""
+    scales_rows = not has_symmetric_entries(matrix)
+    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers)
 
 
 def grid_of(

@@ -67,6 +67,32 @@ def backward_sweep(indptr, indices, data, inverse, b, x):  # type: ignore[no-unt
 
 
 @compiled
+def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # type: ignore[no-untyped-def]
+    """Add to x one Gauss–Seidel sweep for Mᵀx = b by the rows of M, which are the columns of Mᵀ.
+
+    `residual` is b − Mᵀx before and after; where an unknown is fixed it means nothing.
+    """
+    one, n = uintp(1), uintp(inverse.size)
+    for step in range(n):
+        i = n - one - step if backward else step
+        if inverse[i] != 0.0:
+            change = residual[i] * inverse[i]
+            x[i] += change
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                residual[uintp(indices[k])] -= data[k] * change
+
+
+@compiled
+def add_transposed_product(indptr, indices, data, factor, x, to):  # type: ignore[no-untyped-def]
+    """Add factor · Aᵀx to `to`, by the rows of A."""
+    one = uintp(1)
+    for i in range(uintp(x.size)):
+        if x[i] != 0.0:
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                to[uintp(indices[k])] += factor * (data[k] * x[i])
+
+
+@compiled
 def restrict(r_indptr, r_indices, r_data, fine, coarse):  # type: ignore[no-untyped-def]
     """Coarse ← Pᵀ fine."""
     one = uintp(1)

@@ -111,6 +111,30 @@ class Truncation:
         sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)
         self.work += 1.5 * indices.size + 2.0 * transfer.prolongation.data.size
 
+    def correct_transposed(self, k: int) -> None:
+        """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
+        level = self.grids[k]
+        arrays = *level.grid.matrix.arrays[:2], level.values
+        is_free, residual = level.inverse != 0.0, level.b.copy()
+        level.x[:] = 0.0
+        sweeps.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
+        if k < len(self.transfers):
+            below, transfer = self.grids[k + 1], self.transfers[k]
+            residual *= is_free
+            below.b[:] = 0.0
+            sweeps.add_transposed_product(*transfer.prolongation.arrays, 1.0, residual, below.b)
+            self.correct_transposed(k + 1)
+            correction = np.zeros(level.b.size)
+            sweeps.add_transposed_product(*transfer.restriction.arrays, 1.0, below.x, correction)
+            correction *= is_free
+            level.x += correction
+            sweeps.add_transposed_product(*arrays, -1.0, correction, residual)
+            self.work += level.values.size + 2.0 * transfer.prolongation.data.size
+        for sweep in range(1 if k < len(self.transfers) else 2 * COARSEST_SWEEPS + 1):
+            sweeps.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
+            self.work += level.values.size
+        self.work += level.values.size
+
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         indptr, indices, _ = level.grid.matrix.arrays
         rest = indptr, indices, level.values, level.inverse, level.b, level.x

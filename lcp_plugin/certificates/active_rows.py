@@ -1,0 +1,118 @@
+"""Which rows of a solution are held at a bound, which are free, and which are both at a bound and without slack."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..checks import BoolVector, FloatVector
+from ..matrix.free_systems import FreeSystem
+from ..problem.lcp import LCP
+from .error_bounds import ErrorBound
+from .reference_point import ActiveSetSteps
+from .residuals import Certificate
+from .row_inequality import RowInequality
+
+STEPS = 6  # of the active-set method; from a solved problem two to three settle all rows
+GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
+ROUNDING = 4.0  # times the rounding floor: what PRECISION_LIMIT grants a residual
+
+
+class ActiveRows(NamedTuple):
+    """What each row of a solution does; every row is in one of the first four sets.
+
+    Attributes
+    ----------
+    free, at_lower, at_upper, degenerate : ndarray of bool, shape (n,)
+        Strictly between its bounds; at a bound with w ≠ 0, or where both are equal; at a bound with w = 0, as far as
+        rounding of the data can tell.
+    is_upper : ndarray of bool, shape (n,)
+        Of the rows that are not free, those at their upper bound.
+    z : ndarray, shape (n,)
+        The solution, solved for once more on its free rows.
+    system : FreeSystem or None
+        That which was solved, its rows those of `free` and perhaps of `degenerate`.
+    """
+
+    free: BoolVector
+    at_lower: BoolVector
+    at_upper: BoolVector
+    degenerate: BoolVector
+    is_upper: BoolVector
+    z: FloatVector
+    system: FreeSystem | None
+
+
+def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
+    """Return what each row of a solution does, after steps of the active-set method in twice the working precision.
+
+    Where those settle nothing (the block of the free rows is singular, the rows are spread over ranks) the rows are
+    judged by z and w as they are.
+
+    Parameters
+    ----------
+    z, w : array, shape (n,)
+        A solution within some tolerance, and its slack.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> rows = settled_rows(problem, np.array([2.5 + 1e-9, 0.0]), np.array([2e-9, 3.5 + 1e-9]))
+    >>> rows.free, rows.at_lower, rows.z
+    (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
+    """
+    settled = _settled(problem, z) if problem.peers.is_alone else None
+    if settled is None:
+        return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
+    at, system = settled
+    return _judged(problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system)
+
+
+@np.errstate(all="ignore")
+def proven_rows(problem: LCP, bound: ErrorBound) -> tuple[BoolVector, BoolVector]:
+    """Return which rows a rigorous bound proves to be held (at a bound with w ≠ 0, or with equal bounds), and free.
+
+    Parameters
+    ----------
+    bound : ErrorBound
+        Of a point near the solution.
+    """
+    if bound.near is None:
+        return bound.proven_active & False, bound.proven_inactive
+    at = RowInequality.at(problem, bound.near.high, bound.near.low)
+    return at.held(bound.near.y), at.classified(bound.near.y)[1]
+
+
+@np.errstate(all="ignore")
+def _settled(problem: LCP, z: FloatVector) -> tuple[RowInequality, FreeSystem] | None:
+    """Return a point whose rows solve their own equations, with that system; None where steps do not get there."""
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL)
+    at = RowInequality.at(problem, z)
+    before: FreeSystem | None = None
+    for _ in range(STEPS):
+        following = steps.next_point(at)
+        if following is None:
+            return None
+        at = following
+        if steps.system is before:
+            return at, steps.system
+        before = steps.system
+    return None
+
+
+@np.errstate(all="ignore")
+def _judged(
+    problem: LCP, z: FloatVector, w: FloatVector, above: FloatVector, below: FloatVector, system: FreeSystem | None
+) -> ActiveRows:
+    scale, floor = problem.residual_scale, ROUNDING * Certificate.of(problem, z).rounding_floor
+    is_fixed = problem.lower == problem.upper
+    step = w / scale
+    is_small = (np.minimum(above, below) <= floor) & (np.abs(step) <= floor)
+    degenerate = is_small & ~is_fixed
+    is_upper = np.where(is_fixed, w < 0.0, below < above)
+    reaches = np.where(is_upper, below <= -step, above <= step)
+    held = is_fixed | (reaches & ~degenerate)
+    return ActiveRows(
+        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
+    )

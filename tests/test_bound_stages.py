@@ -206,11 +206,15 @@ def test_branches_are_the_active_pieces_of_the_inequality() -> None:
     assert len(seen) == 4
 
 
-@pytest.mark.parametrize(("limits", "sign"), [((1000, 0), -1), ((0, 1000), -1), ((0, 0), -1), ((0, 0), 1)])
+@pytest.mark.parametrize(("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)])
 def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
-    """LAPACK, SuperLU, multigrid and a Krylov method: some steps of the active-set method end near the solution."""
-    monkeypatch.setattr(reference_point, "DENSE_UP_TO", limits[0])
-    monkeypatch.setattr(reference_point, "SPARSE_FACTOR_UP_TO", limits[1])
+    """SuperLU, LAPACK's band and Krylov steps on the grids: some steps of the active-set method end near the solution.
+
+    With couplings of the other sign the grids are of no use, and a factor takes over.
+    """
+    monkeypatch.setattr(free_systems, "DIRECT_UP_TO", limits[0])
+    monkeypatch.setattr(free_systems, "BANDED_UP_TO", limits[1])
+    monkeypatch.setattr(factors, "BANDED_UP_TO", limits[1])
     M = chain(600, 2.5) + (1.0 + sign) * sp.eye_array(600, k=1)
     exact = np.maximum(np.sin(np.arange(600)), 0.0)
     problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
@@ -223,9 +227,8 @@ def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
 
 
 def test_a_singular_factor_ends_the_steps(monkeypatch) -> None:
-    """Where SuperLU finds a zero pivot there is no next point."""
-    monkeypatch.setattr(reference_point, "DENSE_UP_TO", 0)
-    monkeypatch.setattr(factors, "diagonal_pivot_factor", lambda _: None)
+    """Where LAPACK finds a zero pivot there is no next point."""
+    monkeypatch.setattr(free_systems, "factorise", lambda *_, **__: None)
     problem = LCP(chain(4), -np.ones(4))
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, np.ones(4))

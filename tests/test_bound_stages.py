@@ -17,7 +17,7 @@ from lcp_plugin.certificates.row_inequality import RowInequality
 from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.kernels.floats import UNIT
-from lcp_plugin.matrix import comparison_certificate, factors
+from lcp_plugin.matrix import comparison_certificate, factors, free_systems
 from lcp_plugin.matrix.factors import positive_factor
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -11,77 +10,13 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
+from .newton_matrix import NewtonMatrix
+from .quasidefinite import QuasidefiniteNewtonMatrix, signs_of
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
 RUIZ_PASSES = 8
-REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
-LARGEST_REGULARISATION = 1e-4
-REFINEMENTS = 5
 PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
-USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
-REFINED = 1e-14
-
-
-class NewtonMatrix(ABC):
-    """M + diag(diagonal), factorised once an iteration; M itself is given, equilibrated, and not modified.
-
-    Attributes
-    ----------
-    work : float
-        Multiplications so far.
-    """
-
-    def __init__(self, M: Any) -> None:
-        self.M = M
-        self.n = M.shape[0]
-        self.work = 0.0
-        self.regularisation = REGULARISATION
-        self._diagonal = np.zeros(self.n)
-
-    def factorise(self, diagonal: FloatVector) -> bool:
-        """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
-        self._diagonal = diagonal
-        self.regularisation = max(REGULARISATION, 0.01 * self.regularisation)
-        while not self._try(diagonal + self.regularisation):
-            self.regularisation *= 100.0
-            if self.regularisation > LARGEST_REGULARISATION:
-                return False
-        return True
-
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
-        x = self._apply(right)
-        goal = REFINED * float(np.max(np.abs(right), initial=0.0))
-        left = self._left(right, x)
-        error = float(np.max(np.abs(left), initial=0.0))
-        for _ in range(REFINEMENTS):
-            if not goal < error < np.inf:
-                break
-            better = x + self._apply(left)
-            left = self._left(right, better)
-            smaller = float(np.max(np.abs(left), initial=0.0))
-            if not smaller < error:
-                break
-            x, error = better, smaller
-        return x
-
-    def _left(self, right: FloatVector, x: FloatVector) -> FloatVector:
-        self.work += self._entries
-        left: FloatVector = right - self.M @ x - self._diagonal * x
-        return left
-
-    @property
-    def _entries(self) -> float:
-        return float(self.M.nnz if sp.issparse(self.M) else self.M.size)
-
-    @abstractmethod
-    def _try(self, diagonal: FloatVector) -> bool:
-        """Factorise M + diag(diagonal); return whether that succeeded."""
-
-    @abstractmethod
-    def _apply(self, right: FloatVector) -> FloatVector:
-        """Return the factor's answer to one right-hand side."""
 
 
 class DenseNewtonMatrix(NewtonMatrix):
@@ -152,7 +87,7 @@ class SparseNewtonMatrix(NewtonMatrix):
                 self._factor_work = sparse_work(self._factor)
                 self._keep_order(np.argsort(self._factor.perm_c))
             self.work += self._factor_work
-            if self._is_useful(diagonal):
+            if self.is_useful(diagonal):
                 self._pivoting = pivoting
                 return True
         return False
@@ -170,12 +105,6 @@ class SparseNewtonMatrix(NewtonMatrix):
         self._diagonal_at, self._own_diagonal = goes_to[self._diagonal_at[order]], self._own_diagonal[order]
         self._order = order
 
-    def _is_useful(self, diagonal: FloatVector) -> bool:
-        """Whether a solve leaves a residual that refinement can reduce."""
-        x = self._apply(np.ones(self.n))
-        left = 1.0 - self.M @ x - diagonal * x
-        return bool(np.max(np.abs(left), initial=0.0) <= USEFUL)
-
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += float(self._factor.nnz)
         x: FloatVector
@@ -188,9 +117,12 @@ class SparseNewtonMatrix(NewtonMatrix):
 
 
 def newton_matrix(M: Any, is_symmetric: bool) -> NewtonMatrix:
-    """Return the Newton matrix that suits M: dense or small, or sparse."""
+    """Return the Newton matrix that suits M: dense or small, of a quadratic program, or sparse."""
     if not sp.issparse(M):
         return DenseNewtonMatrix(M, is_symmetric)
+    signs = signs_of(M)
+    if signs is not None:
+        return QuasidefiniteNewtonMatrix(M, signs)
     if M.shape[0] <= DENSE_UP_TO:
         return DenseNewtonMatrix(M.toarray(), is_symmetric)
     return SparseNewtonMatrix(M)

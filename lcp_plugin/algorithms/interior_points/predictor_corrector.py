@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...checks import FloatVector
-from .interior_linear_algebra import NewtonMatrix
+from .newton_matrix import NewtonMatrix
 
 TO_THE_BOUNDARY = 0.995
 CENTRAL = (0.1, 10.0)  # products outside this share of the target are corrected

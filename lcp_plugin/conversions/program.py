@@ -20,7 +20,7 @@ from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 SYMMETRIC_TO = 1e-12
-INFINITE_LIMIT = 1e20  # the convention of file formats
+INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
 LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked_answer
 from ..errors import UnsuitableMatrix, UnsuitableProblem
+from ..kernels.floats import EPSILON
 from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
 from ..problem.lcp import LCP
 from .constraints import FoldedRows, Indices
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
+ROUNDING = 8.0 * EPSILON  # of the sum of all terms
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
 
@@ -66,7 +68,12 @@ class QPOrigin:
             return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         # What the bounds have to balance, μ_lower − μ_upper.
-        reduced_cost = folded.P @ x + folded.c + folded.constraints.matrix[: y.size].T @ y
+        columns = folded.constraints.matrix[: y.size].T
+        reduced_cost = folded.P @ x + folded.c + columns @ y
+        # Within the bounds what rounding leaves is no multiplier: beside a large distance it would be a large product.
+        size = abs(folded.P) @ np.abs(x) + np.abs(folded.c) + abs(columns) @ np.abs(y)
+        is_rounding = (folded.lower < x) & (x < folded.upper) & (np.abs(reduced_cost) <= ROUNDING * size)
+        reduced_cost[is_rounding] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
         return QPSolution(self.program, x, *rows.split(self.rows.unfold(np.concatenate([y, at_lower, at_upper]))))

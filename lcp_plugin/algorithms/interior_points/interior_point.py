@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ...certificates.residuals import reference_residual
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
@@ -26,14 +27,16 @@ MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
 LATER_GUESS = (10, 0.02)
+HEAVIER = 1e4  # multipliers of a program that are as much larger beside its distances, where a first start fails
 MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
 SHORT = 0.15  # of the whole second step: the start is not as large as the answer
 EARLIEST_GUESS = 3
-PATIENCE = 12
+PATIENCE = 25  # steps
 MOST_ITERATIONS = 150
 POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
 MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
+FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
@@ -79,6 +82,11 @@ class InteriorPoint(Algorithm):
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
         yield from without_warnings(self._steps(problem, z))
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z, or the solution of the linear system of the active set that z shows, where that is better."""
+        with np.errstate(all="ignore"):
+            return _Search(problem).finished(z)
 
     def rehearsal(self) -> InteriorPoint:
         """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor."""
@@ -193,29 +201,36 @@ class _Search:
             self.counted = primal.work
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
-        """Make interior steps; where the active set has settled, solve for it."""
+        """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
         matrix = newton_matrix(self.M, primal is not None)
-        corrections = 2 if self.q.size >= LARGE else 1
-        point = PredictorCorrector(matrix, self.q, self.lower, self.upper, corrections)
-        starts = _Starts(_weight_of(primal))
+        point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
+        weight = _weight_of(primal)
+        for heavier in (1.0, HEAVIER) if (matrix.signs < 0.0).any() else (1.0,):
+            if not (yield from self._from(point, _Starts(heavier * weight), primal)):
+                return
+            for threshold in CLASSIFICATIONS:
+                yield from self.polished(point.z, *_active(point, threshold))
+
+    def _from(
+        self, point: PredictorCorrector, starts: _Starts, primal: PrimalActiveSet | None
+    ) -> Generator[Step, None, bool]:
+        """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
-            return
-        first_gap, counted, since_best = point.gap, 0.0, 0
+            return False
+        progress, first_gap, counted = _Progress(), point.gap, point.matrix.work
         polishes, settled_for, last, steps = 0, 0, _active(point, 1.0)[0], 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
             steps += 1
-            before = self.best
-            yield self.step(point.z, matrix.work - counted)
-            counted = matrix.work
+            yield self.step(point.z, point.matrix.work - counted)
+            counted = point.matrix.work
             if steps == 2 and starts.has_better(point.length):
                 steps = 0
                 if not point.start(starts.weight):
-                    return
+                    return False
                 continue
-            since_best = 0 if self.best < 0.9 * before else since_best + 1
-            if since_best >= PATIENCE:
+            if progress.has_ended(self.best, point.gap, point.infeasibility):
                 break
             present = _active(point, 1.0)[0]
             changes, last = int(np.count_nonzero(present != last)), present
@@ -229,17 +244,27 @@ class _Search:
             settled_for = 0 if changes else settled_for + 1
             if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
-                yield from self.polished(point, 1.0)
-        for threshold in CLASSIFICATIONS:
-            yield from self.polished(point, threshold)
+                yield from self.polished(point.z, *_active(point, 1.0))
+        return True
 
     def _limit(self, share: tuple[int, float]) -> int:
         return share[0] + int(share[1] * self.q.size)
 
-    def polished(self, point: PredictorCorrector, threshold: float) -> Iterator[Step]:
+    def finished(self, z: FloatVector) -> FloatVector:
+        """Return the better one of z and what solves for its active set; z where it is at rounding level already."""
+        y = (z if self.kept is None else z[self.kept]) / self.unit
+        self.step(y, 0.0)
+        if y.size and self.best > FINISHED * reference_residual(self.problem):
+            w = self.M @ y + self.q
+            is_lower, is_upper = y - self.lower < w, self.upper - y < -w
+            at = np.where(is_lower, self.lower, np.where(is_upper, self.upper, 0.0))
+            for _ in self.polished(y, is_lower | is_upper, at):
+                pass
+        return self.best_z
+
+    def polished(self, y: FloatVector, active: BoolVector, at: FloatVector) -> Iterator[Step]:
         """Solve the linear system of the active set and correct the set, as long as that improves the residual."""
-        active, at = _active(point, threshold)
-        y, best = point.z.copy(), self.best
+        y, best = y.copy(), self.best
         for _ in range(POLISHING_ROUNDS):
             y = np.where(active, at, y)
             work = self._solve_for(y, np.flatnonzero(~active))
@@ -268,6 +293,21 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
+
+
+class _Progress:
+    """The smallest residual, gap and infeasibility so far: where none of them falls, nothing improves."""
+
+    def __init__(self) -> None:
+        self._least = np.full(3, np.inf)
+        self._since = 0
+
+    def has_ended(self, *measures: float) -> bool:
+        """Return whether for a while no measure has fallen below nine tenths of its smallest value."""
+        falls = np.array(measures) < 0.9 * self._least
+        self._least = np.where(falls, measures, self._least)
+        self._since = 0 if falls.any() else self._since + 1
+        return self._since >= PATIENCE
 
 
 class _Starts:

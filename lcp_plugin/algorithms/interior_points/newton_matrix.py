@@ -11,9 +11,10 @@ import scipy.sparse as sp
 from ...checks import FloatVector
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
-LARGEST_REGULARISATION = 1e-4
+SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
 REFINEMENTS = 5
 USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
+STABLE = 1e-8  # the same beside the solution, which is large where the matrix is nearly singular
 REFINED = 1e-14
 
 
@@ -24,24 +25,38 @@ class NewtonMatrix(ABC):
     ----------
     work : float
         Multiplications so far.
+    missed : float
+        The largest error that a solve has left since the last factorisation.
+    signs : ndarray, shape (n,)
+        −1 on the rows whose z is a multiplier of others, else 1.
     """
 
     def __init__(self, M: Any) -> None:
         self.M = M
         self.n = M.shape[0]
         self.work = 0.0
-        self.regularisation = REGULARISATION
+        self.signs = np.ones(self.n)
+        self.regularisation = self._least = REGULARISATION
+        self.missed = 0.0
+        self._may_sharpen = True
         self._diagonal = np.zeros(self.n)
 
     def factorise(self, diagonal: FloatVector) -> bool:
         """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
-        self._diagonal = diagonal
-        self.regularisation = max(REGULARISATION, 0.01 * self.regularisation)
+        self._diagonal, self.missed = diagonal, 0.0
+        self.regularisation = max(self._least, 0.01 * self.regularisation)
         while not self._try(diagonal + self.regularisation):
+            self._may_sharpen = False
             self.regularisation *= 100.0
+            self._least = min(self.regularisation, REGULARISATION)
             if self.regularisation > LARGEST_REGULARISATION:
                 return False
         return True
+
+    def sharpen(self) -> None:
+        """Regularise less from the next factorisation on, unless that has failed before."""
+        if self._may_sharpen:
+            self._least = max(0.01 * self._least, SMALLEST_REGULARISATION)
 
     def solve(self, right: FloatVector) -> FloatVector:
         """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
@@ -58,6 +73,7 @@ class NewtonMatrix(ABC):
             if not smaller < error:
                 break
             x, error = better, smaller
+        self.missed = max(self.missed, error)
         return x
 
     def _left(self, right: FloatVector, x: FloatVector) -> FloatVector:
@@ -68,8 +84,8 @@ class NewtonMatrix(ABC):
     def is_useful(self, diagonal: FloatVector) -> bool:
         """Whether a solve leaves a residual of M + diag(diagonal) that refinement can reduce."""
         x = self._apply(np.ones(self.n))
-        left = 1.0 - self.M @ x - diagonal * x
-        return bool(np.max(np.abs(left), initial=0.0) <= USEFUL)
+        left = float(np.max(np.abs(1.0 - self.M @ x - diagonal * x), initial=0.0))
+        return left <= max(USEFUL, STABLE * float(np.max(np.abs(x), initial=0.0)))
 
     @property
     def _entries(self) -> float:

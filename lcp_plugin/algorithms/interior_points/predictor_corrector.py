@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from .newton_matrix import NewtonMatrix
 
 TO_THE_BOUNDARY = 0.995
@@ -14,6 +15,9 @@ CENTRAL = (0.1, 10.0)  # products outside this share of the target are corrected
 WORTH_A_CORRECTION = 1.05
 SHORT = 0.1
 SMALLEST = 1e-300
+INSIDE = 1.5  # times the worst violation is what the start is shifted by
+LARGEST_CENTRING = 1e3
+SHARP = 0.01  # share of the infeasibility that a linear system may leave
 
 
 @dataclass
@@ -39,13 +43,15 @@ class PredictorCorrector:
         The same for the upper bounds, on the rows of `has_upper`.
     length : float
         Share of the last direction that was taken.
+    infeasibility : float
+        The largest |M z + q − w_lower + w_upper| before the last step.
     """
 
     def __init__(
         self, matrix: NewtonMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector, corrections: int
     ) -> None:
         self.matrix, self.q, self.corrections = matrix, q, corrections
-        self.length = 0.0
+        self.length, self.infeasibility = 0.0, np.inf
         self.has_lower, self.has_upper = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
         self.lower, self.upper = lower[self.has_lower], upper[self.has_upper]
         self._pairs = self.has_lower.size + self.has_upper.size
@@ -54,11 +60,13 @@ class PredictorCorrector:
     def start(self, weight: float) -> bool:
         """Begin well inside, where M z + q = weight (anchor − z); return False where that cannot be factorised.
 
-        A good weight is the size of w beside that of z. With another one the first steps are short.
+        A good weight is the size of w beside that of z; where z is a multiplier of a program, that of z beside w. With
+        another one the first steps are short.
         """
         n = self.q.size
-        weights, anchor = np.zeros(n), np.zeros(n)
-        weights[self.has_lower] = weights[self.has_upper] = weight
+        weights, anchor, every = np.zeros(n), np.zeros(n), weight**self.matrix.signs
+        for rows in (self.has_lower, self.has_upper):
+            weights[rows] = every[rows]
         anchor[self.has_upper] = self.upper
         anchor[self.has_lower] = self.lower
         middle = self._both
@@ -67,24 +75,39 @@ class PredictorCorrector:
             return False
         # What one side lacks, the other has.
         z = self.matrix.solve(weights * anchor - self.q)
-        self.begin(z, weight * (anchor - z))
+        self._begin(z, weights * (anchor - z))
         return bool(np.isfinite(z).all())
 
-    def begin(self, z: FloatVector, w: FloatVector) -> None:
-        """Begin near z and w, shape (n,), all distances and multipliers at least of their typical size."""
-        below, above = z[self.has_lower] - self.lower, self.upper - z[self.has_upper]
-        typical = _typical(below, above)
-        self.below, self.above = np.maximum(below, typical), np.maximum(above, typical)
+    def _begin(self, z: FloatVector, w: FloatVector) -> None:
+        """Begin near z and w, shape (n,), with all distances and multipliers well inside."""
+        self.below, self.above = z[self.has_lower] - self.lower, self.upper - z[self.has_upper]
+        self.w_lower, self.w_upper = w[self.has_lower], -w[self.has_upper]
+        if (self.matrix.signs < 0.0).any():
+            self._shift_roles()
+        else:
+            for sides in ((self.below, self.above), (self.w_lower, self.w_upper)):
+                typical = _typical(*sides)
+                for values in sides:
+                    np.maximum(values, typical, out=values)
         both_lower, both_upper = self._both
         half = 0.5 * (self.upper[both_upper] - self.lower[both_lower])
         self.below[both_lower] = np.minimum(self.below[both_lower], half)
         self.above[both_upper] = np.minimum(self.above[both_upper], half)
-        w_lower, w_upper = w[self.has_lower], -w[self.has_upper]
-        typical = _typical(w_lower, w_upper)
-        self.w_lower, self.w_upper = np.maximum(w_lower, typical), np.maximum(w_upper, typical)
         self.z = z.copy()
         self.z[self.has_upper] = self.upper - self.above
         self.z[self.has_lower] = self.lower + self.below
+
+    def _shift_roles(self) -> None:
+        """Apply Mehrotra's shifts, one to what is primal in a program, one to what is dual."""
+        is_dual = self.matrix.signs < 0.0  # where z is a multiplier, w is a distance
+        lower, upper = is_dual[self.has_lower], is_dual[self.has_upper]
+        parts = self.below, self.above, self.w_lower, self.w_upper
+        of_roles = (~lower, ~upper, lower, upper), (lower, upper, ~lower, ~upper)
+        roles = [tuple(zip(parts, of_role, strict=True)) for of_role in of_roles]
+        sums = [_shifted(role, -INSIDE * min(float(part[of].min(initial=0.0)) for part, of in role)) for role in roles]
+        product = float(self.below @ self.w_lower + self.above @ self.w_upper)
+        for role, others in zip(roles, reversed(sums), strict=True):
+            _shifted(role, 0.5 * product / others if 0.0 < product < np.inf and others > 0.0 else 1.0)
 
     @property
     def gap(self) -> float:
@@ -103,26 +126,37 @@ class PredictorCorrector:
         gap = self.gap
         affine = self._direction(np.zeros_like(self.below), np.zeros_like(self.above))
         length = self._length(affine)
-        left = self._gap_after(affine, length)
-        centring = (left / gap) ** 3 if gap > 0.0 else 0.0
-        weight = 1.0 if length > SHORT else length
-        lower = centring * gap - weight * affine.below * affine.w_lower
-        upper = centring * gap - weight * affine.above * affine.w_upper
+        centring = (self._gap_after(affine, min(1.0, length)) / gap) ** 3 if gap > 0.0 else 0.0
+        direction, length = self._towards(centring * gap, affine, 1.0 if length > SHORT else length)
+        if length <= SHORT:
+            # What is infeasible has become small more slowly than the gap: first larger products, then less of it.
+            self._r *= SHARP
+            centring = min(1.0 / max(length, SMALLEST), LARGEST_CENTRING)
+            direction, length = self._towards(centring * gap, affine, length)
+        self.length = min(1.0, TO_THE_BOUNDARY * length)
+        if self.matrix.missed > SHARP * self.infeasibility:
+            self.matrix.sharpen()
+        self._move(direction, self.length)
+        return bool(np.isfinite(self.z).all())
+
+    def _towards(self, target: float, affine: Direction, weight: float) -> tuple[Direction, float]:
+        """Return the corrected direction to products of that size, and how far it can be followed."""
+        lower = target - weight * affine.below * affine.w_lower
+        upper = target - weight * affine.above * affine.w_upper
         direction = self._direction(lower, upper)
         length = self._length(direction)
         for _ in range(self.corrections):
-            lower, upper, better, longer = self._corrected(lower, upper, direction, length, centring * gap)
+            lower, upper, better, longer = self._corrected(lower, upper, direction, length, target)
             if longer < WORTH_A_CORRECTION * length:
                 break
             direction, length = better, longer
-        self.length = min(1.0, TO_THE_BOUNDARY * length)
-        self._move(direction, self.length)
-        return bool(np.isfinite(self.z).all())
+        return direction, length
 
     def _remember_residuals(self) -> None:
         self._r = self.matrix.M @ self.z + self.q
         self._r[self.has_lower] -= self.w_lower
         self._r[self.has_upper] += self.w_upper
+        self.infeasibility = float(np.max(np.abs(self._r), initial=0.0))
         self._r_lower = self.z[self.has_lower] - self.lower - self.below
         self._r_upper = self.upper - self.z[self.has_upper] - self.above
 
@@ -158,7 +192,6 @@ class PredictorCorrector:
         return 1.0 / steepest
 
     def _gap_after(self, direction: Direction, length: float) -> float:
-        length = min(1.0, length)
         products = (self.below + length * direction.below) @ (self.w_lower + length * direction.w_lower)
         products += (self.above + length * direction.above) @ (self.w_upper + length * direction.w_upper)
         return max(float(products), 0.0) / max(self._pairs, 1)
@@ -182,6 +215,15 @@ def _typical(first: FloatVector, second: FloatVector) -> float:
     if largest == 0.0:
         return 1.0
     return max(largest * float(np.sqrt(np.mean((values / largest) ** 2))), 0.01 * largest)
+
+
+def _shifted(role: Iterable[tuple[FloatVector, BoolVector]], by: float) -> float:
+    """Add to the values of one role, each part of which says where it has it; return their sum."""
+    total = 0.0
+    for part, of in role:
+        part[of] += by
+        total += float(part[of].sum())
+    return total
 
 
 def _pull(products: FloatVector, target: float) -> FloatVector:

@@ -1,7 +1,7 @@
 """Newton matrices of quadratic programs: symmetric once the rows of the multipliers have their signs turned.
 
-M = [[P, Aᵀ], [−A, Q]] with P and Q symmetric and semidefinite is monotone, and diag(s) (M + D), s = 1 above and −1 below,
-is [[P + D₁, Aᵀ], [A, −Q − D₂]]: quasi-definite for every D > 0, so that LDLᵀ exists in any order of the unknowns
+M = [[P, Aᵀ], [−A, Q]] with P and Q symmetric and semidefinite is monotone, and diag(s) (M + D), s = 1 above and −1
+below, is [[P + D₁, Aᵀ], [A, −Q − D₂]]: quasi-definite for every D > 0, so that LDLᵀ exists in any order of the unknowns
 (Vanderbei 1995, doi:10.1137/0805005). qdldl chooses one order of little fill for all D.
 """
 
@@ -23,7 +23,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
     def __init__(self, M: sp.csr_array, signs: FloatVector) -> None:
         super().__init__(M)
-        self._signs = signs
+        self.signs = signs
         rows = np.repeat(np.arange(self.n), np.diff(M.indptr))
         below = rows > M.indices
         # Row by row the lower triangle, its diagonal last: column by column the upper one.
@@ -43,7 +43,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
     def _try(self, diagonal: FloatVector) -> bool:
         import qdldl
 
-        self._upper.data[self._diagonal_at] = self._signs * (self._own_diagonal + diagonal)
+        self._upper.data[self._diagonal_at] = self.signs * (self._own_diagonal + diagonal)
         if self._factor is None:
             try:
                 self._factor = qdldl.Solver(self._upper, upper=True)
@@ -59,7 +59,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += self._solve_work
-        x: FloatVector = self._factor.solve(self._signs * right)
+        x: FloatVector = self._factor.solve(self.signs * right)
         return x
 
 

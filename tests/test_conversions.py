@@ -217,10 +217,20 @@ def test_dual_form_is_sparse_where_p_is_diagonal_or_block() -> None:
     n = 2000
     differences = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
     for P, widest in ((sp.eye_array(n), 3), (sp.kron(sp.eye_array(n // 2), np.array([[2.0, 1], [1, 2]])), 5)):
-        problem = lcp_from_qp(QuadraticProgram(sp.csr_array(P), np.zeros(n), differences, np.ones(n - 1)))
-        assert problem.origin.form == "dual"
+        problem = lcp_from_qp(QuadraticProgram(sp.csr_array(P), np.zeros(n), differences, np.ones(n - 1)), "dual")
         assert np.diff(problem.csr.indptr).max() <= widest
         assert abs(problem.csr - problem.csr.T).nnz == 0
+
+
+def test_the_dual_form_is_taken_where_it_wins() -> None:
+    """Few constraints on many variables, or a graph's Laplacian: dual; curvature, or many constraints on a few: kkt."""
+    n, rng = 300, np.random.default_rng(0)
+    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
+    curvature = slope[:-1, :-1] @ slope
+    few, many = rng.standard_normal((15, n)), rng.standard_normal((n, 5))
+    for G, form in ((few, "dual"), (slope, "dual"), (abs(slope), "kkt"), (curvature, "kkt"), (many, "kkt")):
+        rows, size = G.shape
+        assert lcp_from_qp(QuadraticProgram(sp.eye_array(size), np.ones(size), G, np.ones(rows))).origin.form == form
 
 
 def test_dual_form_of_nothing() -> None:

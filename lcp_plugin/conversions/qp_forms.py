@@ -13,6 +13,7 @@ from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
+from ..matrix.factors import factor_fits
 from ..problem.lcp import LCP
 from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
@@ -120,11 +121,11 @@ class KKTForm(QPOrigin):
         program, rows = self.rows.folded, self.rows.left.size
         multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
-            self._matrix(), np.concatenate([program.c, program.constraints.limit[:rows]]),
+            self.matrix(), np.concatenate([program.c, program.constraints.limit[:rows]]),
             lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
         )
 
-    def _matrix(self) -> Any:
+    def matrix(self) -> Any:
         """Return M, an ndarray where it is small and full."""
         rows = self.rows.left.size
         C = self.rows.folded.constraints.matrix[:rows]
@@ -144,13 +145,38 @@ class DualForm(QPOrigin):
     form = "dual"
 
     def is_worthwhile(self) -> bool:
-        """Whether it is no larger than the KKT form, no large dense matrix, well conditioned, not clearly insoluble."""
+        """Whether it is well conditioned, not clearly insoluble, and easier to solve than the KKT form.
+
+        That is: no more entries even where M is full; or P diagonal and M a graph's Laplacian; or P diagonal, fewer
+        rows, and no factor of the KKT form that fits.
+        """
         left = self.rows.left.size
         size = left + sum(part.size for part in _bound_rows(self.rows.folded))
-        is_small = size <= left + self.program.n and (size <= DENSE_UP_TO_SIZE or is_diagonal(self.program.P))
-        if not left or not is_small or self.rows.contradict() or self._solver is None:
+        if not left or not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
+            return False
+        if self.rows.contradict() or self._solver is None:
             return False
         return condition_estimate(self.program.P, self._solver) <= WELL_CONDITIONED
+
+    def _is_smaller(self, size: int) -> bool:
+        folded = self.rows.folded
+        entries = np.count_nonzero if isinstance(self.program.P, np.ndarray) else sp.csr_array.count_nonzero
+        return bool(size**2 <= entries(self.program.P) + 2 * (sp.csr_array(folded.G).nnz + sp.csr_array(folded.A).nnz))
+
+    def _is_laplacian(self) -> bool:
+        """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
+        if not is_diagonal(self.program.P):
+            return False
+        C = self._constraints[0]
+        counts = np.bincount(C.indices, minlength=self.program.n)
+        signs = np.bincount(C.indices, np.sign(C.data), minlength=self.program.n)
+        return bool(np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))))
+
+    def _is_all_that_fits(self, size: int) -> bool:
+        left, n = self.rows.left.size, self.program.n
+        if size > left + n or not is_diagonal(self.program.P) or left + n <= DENSE_UP_TO_SIZE:
+            return False
+        return not factor_fits(sp.csr_array(KKTForm(self.program, self.rows).matrix()))
 
     def problem(self) -> LCP:
         """Return the problem with one row a constraint."""

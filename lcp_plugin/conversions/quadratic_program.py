@@ -22,11 +22,6 @@ from .substitution import Substitution, substitute_definitions
 
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
-__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
-
-WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
-
-
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     """Return the linear complementarity problem that the program's optimality conditions are.
 
@@ -45,8 +40,9 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
         auto: direct where it can be; dual where P is positive definite with a condition number (at unit diagonal) of
-        at most about 1e6, it has no more rows than kkt, M is not a dense matrix of more than 5000 rows, and no row
-        contradicts the bounds (which kkt shows at once); else kkt.
+        at most about 1e6, no row contradicts the bounds (which kkt shows at once), and a full M has no more entries
+        than that of kkt; or where P is diagonal and M is the Laplacian of a graph, or that of kkt, of more than 5000
+        rows, has no factor that fits. Else kkt.
 
     Returns
     -------

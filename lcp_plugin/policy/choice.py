@@ -3,7 +3,7 @@
 A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridiagonal M-matrices) is solved by one
 compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
 follow; where no positive diagonal entry allows a sweep they come first. What that leaves open goes to the direct
-methods. Otherwise:
+methods, with which the KKT form of a program begins: neither sweeps nor pivots find much in it. Otherwise:
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
@@ -108,7 +108,12 @@ class Auto:
         self._direct: Turns | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return the compiled road of small problems, banded on narrow bands, PSOR where proved quick, or NPSOR."""
+        """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
+        if getattr(problem.origin, "form", "") == "kkt":
+            self._direct = Turns(problem)
+            if (first := self._direct.first()) is not None:
+                return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
+            self._direct = None
         if takes_the_short_road(problem):
             return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
         passes = BANDED.predicted_passes(problem, math.inf)

@@ -30,6 +30,7 @@ from ..algorithms.base import has_positive_diagonal
 from ..certificates.infeasibility import contradictory_row
 from ..conversions.presolve import presolve
 from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO, SEMIDEFINITENESS_UP_TO
+from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
 from .stages import Choice, Stage
 
@@ -83,8 +84,9 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
     from ..algorithms.search.stages import FeasibilityCheck
     from ..matrix.factors import factor_fits
 
-    reduced = presolve(problem)
-    left = reduced.problem
+    # A program has been folded already, and what could be decided of its multipliers is not worth the look.
+    reduced = None if getattr(problem.origin, "form", "") == "kkt" else presolve(problem)
+    left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
@@ -93,7 +95,8 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
     left_out = [] if problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
     if not (left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         left_out += [newton.algorithm, interior.algorithm]
-    if contradictory_row(problem) is not None:
+    row = contradictory_row(problem)
+    if row is not None and row.excludes(EPSILON, "relative", "residual"):
         yield replace(check, because="one row contradicts its bounds by itself")
     elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
         yield newton

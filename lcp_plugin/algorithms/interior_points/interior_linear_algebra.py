@@ -143,10 +143,12 @@ def equilibration(M: Any) -> FloatVector | None:
             if diagonal.max() <= EVEN * diagonal.min():
                 return None
             return _power_of_two(1.0 / np.sqrt(diagonal))
-    absolute = abs(M)
+    entries = sp.csr_array(M)
+    along = [_Groups(np.repeat(np.arange(n), np.diff(entries.indptr)), n), _Groups(entries.indices, n)]
+    absolute = np.abs(entries.data)
     for _ in range(RUIZ_PASSES):
-        scaled = scaled_by(absolute, c)
-        size = np.maximum(_largest_along(scaled, 0), _largest_along(scaled, 1))
+        scaled = absolute * c[along[0].of] * c[along[1].of]
+        size = np.maximum(*(groups.largest(scaled) for groups in along))
         size[size == 0.0] = 1.0
         c /= np.sqrt(size)
         if size.max() <= 2.0 and size.min() >= 0.5:
@@ -162,10 +164,23 @@ def scaled_by(M: Any, c: FloatVector) -> Any:
     return sp.csr_array((M.data * rows * c[M.indices], M.indices, M.indptr), shape=M.shape)
 
 
-def _largest_along(M: Any, axis: int) -> FloatVector:
-    largest = M.max(axis=axis)
-    vector: FloatVector = np.asarray(largest.toarray() if sp.issparse(largest) else largest, dtype=float).ravel()
-    return vector.copy()
+class _Groups:
+    """Entries by the row, or the column, that they belong to."""
+
+    def __init__(self, of: NDArray[np.integer[Any]], n: int) -> None:
+        self.of = of
+        counts = np.bincount(of, minlength=n)
+        self._filled = np.flatnonzero(counts)
+        self._starts = (np.cumsum(counts) - counts)[self._filled]
+        self._order = np.argsort(of, kind="stable")
+        self._n = n
+
+    def largest(self, values: FloatVector) -> FloatVector:
+        """Return the largest value of each group, 0 where it is empty."""
+        largest = np.zeros(self._n)
+        if self._filled.size:
+            largest[self._filled] = np.maximum.reduceat(values[self._order], self._starts)
+        return largest
 
 
 def _power_of_two(c: FloatVector) -> FloatVector:

@@ -86,7 +86,8 @@ class InteriorPoint(Algorithm):
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z, or the solution of the linear system of the active set that z shows, where that is better."""
         with np.errstate(all="ignore"):
-            return _Search(problem).finished(z)
+            left = float(np.max(np.abs(scaled_residual(problem, z, problem.slack(z))), initial=0.0))
+            return z if left <= FINISHED * reference_residual(problem) else _Search(problem).finished(z)
 
     def rehearsal(self) -> InteriorPoint:
         """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor."""
@@ -251,10 +252,10 @@ class _Search:
         return share[0] + int(share[1] * self.q.size)
 
     def finished(self, z: FloatVector) -> FloatVector:
-        """Return the better one of z and what solves for its active set; z where it is at rounding level already."""
+        """Return the better one of z and what solves for its active set."""
         y = (z if self.kept is None else z[self.kept]) / self.unit
         self.step(y, 0.0)
-        if y.size and self.best > FINISHED * reference_residual(self.problem):
+        if y.size:
             w = self.M @ y + self.q
             is_lower, is_upper = y - self.lower < w, self.upper - y < -w
             at = np.where(is_lower, self.lower, np.where(is_upper, self.upper, 0.0))

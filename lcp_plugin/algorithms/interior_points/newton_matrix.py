@@ -15,7 +15,7 @@ SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
 REFINEMENTS = 5
 USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
 STABLE = 1e-8  # the same beside the solution, which is large where the matrix is nearly singular
-REFINED = 1e-14
+REFINED = 1e-12
 
 
 class NewtonMatrix(ABC):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...checks import FloatVector
 from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
 from .newton_matrix import NewtonMatrix
-from .quasidefinite import QuasidefiniteNewtonMatrix, signs_of
+from .quasidefinite import QuasidefiniteNewtonMatrix
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
@@ -116,11 +116,10 @@ class SparseNewtonMatrix(NewtonMatrix):
         return x
 
 
-def newton_matrix(M: Any, is_symmetric: bool) -> NewtonMatrix:
-    """Return the Newton matrix that suits M: dense or small, of a quadratic program, or sparse."""
+def newton_matrix(M: Any, is_symmetric: bool, signs: FloatVector | None = None) -> NewtonMatrix:
+    """Return the Newton matrix that suits M: dense or small, of a quadratic program with these signs, or sparse."""
     if not sp.issparse(M):
         return DenseNewtonMatrix(M, is_symmetric)
-    signs = signs_of(M)
     if signs is not None:
         return QuasidefiniteNewtonMatrix(M, signs)
     if M.shape[0] <= DENSE_UP_TO:

@@ -21,6 +21,7 @@ from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet, rehearse
+from .quasidefinite import signs_of
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
@@ -120,6 +121,8 @@ class _Search:
             q = r * q
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
+        self.signs = signs_of(self.M) if sp.issparse(self.M) else None
+        self.is_program = self.signs is not None and bool((self.signs < 0.0).any())
         c = np.ones(q.size) if c is None else c
         q = q * c
         size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
@@ -158,6 +161,8 @@ class _Search:
         if self.is_symmetric:
             primal = PrimalActiveSet(self.M, self.q, self.lower, self.upper)
             yield from self.guessed(primal, y)
+        elif self.is_program and not np.array_equal(z0, self.problem.nearest_to_zero):
+            yield from self.near(y)  # of a program solved before with other numbers the active set may still be right
         yield from self.interior(primal)
 
     def _dense_where_symmetric(self, M: Any) -> tuple[Any, bool]:
@@ -203,10 +208,10 @@ class _Search:
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
-        matrix = newton_matrix(self.M, primal is not None)
+        matrix = newton_matrix(self.M, primal is not None, self.signs)
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
         weight = _weight_of(primal)
-        for heavier in (1.0, HEAVIER) if (matrix.signs < 0.0).any() else (1.0,):
+        for heavier in (1.0, HEAVIER) if self.is_program else (1.0,):
             if not (yield from self._from(point, _Starts(heavier * weight), primal)):
                 return
             for threshold in CLASSIFICATIONS:
@@ -256,12 +261,16 @@ class _Search:
         y = (z if self.kept is None else z[self.kept]) / self.unit
         self.step(y, 0.0)
         if y.size:
-            w = self.M @ y + self.q
-            is_lower, is_upper = y - self.lower < w, self.upper - y < -w
-            at = np.where(is_lower, self.lower, np.where(is_upper, self.upper, 0.0))
-            for _ in self.polished(y, is_lower | is_upper, at):
+            for _ in self.near(y):
                 pass
         return self.best_z
+
+    def near(self, y: FloatVector) -> Iterator[Step]:
+        """Solve for the active set that y shows."""
+        w = self.M @ y + self.q
+        is_lower, is_upper = y - self.lower < w, self.upper - y < -w
+        at = np.where(is_lower, self.lower, np.where(is_upper, self.upper, 0.0))
+        yield from self.polished(y, is_lower | is_upper, at)
 
     def polished(self, y: FloatVector, active: BoolVector, at: FloatVector) -> Iterator[Step]:
         """Solve the linear system of the active set and correct the set, as long as that improves the residual."""
@@ -287,7 +296,7 @@ class _Search:
             return 0.0
         # A fresh order for the block: the one of the whole matrix, active rows pinned, was measured less accurate.
         block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
-        system = newton_matrix(block, False)
+        system = newton_matrix(block, False, None if self.signs is None else self.signs[free])
         if not system.factorise(np.zeros(free.size)):
             y[free] = np.nan
             return system.work

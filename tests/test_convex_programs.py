@@ -100,6 +100,119 @@ def test_ranges_say_what_they_say() -> None:
         plain.row_multipliers  # noqa: B018
 
 
+def planted(
+    P: Any, x: Any, rng: np.random.Generator, *, G: Any = None, A: Any = None, size: float = 1.0
+) -> tuple[QuadraticProgram, float]:
+    """A program whose minimum is at x, and its value: half of the rows of G hold, multipliers up to the size."""
+    n = x.size
+    G, A = (sp.csr_array((0, n)) if rows is None else sp.csr_array(rows) for rows in (G, A))
+    holds = rng.random(G.shape[0]) < 0.5
+    y, v = size * rng.random(holds.size) * holds, size * rng.standard_normal(A.shape[0])
+    at_bound = rng.random(n) < 0.2
+    lower = np.where(at_bound, x, np.where(rng.random(n) < 0.5, x - 1.0 - abs(x), -INF))
+    low = size * rng.random(n) * at_bound
+    h = G @ x + np.where(holds, 0.0, rng.random(holds.size) + 0.1) * (abs(G) @ abs(x) + 0.1)
+    c = low - P @ x - G.T @ y - A.T @ v
+    return QuadraticProgram(P, c, G, h, A, A @ x, lower), float(0.5 * x @ (P @ x) + c @ x)
+
+
+def chain(n: int, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+    """Convexity on n points: second differences, whose multipliers are as large as n² times the forces."""
+    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
+    curvature = sp.csr_array(slope[:-1, :-1] @ slope)
+    kinks = (rng.random(n - 2) < 0.02) * rng.random(n - 2)
+    x = np.concatenate([[0.0, 0.0], np.cumsum(np.cumsum(kinks))]) / n
+    y = n**1.5 * np.sin(np.linspace(0.0, 3.0, n - 2)) ** 2 * (curvature @ x == 0.0)
+    held = curvature @ x
+    c = curvature.T @ y - x
+    return QuadraticProgram(sp.eye_array(n), c, -curvature, -np.where(y > 0.0, held, 0.0)), float(0.5 * x @ x + c @ x)
+
+
+def hard(kind: str, n: int, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+    """A planted program that asks something of an interior point."""
+    if kind == "a chain of differences":
+        return chain(10 * n, rng)
+    x = rng.standard_normal(n)
+    G, A = sp.random_array((n, n), density=4 / n, rng=rng), sp.random_array((n // 3, n), density=6 / n, rng=rng)
+    F = sp.random_array((n, n // 4), density=4 / n, rng=rng)
+    P = sp.csr_array(F @ F.T)
+    if kind == "dependent rows":
+        mix = sp.random_array((n // 3, n // 3), density=6 / n, rng=rng)
+        return planted(P, x, rng, G=G, A=sp.vstack([A, A, mix @ A]))
+    if kind == "free variables":
+        return planted(P, x, rng, A=A[: n // 6], G=sp.vstack([G, -G]))
+    if kind == "unstable dynamics":
+        k, steps = 4, n // 6
+        step, push = rng.standard_normal((k, k)), rng.standard_normal((k, 2))
+        step *= 1.5 / np.abs(np.linalg.eigvals(step)).max()
+        moves = sp.hstack([
+            sp.kron(sp.eye_array(steps + 1), sp.eye_array(k)) - sp.kron(sp.eye_array(steps + 1, k=-1), step),
+            sp.kron(sp.vstack([sp.csr_array((1, steps)), sp.eye_array(steps)]), push),
+        ])
+        x = rng.standard_normal(moves.shape[1])
+        return planted(sp.csr_array(sp.eye_array(x.size)), x, rng, A=moves)
+    rows, columns = 10.0 ** rng.uniform(-3, 3, n), 10.0 ** rng.uniform(-2, 2, n)
+    few = sp.csr_array(sp.diags_array(np.where(rng.random(n) < 0.1, 1.0, 0.0)))
+    scale = sp.diags_array(columns)
+    return planted(scale @ few @ scale, x / columns, rng, G=sp.diags_array(rows) @ G @ scale, A=A @ scale)
+
+
+HARD = ("a chain of differences", "dependent rows", "free variables", "unstable dynamics", "badly scaled")
+
+
+@pytest.mark.parametrize("n", [60, 240])
+@pytest.mark.parametrize("kind", HARD)
+def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
+    """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in some dozen steps."""
+    for seed in range(3):
+        program, value = hard(kind, n, np.random.default_rng([seed, n]))
+        problem = lcp_from_qp(program)
+        result = solve(problem)
+        solution = problem.origin.recover(result)
+        assert solution.is_stationary(1e-6), (seed, result, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+        assert result.iterations <= 80
+
+
+@pytest.mark.parametrize("kind", ["dependent rows", "unstable dynamics"])
+def test_a_second_solve_starts_from_the_first(kind: str) -> None:
+    """With numbers changed a little the active set that was right solves again, in one step or two instead of many."""
+    program, _ = hard(kind, 240, np.random.default_rng(5))
+    first = lcp_from_qp(program, "kkt")
+    result = solve(first)
+    moved = QuadraticProgram(
+        program.P, program.c * (1.0 + 1e-7), program.G, program.h, program.A, program.b, program.lower, program.upper
+    )
+    again = lcp_from_qp(moved, "kkt")
+    cold, warm = solve(again), solve(again, z0=result.z)
+    assert warm.is_solved
+    assert warm.iterations <= 3 < cold.iterations
+    assert again.origin.recover(warm).is_stationary(1e-6)
+
+
+def test_an_infinite_limit_may_be_rounded() -> None:
+    """1e20 less its last digits, as files hold it, says nothing either."""
+    program = QuadraticProgram.from_ranges(
+        np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [-9.999999999999998e19], [9.999999999999998e19], -9.999999999999995e19
+    )
+    assert (program.h.size, program.b.size) == (0, 0)
+    assert (program.lower == -INF).all()
+
+
+def test_rounding_is_no_multiplier() -> None:
+    """Between far bounds a reduced cost that only rounding leaves is none: times the distance it would be an error."""
+    program = QuadraticProgram([[1e-3]], [-3e2], A=[[1e7]], b=[3e12], lower=0.0, upper=1e9)
+    problem = lcp_from_qp(program, "kkt")
+    x, v = 3e5, 0.1 / 7.0
+    c = -(1e-3 * x + 1e7 * v) * (1.0 + 2.0**-52)
+    solution = problem.origin.recover([x])
+    assert solution.is_stationary(1e-9)
+    program = QuadraticProgram([[1e-3, 0.0], [0.0, 1.0]], [c, 0.0], [[1e7, 1.0]], [1e7 * x], lower=0.0, upper=1e9)
+    solution = lcp_from_qp(program, "kkt").origin.recover([x, 0.0, v])
+    assert solution.lower[0] == solution.upper[0] == 0.0
+    assert solution.row_residual <= 1e-9
+
+
 def test_the_dual_form_is_for_good_condition_only() -> None:
     """Of two programs without bounds, the well conditioned one is dual, the one with κ = 1e8 is kkt."""
     rng = np.random.default_rng(0)

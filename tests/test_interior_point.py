@@ -18,6 +18,7 @@ from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
 )
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.algorithms.interior_points.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
+from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, signs_of
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.kernels import triangles
 from lcp_plugin.matrix.symmetry import is_symmetric_to_rounding
@@ -245,9 +246,57 @@ def test_singular_newton_matrix_is_regularised() -> None:
     A = np.ones((2, 3))
     M = sp.csr_array(np.block([[np.eye(3), A.T], [-A, np.zeros((2, 2))]]))
     right = M @ np.arange(5.0)
-    for matrix in (SparseNewtonMatrix(M), DenseNewtonMatrix(M.toarray(), False)):
+    programs = QuasidefiniteNewtonMatrix(M, np.repeat([1.0, -1.0], [3, 2]))
+    for matrix in (SparseNewtonMatrix(M), DenseNewtonMatrix(M.toarray(), False), programs):
         assert matrix.factorise(np.zeros(5))
         np.testing.assert_allclose(M @ matrix.solve(right), right, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 30, 300])
+def test_ldl_solves_the_systems_of_programs(n: int) -> None:
+    """LDLᵀ agrees with LAPACK on [P + D, Aᵀ; −A, E], rows in any order, at the first and at later factorisations."""
+    rng = np.random.default_rng(n)
+    B, A = (sp.random_array((n, n), density=min(1.0, 3.0 / n), rng=rng) for _ in range(2))
+    order = rng.permutation(2 * n)
+    P = B @ B.T
+    M = sp.csr_array(sp.csr_array(sp.block_array([[P + P.T, A.T], [-A, None]]))[order][:, order])
+    M.sort_indices()
+    signs = signs_of(M)
+    assert signs is not None
+    matrix = QuasidefiniteNewtonMatrix(M, signs)
+    for _ in range(3):
+        diagonal, right = 10.0 ** rng.uniform(-3, 3, 2 * n), rng.standard_normal(2 * n)
+        assert matrix.factorise(diagonal)
+        expected = np.linalg.solve(M.toarray() + np.diag(diagonal), right)
+        np.testing.assert_allclose(matrix.solve(right), expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+
+
+def test_signs_are_found_or_there_are_none() -> None:
+    """diag(s) M is symmetric for the signs that are found; where no choice of them is right none are."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        n = int(rng.integers(1, 12))
+        S = rng.integers(-2, 3, (n, n)) * (rng.random((n, n)) < 0.4)
+        s = rng.choice([-1.0, 1.0], n)
+        M = sp.csr_array(s[:, None] * (S + S.T).astype(float))
+        found = signs_of(M)
+        assert found is not None
+        assert (np.diag(found) @ M.toarray() == (np.diag(found) @ M.toarray()).T).all()
+    triangle = np.array([[0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, -1.0, 0.0]])  # all three oppose each other
+    assert signs_of(sp.csr_array(triangle)) is None
+    assert signs_of(sp.csr_array(np.triu(triangle))) is None
+
+
+def test_a_useless_factor_is_made_again_with_more_regularisation() -> None:
+    """A zero pivot, about which an updated factor says nothing, is seen; the system is solved all the same."""
+    M = sp.csr_array([[0.0, 1.0, 1.0], [-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    matrix = QuasidefiniteNewtonMatrix(M, np.array([1.0, -1.0, -1.0]))
+    for _ in range(12):
+        matrix.sharpen()
+    for diagonal in (np.ones(3), np.zeros(3), np.ones(3)):
+        assert matrix.factorise(diagonal)
+        right = (M + sp.diags_array(diagonal)) @ np.array([1.0, 2.0, 3.0])
+        np.testing.assert_allclose((M + sp.diags_array(diagonal)) @ matrix.solve(right), right, atol=1e-9)
 
 
 def test_equilibration_evens_rows_and_keeps_symmetry() -> None:

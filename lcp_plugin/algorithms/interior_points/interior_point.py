@@ -14,11 +14,13 @@ from ...certificates.residuals import reference_residual
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
 from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
+from ...deadline import is_over
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
+from .outlook import Progress, Starts
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet, rehearse
 from .quasidefinite import signs_of
@@ -29,14 +31,14 @@ SETTLED = 0.005  # share of the rows that may still have changed sides when swee
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
 LATER_GUESS = (10, 0.02)
 HEAVIER = 1e4  # multipliers of a program that are as much larger beside its distances, where a first start fails
-MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
-SHORT = 0.15  # of the whole second step: the start is not as large as the answer
 EARLIEST_GUESS = 3
-PATIENCE = 25  # steps
 MOST_ITERATIONS = 150
+MUCH_SMALLER = 0.1
+CLOSED_GAP = 1e-20  # of the first gap: nothing is hidden any more
 POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
 MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
+NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
@@ -131,6 +133,8 @@ class _Search:
         self.entries = max(float(problem.M.nnz if sp.issparse(problem.M) else problem.M.size), 1.0)
         self.counted = 0.0  # of the primal active set's work
         self.best, self.best_z = np.inf, np.array(problem.nearest_to_zero)
+        self.least = self.product = np.inf
+        self.reference = reference_residual(problem)
 
     # --- what the driver sees ---------------------------------------------------------------------------
 
@@ -144,11 +148,30 @@ class _Search:
         else:
             z[self.kept] = inside
         z = np.clip(z, problem.lower, problem.upper)
-        residual = scaled_residual(problem, z, problem.slack(z))
-        largest = float(np.max(np.abs(residual), initial=0.0))
-        if largest < self.best:
-            self.best, self.best_z = largest, z
+        w = problem.slack(z)
+        largest = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+        product = self._largest_product(z, w) if self.is_program else 0.0
+        if largest < self._allowed(product):
+            self.best, self.product, self.best_z = largest, product, z
+        self.least = min(self.least, largest)
         return Step(self.best_z, residual=self.best, work=1.0 + work / self.entries)
+
+    def _largest_product(self, z: FloatVector, w: FloatVector) -> float:
+        """Return the largest product of a multiplier and a distance: what a program is judged by besides."""
+        below, above = z - self.problem.lower, self.problem.upper - z
+        sides = np.where(w > 0.0, below, above)
+        return float(np.max(np.abs(w) * np.where(np.isfinite(sides), sides, 0.0), initial=0.0))
+
+    def _allowed(self, product: float) -> float:
+        """Return below which residual a point is the best: above the least where its product is much smaller."""
+        if product < MUCH_SMALLER * self.product:
+            return max(self.best, self.least / MUCH_SMALLER)
+        return self.best if product <= self.product / MUCH_SMALLER else MUCH_SMALLER * self.best
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the best residual is small, and yet that of no active set that was solved for."""
+        return FINISHED * self.reference < self.best <= NEAR * self.reference
 
     # --- the stages -------------------------------------------------------------------------------------
 
@@ -212,25 +235,28 @@ class _Search:
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
         weight = _weight_of(primal)
         for heavier in (1.0, HEAVIER) if self.is_program else (1.0,):
-            if not (yield from self._from(point, _Starts(heavier * weight), primal)):
+            if not (yield from self._from(point, Starts(heavier * weight), primal)):
                 return
-            for threshold in CLASSIFICATIONS:
-                yield from self.polished(point.z, *_active(point, threshold))
 
     def _from(
-        self, point: PredictorCorrector, starts: _Starts, primal: PrimalActiveSet | None
+        self, point: PredictorCorrector, starts: Starts, primal: PrimalActiveSet | None
     ) -> Generator[Step, None, bool]:
         """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
             return False
-        progress, first_gap, counted = _Progress(), point.gap, point.matrix.work
-        polishes, settled_for, last, steps = 0, 0, _active(point, 1.0)[0], 0
+        progress, first_gap, counted = Progress(), point.gap, point.matrix.work
+        polishes, settled_for, last, steps, held = 0, 0, _active(point, 1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
             steps += 1
-            yield self.step(point.z, point.matrix.work - counted)
-            counted = point.matrix.work
+            step = self.step(point.z, point.matrix.work - counted)
+            # A residual that is small already hides errors beside large multipliers: as long as the gap falls, go on.
+            is_falling = point.gap > CLOSED_GAP * first_gap and not is_over()
+            held = held + 1 if self.is_near and is_falling and held < MOST_HELD else 0
+            if not held:
+                yield step
+                counted = point.matrix.work
             if steps == 2 and starts.has_better(point.length):
                 steps = 0
                 if not point.start(starts.weight):
@@ -251,6 +277,9 @@ class _Search:
             if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point.z, *_active(point, 1.0))
+        for threshold in CLASSIFICATIONS:
+            yield from self.polished(point.z, *_active(point, threshold))
+        yield self.step(point.z, 0.0)
         return True
 
     def _limit(self, share: tuple[int, float]) -> int:
@@ -280,7 +309,9 @@ class _Search:
             work = self._solve_for(y, np.flatnonzero(~active))
             if not np.isfinite(y).all():
                 return
-            yield self.step(y, work)
+            step = self.step(y, work)
+            if not self.is_near:
+                yield step
             w = self.M @ y + self.q
             outside = ~active & ((y < self.lower) | (y > self.upper))
             inwards = active & np.where(at == self.lower, w < 0.0, w > 0.0)
@@ -303,41 +334,6 @@ class _Search:
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
         return system.work
-
-
-class _Progress:
-    """The smallest residual, gap and infeasibility so far: where none of them falls, nothing improves."""
-
-    def __init__(self) -> None:
-        self._least = np.full(3, np.inf)
-        self._since = 0
-
-    def has_ended(self, *measures: float) -> bool:
-        """Return whether for a while no measure has fallen below nine tenths of its smallest value."""
-        falls = np.array(measures) < 0.9 * self._least
-        self._least = np.where(falls, measures, self._least)
-        self._since = 0 if falls.any() else self._since + 1
-        return self._since >= PATIENCE
-
-
-class _Starts:
-    """The weight of the start: smaller ones as long as the second step is short, and gets longer by that."""
-
-    def __init__(self, weight: float) -> None:
-        self.weight = self._best = weight
-        self._longest, self._left = 0.0, MOST_STARTS
-
-    def has_better(self, length: float) -> bool:
-        """Return whether to start again, with the present weight, after a second step of that length."""
-        self._left -= 1
-        if length >= SHORT or self._left <= 0:
-            return False
-        if length > self._longest:
-            self._longest, self._best = length, self.weight
-            self.weight *= LIGHTER
-        else:  # the one before was better
-            self.weight, self._left = self._best, 0
-        return True
 
 
 def _weight_of(primal: PrimalActiveSet | None) -> float:

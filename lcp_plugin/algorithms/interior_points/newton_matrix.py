@@ -16,6 +16,8 @@ REFINEMENTS = 5
 USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
 STABLE = 1e-8  # the same beside the solution, which is large where the matrix is nearly singular
 REFINED = 1e-12
+SMALLEST = 1e-300
+WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
 
 
 class NewtonMatrix(ABC):
@@ -27,6 +29,8 @@ class NewtonMatrix(ABC):
         Multiplications so far.
     missed : float
         The largest error that a solve has left since the last factorisation.
+    share : float
+        The same beside the largest component of its right-hand side.
     signs : ndarray, shape (n,)
         −1 on the rows whose z is a multiplier of others, else 1.
     """
@@ -38,12 +42,13 @@ class NewtonMatrix(ABC):
         self.signs = np.ones(self.n)
         self.regularisation = self._least = REGULARISATION
         self.missed = 0.0
+        self.share, self._share_before = 0.0, np.inf
         self._may_sharpen = True
         self._diagonal = np.zeros(self.n)
 
     def factorise(self, diagonal: FloatVector) -> bool:
         """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
-        self._diagonal, self.missed = diagonal, 0.0
+        self._diagonal, self.missed, self.share = diagonal, 0.0, 0.0
         self.regularisation = max(self._least, 0.01 * self.regularisation)
         while not self._try(diagonal + self.regularisation):
             self._may_sharpen = False
@@ -54,14 +59,21 @@ class NewtonMatrix(ABC):
         return True
 
     def sharpen(self) -> None:
-        """Regularise less from the next factorisation on, unless that has failed before."""
+        """Regularise less from the next factorisation on, unless that has failed, or made matters worse, before."""
+        if not self._may_sharpen:
+            return
+        self._may_sharpen = self.share <= WORSE * self._share_before
+        self._share_before = self.share
         if self._may_sharpen:
             self._least = max(0.01 * self._least, SMALLEST_REGULARISATION)
+        else:
+            self._least = min(100.0 * self._least, REGULARISATION)
 
     def solve(self, right: FloatVector) -> FloatVector:
         """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
         x = self._apply(right)
-        goal = REFINED * float(np.max(np.abs(right), initial=0.0))
+        size = float(np.max(np.abs(right), initial=0.0))
+        goal = REFINED * size
         left = self._left(right, x)
         error = float(np.max(np.abs(left), initial=0.0))
         for _ in range(REFINEMENTS):
@@ -73,7 +85,7 @@ class NewtonMatrix(ABC):
             if not smaller < error:
                 break
             x, error = better, smaller
-        self.missed = max(self.missed, error)
+        self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
         return x
 
     def _left(self, right: FloatVector, x: FloatVector) -> FloatVector:

@@ -64,7 +64,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
 
 def signs_of(M: sp.csr_array) -> FloatVector | None:
-    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding, or None where there is none.
+    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding, or None where there is none; M is canonical.
 
     Examples
     --------

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
 from ..crossovers import DIRECT_UP_TO
+from .equilibration import evened
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .matrix import Matrix
 from .structure import bandwidth
@@ -20,6 +21,7 @@ KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as mu
 KRYLOV_STEPS = 60
 CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge
 SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+EVENED_BY = (0.5, 0.5, 0.5, 0.5, 1.0)  # passes that bring a block's entries near 1, as `evened` takes them
 
 
 class FreeSystem:
@@ -106,8 +108,18 @@ class FreeSystem:
         return None if factor is None or self._cancels(factor) else factor
 
     def _cancels(self, factor: Factor) -> bool:
-        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block."""
+        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
+
+        Units of the unknowns that lie far apart can make a regular block look so, but not once they are evened out.
+        """
         scale = self.matrix.residual_scale[self.rows]
+        if not self._cancels_beside(scale, factor):
+            return False
+        rows = evened(sp.csr_array(self.block), EVENED_BY).row
+        return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
+
+    def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
+        """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
         with np.errstate(all="ignore"):
             x = factor.solve(np.random.default_rng(0).choice([-1.0, 1.0], size=scale.size) * scale)
             return not bool((abs(self.block) @ np.abs(x) <= SINGULAR * scale).all())

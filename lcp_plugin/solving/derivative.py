@@ -241,9 +241,10 @@ class Derivative:
         problem = self.problem
         g = finite_vector(g, "g", problem.own)
         by_w = np.zeros(problem.own) if gw is None else finite_vector(gw, "gw", problem.own)
+        rows, free = self._rows, self.free
+        by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
         if by_w.any():
             g = g + self._transposed_product(by_w)
-        rows, free = self._rows, self.free
         multiplier = by_w - _solution(self._system, g, transposed=True)
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(

@@ -1,0 +1,308 @@
+"""Derivatives of random small problems against those in rational arithmetic.
+
+Run ``python tests/campaigns/derivatives.py --cases 10000 --degenerate 1000 --seed 0``. Each problem has the rows of its
+answer drawn beforehand; a fraction decides whether they are those of the exact solution. There jvp (by M, q and the
+bounds) and vjp (to M, q and the bounds, from z and w) must equal the exact ones to 1e-12 κ(M_FF) relative, and
+⟨vjp(g), h⟩ must be ⟨g, jvp(h)⟩ to 1e-13 of its terms, times κ(M_FF) where that is above 100. Planted degenerate
+problems are of short numbers, so that they are exactly degenerate: `is_unique` must not be True, `degenerate` be the
+planted rows, jvp the exact one-sided derivative and vjp the gradient of the piece that `free` names. Exit code 0 only
+where nothing else was found and `is_unique` is True on 90 % of the nondegenerate problems with H₊-matrices.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from exact import FREE, LOWER, UPPER
+from exact_derivatives import Change, ExactGradient, Piece, distance, states_of
+
+from lcp_plugin import LCP, Derivative, derivative, solve
+from lcp_plugin.errors import ConvergenceWarning
+
+Generator = np.random.Generator
+ACCURACY, ADJOINT, WELL_CONDITIONED = 1e-12, 1e-13, 100.0
+SHARE = 0.9
+SECONDS = 20.0
+KINDS = ("plain", "box", "mixed")
+
+
+def h_plus(n: int, rng: Generator) -> np.ndarray:
+    """Dominant after a scaling of columns, signs arbitrary, half of the entries zero."""
+    M = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5)
+    np.fill_diagonal(M, 0.0)
+    np.fill_diagonal(M, abs(M).sum(axis=1) * rng.uniform(1.01, 2.0, n) + 0.1)
+    return M * 2.0 ** rng.integers(-3, 4, n)
+
+
+def definite(n: int, rng: Generator, digits: float = 3.0) -> np.ndarray:
+    """Symmetric positive definite."""
+    Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    M = (Q * np.geomspace(1.0, 10.0**-digits, n)) @ Q.T
+    return 0.5 * (M + M.T)
+
+
+def p_matrix(n: int, rng: Generator) -> np.ndarray:
+    """All principal minors positive: a triangle in any order, or a cycle of odd length."""
+    if n % 2:
+        return np.eye(n) + rng.uniform(0.5, 3.0) * np.roll(np.eye(n), -1, axis=0)
+    order, M = rng.permutation(n), np.triu(2.0 * rng.normal(size=(n, n)), 1)
+    return (M + np.diag(rng.uniform(0.5, 2.0, n)))[np.ix_(order, order)]
+
+
+def nonsymmetric(n: int, rng: Generator) -> np.ndarray:
+    """Positive definite symmetric part, and a skew one as large."""
+    K = rng.normal(size=(n, n))
+    return definite(n, rng, 1.0) + 0.5 * (K - K.T)
+
+
+def ill_conditioned(n: int, rng: Generator) -> np.ndarray:
+    """Symmetric positive definite, condition 1e4 … 1e10."""
+    return definite(n, rng, rng.uniform(4.0, 10.0))
+
+
+def scaled(n: int, rng: Generator) -> np.ndarray:
+    """Rows and columns in any unit."""
+    return h_plus(n, rng) * 10.0 ** rng.integers(-6, 7, n)[:, None] * 10.0 ** rng.integers(-6, 7, n)
+
+
+def chain(n: int, rng: Generator) -> np.ndarray:
+    """A tridiagonal M-matrix."""
+    upper, lower = -rng.random((2, n - 1))
+    return np.diag(rng.uniform(2.0, 3.0, n)) + np.diag(upper, 1) + np.diag(lower, -1)
+
+
+FAMILIES: dict[str, Callable[[int, Generator], np.ndarray]] = {
+    one.__name__: one for one in (h_plus, definite, p_matrix, nonsymmetric, ill_conditioned, scaled, chain)
+}
+PROVEN_H_PLUS = ("h_plus", "chain", "scaled")
+
+
+def rows(kind: str, states: np.ndarray, z: np.ndarray, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return bounds that give each row of z its state; −1, 0, 1 as in `exact`."""
+    n = states.size
+    away = rng.integers(1, 5, (2, n)).astype(float)
+    lower = np.where(states == LOWER, z, z - away[0])
+    upper = np.where(states == UPPER, z, z + away[1])
+    if kind == "plain":
+        return lower, np.full(n, np.inf)
+    if kind == "mixed":
+        open_end = rng.random(n)
+        lower = np.where((open_end < 0.5) & (states != LOWER), -np.inf, lower)
+        upper = np.where((open_end > 0.25) & (open_end < 0.75) & (states != UPPER), np.inf, upper)
+        is_fixed = (states != FREE) & (rng.random(n) < 0.2)
+        lower, upper = np.where(is_fixed, z, lower), np.where(is_fixed, z, upper)
+    return lower, upper
+
+
+def drawn_states(kind: str, n: int, rng: Generator) -> np.ndarray:
+    """Return the state of each row."""
+    return rng.choice([LOWER, FREE] if kind == "plain" else [LOWER, FREE, FREE, UPPER], n)
+
+
+def delivered(M: np.ndarray, rng: Generator) -> object:
+    """Return M dense or sparse."""
+    return M if rng.random() < 0.5 else sp.csr_array(M)
+
+
+def drawn(family: str, kind: str, largest: int, rng: Generator) -> LCP:
+    """Return a problem whose answer, but for rounding of q, was drawn before."""
+    n = int(rng.integers(2, largest + 1))
+    M, states = FAMILIES[family](n, rng), drawn_states(kind, n, rng)
+    z = rng.normal(size=n)
+    w = -states * (0.1 + rng.random(n)) * abs(M).max(axis=1)
+    if kind == "plain":
+        z = np.where(states == LOWER, 0.0, abs(z))
+    if family == "scaled":
+        z = z / abs(M).max(axis=0)
+    lower, upper = rows(kind, states, z, rng)
+    if kind == "plain":
+        lower = np.zeros(n)
+    return LCP(delivered(M, rng), w - M @ z, lower=lower, upper=upper)
+
+
+def degenerate(kind: str, largest: int, rng: Generator) -> tuple[LCP, np.ndarray, np.ndarray]:
+    """Return a problem of integers, its answer and the rows that are planted at a bound with w = 0."""
+    n = int(rng.integers(2, largest + 1))
+    M = rng.integers(-3, 4, (n, n)).astype(float)
+    if rng.random() < 0.5:
+        M = M @ M.T + np.diag(rng.integers(1, 4, n))
+    else:
+        np.fill_diagonal(M, 0.0)
+        np.fill_diagonal(M, abs(M).sum(axis=1) + rng.integers(1, 4, n))
+    states, z = drawn_states(kind, n, rng), rng.integers(-3, 4, n).astype(float)
+    if kind == "plain":
+        z = np.where(states == LOWER, 0.0, abs(z) + 1.0)
+    lower, upper = rows(kind, states, z, rng)
+    lower = np.zeros(n) if kind == "plain" else lower
+    if not ((states != FREE) & (lower != upper)).any():
+        return degenerate(kind, largest, rng)
+    held = np.flatnonzero((states != FREE) & (lower != upper))
+    planted = np.sort(rng.permutation(held)[: rng.integers(1, 4)])
+    w = -states * rng.integers(1, 5, n).astype(float)
+    w[planted] = 0.0
+    return LCP(delivered(M, rng), w - M @ z, lower=lower, upper=upper), z, planted
+
+
+class Judged:
+    """What is wrong with the derivative of one problem."""
+
+    def __init__(self, found: Derivative, piece: Piece, rng: Generator) -> None:
+        self.found, self.piece, self.wrong = found, piece, list[str]()
+        n, M, F = piece.problem.n, piece.problem.csr.toarray(), piece.free
+        self.condition = float(np.linalg.cond(M[np.ix_(F, F)], np.inf)) if F else 1.0
+        self.change, self.g, self.gw = Change.drawn(n, rng), *rng.normal(size=(2, n))
+        self.gradient = found.vjp(self.g, self.gw)
+
+    def near(self, what: str, found: object, true: object) -> None:
+        """Note what is not within 1e-12 κ of the exact one."""
+        error = distance(found, true)
+        if not error <= ACCURACY * max(self.condition, 1.0):
+            self.wrong.append(f"{what.upper()} off by {error:.1e}, condition {self.condition:.1e}")
+
+    def pushes_forward(self, true: list) -> None:
+        """jvp in all data at once."""
+        self.near("jvp", self.found.jvp(**self.change.arguments), true)
+
+    def pulls_back(self, true: ExactGradient) -> None:
+        """vjp to everything."""
+        found = self.gradient
+        self.near("vjp to q", found.q, true.q)
+        self.near("vjp to the bounds", np.r_[found.lower, found.upper], true.lower + true.upper)
+        pattern = self.piece.problem.csr.tocoo()
+        self.near("vjp to M", found.M.tocoo().data, [true.M[i][j] for i, j in zip(pattern.row, pattern.col, strict=True)])
+
+    def is_adjoint(self) -> None:
+        """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ for a change h on M's pattern."""
+        found, change, M = self.gradient, self.change, self.piece.problem.csr
+        dM = M.copy()
+        dM.data = np.random.default_rng(0).normal(size=dM.nnz)
+        dz = self.found.jvp(dM=dM, dq=change.dq, dlower=change.dlower, dupper=change.dupper)
+        dw = self.found.dw(dz, dM=dM, dq=change.dq)
+        inner = np.r_[
+            found.q * change.dq, found.lower * change.dlower, found.upper * change.dupper, found.M.data * dM.data,
+            -self.g * dz, -self.gw * dw,
+        ]
+        parts = abs(inner).sum() + abs(self.gw) @ (abs(M) @ abs(dz) + abs(dM) @ abs(self.found.z) + abs(change.dq))
+        allowed = ADJOINT * max(1.0, self.condition / WELL_CONDITIONED)
+        error = abs(inner.sum()) / parts
+        if not error <= allowed:
+            self.wrong.append(f"ADJOINT off by {error:.1e}, condition {self.condition:.1e}")
+
+
+def judge_strict(family: str, kind: str, largest: int, rng: Generator) -> Iterator[tuple[str, bool]]:
+    """Yield (what happened, whether it is wrong) of one problem that is not degenerate."""
+    problem = drawn(family, kind, largest, rng)
+    result = solve(problem, tolerance=rng.choice([1e-8, 1e-8, 1e-3]), max_seconds=SECONDS)
+    if not result.is_solved:
+        yield f"{result.status.name}", False
+        return
+    found = derivative(result)
+    piece = Piece(problem, states_of(problem, found.z, problem.csr @ found.z + problem.q, found.free))
+    if not piece.is_solution:
+        yield "ROWS of no solution", True
+        return
+    if piece.degenerate:
+        yield "degenerate", False
+        if found.is_unique:
+            yield "UNIQUE although degenerate", True
+        return
+    yield f"is_unique {found.is_unique}", False
+    if found.degenerate.size:
+        yield "called degenerate", False
+        return
+    judged = Judged(found, piece, rng)
+    judged.near("z", found.z, piece.z)
+    judged.pushes_forward(piece.jvp(judged.change))
+    judged.pulls_back(piece.vjp(judged.g, judged.gw))
+    judged.is_adjoint()
+    yield from ((one, True) for one in judged.wrong)
+
+
+def judge_degenerate(kind: str, largest: int, rng: Generator) -> Iterator[tuple[str, bool]]:
+    """Yield (what happened, whether it is wrong) of one planted problem."""
+    problem, z, planted = degenerate(kind, largest, rng)
+    result = solve(problem, max_seconds=SECONDS)
+    if not result.is_solved:
+        yield f"{result.status.name}", True
+        return
+    found = derivative(result)
+    yield f"{planted.size} planted rows, is_unique {found.is_unique}", bool(found.is_unique and planted.size)
+    if not np.array_equal(found.degenerate, planted):
+        yield f"DEGENERATE {found.degenerate} for {planted}", True
+    piece = Piece(problem, states_of(problem, z, problem.csr @ z + problem.q, found.free))
+    if not piece.is_solution or piece.degenerate != [i for i in planted if i not in piece.free]:
+        yield "ROWS that are free of no piece that meets here", True
+        return
+    at = Piece(problem, tuple(FREE if i in piece.free and i not in planted else s for i, s in enumerate(
+        states_of(problem, z, problem.csr @ z + problem.q, found.free & ~np.isin(np.arange(z.size), planted)))))
+    judged = Judged(found, piece, rng)
+    judged.pushes_forward(at.one_sided(judged.change))
+    judged.pulls_back(piece.vjp(judged.g, judged.gw))
+    yield from ((one, True) for one in judged.wrong)
+
+
+def judge(arguments: tuple[int, int, int, bool]) -> list[tuple[str, str, str]]:
+    """Return (family, what happened, where if it is wrong) of problem k."""
+    seed, k, largest, is_planted = arguments
+    warnings.simplefilter("error")
+    warnings.simplefilter("ignore", ConvergenceWarning)
+    rng = np.random.default_rng((seed, k, is_planted))
+    kind, family = KINDS[k % 3], "planted" if is_planted else list(FAMILIES)[k // 3 % len(FAMILIES)]
+    where = f"{family} {kind} --only {k}" + (" --planted" if is_planted else "")
+    try:
+        found = judge_degenerate(kind, largest, rng) if is_planted else judge_strict(family, kind, largest, rng)
+        return [(family, what, where if is_wrong else "") for what, is_wrong in found]
+    except Exception as error:  # a campaign counts what a caller would see
+        return [(family, f"EXCEPTION {type(error).__name__}: {error}", where)]
+
+
+def main() -> int:
+    """Run the campaign."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--degenerate", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--largest", type=int, default=8)
+    parser.add_argument("--only", type=int)
+    parser.add_argument("--planted", action="store_true")
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args()
+    began, counts, wrong = time.perf_counter(), Counter[tuple[str, str]](), []
+    numbers = [(k, False) for k in range(given.first, given.first + given.cases)]
+    numbers += [(k, True) for k in range(given.first, given.first + given.degenerate)]
+    if given.only is not None:
+        numbers = [(given.only, given.planted)]
+    with Pool(given.processes) as pool:
+        work = ((given.seed, k, given.largest, is_planted) for k, is_planted in numbers)
+        for found in pool.imap_unordered(judge, work, chunksize=20):
+            for family, what, where in found:
+                counts[family, what.split(" off ")[0].partition(":")[0]] += 1
+                if where:
+                    wrong.append(f"{what} in {where}")
+    for (family, what), count in sorted(counts.items()):
+        print(f"{family:<16} {what:<40} {count}")
+    unique, others = (
+        sum(count for (family, what), count in counts.items() if family in PROVEN_H_PLUS and what in whats)
+        for whats in (("is_unique True",), ("is_unique False", "is_unique None"))
+    )
+    if unique < SHARE * (unique + others):
+        wrong.append(f"is_unique True on {unique} of {unique + others} H₊ problems only")
+    print(*wrong[:40], sep="\n")
+    print(f"{len(numbers)} cases, {len(wrong)} wrong, {time.perf_counter() - began:.0f} s")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -21,7 +21,7 @@ Vector = list[Fraction]
 class Change:
     """A direction in the data: dM an array, the others vectors, all of doubles."""
 
-    dM: np.ndarray
+    dM: np.ndarray  # noqa: N815 - the argument's name
     dq: np.ndarray
     dlower: np.ndarray
     dupper: np.ndarray

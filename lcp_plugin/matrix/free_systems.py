@@ -121,7 +121,7 @@ class FreeSystem:
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
         """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
         with np.errstate(all="ignore"):
-            x = factor.solve(np.random.default_rng(0).choice([-1.0, 1.0], size=scale.size) * scale)
+            x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)  # in no range by chance
             return not bool((abs(self.block) @ np.abs(x) <= SINGULAR * scale).all())
 
     @np.errstate(all="ignore")

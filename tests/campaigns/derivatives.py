@@ -171,19 +171,20 @@ class Judged:
             self.wrong.append(f"{what.upper()} off by {error:.1e}, condition {self.condition:.1e}")
 
     def pushes_forward(self, true: list) -> None:
-        """jvp in all data at once."""
+        """Judge jvp in all data at once."""
         self.near("jvp", self.found.jvp(**self.change.arguments), true)
 
     def pulls_back(self, true: ExactGradient) -> None:
-        """vjp to everything."""
+        """Judge vjp to all data."""
         found = self.gradient
         self.near("vjp to q", found.q, true.q)
         self.near("vjp to the bounds", np.r_[found.lower, found.upper], true.lower + true.upper)
         pattern = self.piece.problem.csr.tocoo()
-        self.near("vjp to M", found.M.tocoo().data, [true.M[i][j] for i, j in zip(pattern.row, pattern.col, strict=True)])
+        by_entry = [true.M[i][j] for i, j in zip(pattern.row, pattern.col, strict=True)]
+        self.near("vjp to M", found.M.data, by_entry)
 
     def is_adjoint(self) -> None:
-        """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ for a change h on M's pattern."""
+        """Judge ⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ for a change h on M's pattern."""
         found, change, M = self.gradient, self.change, self.piece.problem.csr
         dM = M.copy()
         dM.data = np.random.default_rng(0).normal(size=dM.nnz)

@@ -29,6 +29,7 @@ from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
 from ..matrix.structure import row_numbers
+from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .driver import solve
 from .result import Result
@@ -43,7 +44,7 @@ class Gradient(NamedTuple):
         By the entries of q and of the bounds; 0 for a bound that does not hold. Where lower = upper, the gradient
         belongs to the bound that the sign of w asks for; where both move together their sum counts.
     M : csr_array, shape (n, n)
-        By the entries that M has, in their places.
+        By the entries that M has, in their places; on ranks the own rows, shape (own, n).
     """
 
     q: FloatVector
@@ -109,6 +110,9 @@ class Derivative:
     -----
     The solution is solved for once more on its free rows, with w in twice the working precision, so that rows are
     told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
+
+    On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.
+    There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
 
     def __init__(self, problem: LCP, z: FloatVector, w: FloatVector) -> None:
@@ -135,6 +139,10 @@ class Derivative:
         return np.flatnonzero(self._rows.degenerate)
 
     @cached_property
+    def _is_degenerate(self) -> bool:
+        return self._somewhere(bool(self._rows.degenerate.any()))
+
+    @cached_property
     def bound(self) -> ErrorBound | None:
         """The error bound of z, None where M allows none."""
         try:
@@ -149,7 +157,7 @@ class Derivative:
         True where a rigorous error bound proves of every row that it is strictly between its bounds, or at one with
         w ≠ 0. False where rows are degenerate, None where neither is known.
         """
-        if self._rows.degenerate.any():
+        if self._is_degenerate:
             return False
         bound = self.bound
         if bound is None or bound.kind != "rigorous":
@@ -201,21 +209,23 @@ class Derivative:
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h, dlower, dupper = self._change(dM, dq), self._moved(dlower, "dlower"), self._moved(dupper, "dupper")
+        h = self._change(dM, dq)
+        dlower = self._optional(dlower, "dlower", may_be_number=True)
+        dupper = self._optional(dupper, "dupper", may_be_number=True)
         rows = self._rows
-        if rows.degenerate.any():
+        if self._is_degenerate:
             return _one_sided(self.problem, rows, h, dlower, dupper)
         dz = np.where(rows.at_lower, dlower, np.where(rows.at_upper, dupper, 0.0))
         matrix = self.problem.matrix
         right = -h
-        if dz.any():
+        if self._somewhere(bool(dz.any())):
             right -= matrix.rows @ matrix.whole(dz)
         return dz + _solution(self._system, right)
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
         matrix = self.problem.matrix
-        product: FloatVector = matrix.rows @ matrix.whole(finite_vector(dz, "dz", self.problem.own))
+        product: FloatVector = matrix.rows @ matrix.whole(self._own_part(dz, "dz"))
         return product + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -239,11 +249,12 @@ class Derivative:
             Where the block of M on the free rows is singular.
         """
         problem = self.problem
-        g = finite_vector(g, "g", problem.own)
-        by_w = np.zeros(problem.own) if gw is None else finite_vector(gw, "gw", problem.own)
+        if not (problem.peers.is_alone or has_symmetric_entries(problem.matrix)):
+            problem.matrix.require_all_rows()
+        g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
         by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
-        if by_w.any():
+        if self._somewhere(bool(by_w.any())):
             g = g + self._transposed_product(by_w)
         multiplier = by_w - _solution(self._system, g, transposed=True)
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
@@ -254,24 +265,30 @@ class Derivative:
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""
-        n = self.problem.own
-        h = np.zeros(n) if dq is None else finite_vector(dq, "dq", n).copy()
-        if dM is not None:
+        h = self._optional(dq, "dq")
+        if self._somewhere(dM is not None):
             self.problem.matrix.require_all_rows()
-            h += rectangular_matrix(dM, "dM", n, n) @ self.z
+            h = h + rectangular_matrix(dM, "dM", h.size, h.size) @ self.z
         return h
 
-    def _moved(self, change: ArrayLike | None, name: str) -> FloatVector:
-        if change is None or np.ndim(change) == 0:
-            change = np.full(self.problem.own, 0.0 if change is None else change)
-        return finite_vector(change, name, self.problem.own)
+    def _optional(self, values: ArrayLike | None, name: str, *, may_be_number: bool = False) -> FloatVector:
+        """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
+        if values is None or (may_be_number and np.ndim(values) == 0):
+            values = np.full(self.problem.own, 0.0 if values is None else values)
+        return self._own_part(values, name)
+
+    def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
+        """Return a finite vector; on ranks all of them refuse what one of them refuses."""
+        return self.problem.peers.together(lambda: finite_vector(values, name, self.problem.own))
+
+    def _somewhere(self, is_so: bool) -> bool:
+        """Return whether it is so on any rank."""
+        return not self.problem.peers.everywhere(not is_so)
 
     def _transposed_product(self, x: FloatVector) -> FloatVector:
-        """Return Mᵀx."""
+        """Return Mᵀx; on several ranks M is symmetric."""
         matrix = self.problem.matrix
-        if not x.any():
-            return np.zeros(x.size)
-        product: FloatVector = matrix.array.T @ x
+        product: FloatVector = matrix.array.T @ x if matrix.peers.is_alone else matrix.rows @ matrix.whole(x)
         return product
 
 
@@ -286,10 +303,15 @@ def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = Fals
 
 
 def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries."""
-    rows, matrix = problem.matrix.csr_rows, problem.matrix
+    """Return left_i right_j in the places of M's entries, on ranks of the own rows."""
+    rows, matrix, peers = problem.matrix.csr_rows, problem.matrix, problem.peers
     data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    if peers.is_alone:
+        return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    columns = np.concatenate([np.arange(peers.first, peers.first + matrix.own), peers.ghosts])
+    gradient = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
+    gradient.sort_indices()
+    return gradient
 
 
 def _one_sided(
@@ -300,6 +322,7 @@ def _one_sided(
     d = db on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its lower bound d ≥ db,
     (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
     """
+    problem.matrix.require_all_rows()
     moved = np.where(rows.is_upper, dupper, dlower)
     lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
     upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)

@@ -57,6 +57,11 @@ class FreeSystem:
             return M
         return M[rows][:, rows] if sp.issparse(M) else M[np.ix_(rows, rows)]
 
+    @cached_property
+    def principal(self) -> Matrix:
+        """M_FF as a matrix with facts of its own."""
+        return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
+
     def solve(self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL) -> FloatVector | None:
         """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None where none is to be had.
 

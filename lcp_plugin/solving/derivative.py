@@ -17,14 +17,17 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..certificates.active_rows import ActiveRows, proven_rows, settled_rows
-from ..certificates.error_bounds import ErrorBound, error_bound
+from ..certificates.error_bounds import ErrorBound, error_bound, relative_to
+from ..certificates.linear_bounds import block_error_bound
+from ..certificates.reference_point import NearPoint
+from ..certificates.row_inequality import distance_above
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
@@ -163,7 +166,8 @@ class Derivative:
         if bound is None or bound.kind != "rigorous":
             return None
         held, between = proven_rows(self.problem, bound)
-        return True if self.problem.peers.everywhere(bool((held | between).all())) else None
+        is_proven = np.where(self._rows.free, between, held)
+        return True if self.problem.peers.everywhere(bool(is_proven.all())) else None
 
     @cached_property
     def _system(self) -> FreeSystem:
@@ -209,18 +213,60 @@ class Derivative:
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h = self._change(dM, dq)
-        dlower = self._optional(dlower, "dlower", may_be_number=True)
-        dupper = self._optional(dupper, "dupper", may_be_number=True)
-        rows = self._rows
+        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
+        rows, matrix = self._rows, self.problem.matrix
         if self._is_degenerate:
-            return _one_sided(self.problem, rows, h, dlower, dupper)
-        dz = np.where(rows.at_lower, dlower, np.where(rows.at_upper, dupper, 0.0))
-        matrix = self.problem.matrix
+            return _one_sided(self.problem, rows, h, moved)
+        dz = np.where(rows.free, 0.0, moved)
         right = -h
         if self._somewhere(bool(dz.any())):
             right -= matrix.rows @ matrix.whole(dz)
         return dz + _solution(self._system, right)
+
+    def jvp_bound(
+        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+    ) -> float:
+        """Return a bound of ‖dz − dz*‖∞/‖dz‖∞, dz* the derivative in exact arithmetic at the exact solution.
+
+        Rigorous for the stored doubles, rounding and the error of z included: a dz of `jvp` has some ε κ(M_FF).
+
+        Parameters
+        ----------
+        dz : array, shape (n,)
+            Any, such as what `jvp` returns for the same changes.
+        dM, dq, dlower, dupper
+            As for `jvp`.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where `is_unique` is not True.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, solve
+        >>> found = derivative(solve(LCP([[3, 1], [1, 3]], [-5, 3])))
+        >>> dz = found.jvp(dq=[1, 0])
+        >>> found.jvp_bound(dz, dq=[1, 0]) < 1e-15, 0.9e-3 < found.jvp_bound(1.001 * dz, dq=[1, 0]) < 2e-3
+        (True, True)
+        """
+        if self.is_unique is not True:
+            raise UnsuitableProblem(
+                f"an error bound needs a derivative that is proven to exist, and is_unique is {self.is_unique}: M must "
+                "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
+            )
+        problem, rows, system = self.problem, self._rows, self._system
+        dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
+        z = np.where(rows.free, rows.z, np.where(rows.is_upper, problem.upper, problem.lower))
+        known = cast(ErrorBound, self.bound).carried_to(z)
+        near = NearPoint(z, np.zeros(z.size), np.minimum(known, block_error_bound(system, z, problem.q)))
+        y = block_error_bound(system, np.where(rows.free, dz, moved), b, self._matrix_change(dM), near)
+        error = np.where(rows.free, y, distance_above(moved, np.zeros(z.size), dz))
+        sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
+        return relative_to(*problem.peers.all_largest(*sizes))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
@@ -266,10 +312,21 @@ class Derivative:
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""
         h = self._optional(dq, "dq")
-        if self._somewhere(dM is not None):
-            self.problem.matrix.require_all_rows()
-            h = h + rectangular_matrix(dM, "dM", h.size, h.size) @ self.z
-        return h
+        change = self._matrix_change(dM)
+        return h if change is None else h + change @ self.z
+
+    def _matrix_change(self, dM: Any) -> Any:
+        """Return dM as an array, None where none is given."""
+        if not self._somewhere(dM is not None):
+            return None
+        self.problem.matrix.require_all_rows()
+        return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)
+
+    def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
+        """Return the change of the bound at which a row is, or would be."""
+        dlower = self._optional(dlower, "dlower", may_be_number=True)
+        dupper = self._optional(dupper, "dupper", may_be_number=True)
+        return np.where(self._rows.is_upper, dupper, dlower)
 
     def _optional(self, values: ArrayLike | None, name: str, *, may_be_number: bool = False) -> FloatVector:
         """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
@@ -314,16 +371,13 @@ def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_a
     return gradient
 
 
-def _one_sided(
-    problem: LCP, rows: ActiveRows, h: FloatVector, dlower: FloatVector, dupper: FloatVector
-) -> FloatVector:
+def _one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
     """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
 
-    d = db on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its lower bound d ≥ db,
-    (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
+    d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
+    lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
     """
     problem.matrix.require_all_rows()
-    moved = np.where(rows.is_upper, dupper, dlower)
     lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
     upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)
     part = np.flatnonzero(rows.free | rows.degenerate)

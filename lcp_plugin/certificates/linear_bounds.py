@@ -62,7 +62,7 @@ def _solution_bound(matrix: Matrix, size: FloatVector) -> FloatVector:
 
 @np.errstate(all="ignore")
 def block_error_bound(
-    system: FreeSystem, x: FloatVector, b: FloatVector, A: Any | None = None, z: NearPoint | None = None
+    system: FreeSystem, x: FloatVector, b: FloatVector, A: Any | None, z: NearPoint
 ) -> FloatVector:
     """Return a bound of |x − x*|, shape (n,), where (M x* + A z* + b)_F = 0 and x* = x elsewhere.
 
@@ -70,19 +70,20 @@ def block_error_bound(
     ----------
     x, b : array, shape (n,)
         On ranks the own parts.
-    A : array or CSR array, shape (n, n), optional
-    z : NearPoint, optional
+    A : array or CSR array, shape (n, n), or None
+    z : NearPoint
         z* is no farther from it than its own bound.
 
     Examples
     --------
     >>> system = FreeSystem(Matrix([[2.0, 1.0], [1.0, 2.0]]), np.array([True, False]))
-    >>> block_error_bound(system, np.array([1.5, 0.0]), np.array([-4.0, 0.0])) >= [0.5, 0.0]
+    >>> z = NearPoint(np.ones(2), np.zeros(2), np.zeros(2))
+    >>> block_error_bound(system, np.array([1.5, 0.0]), np.zeros(2), -4.0 * np.eye(2), z) >= [0.5, 0.0]
     array([ True,  True])
     """
     matrix, blur = system.matrix, np.zeros(x.size)
     terms = [(matrix.csr_rows, matrix.whole(x), b)]
-    if A is not None and z is not None:
+    if A is not None:
         blur = _sum_bound([(sp.csr_array(abs(A)), z.y, blur)], blur)
         terms += [(sp.csr_array(A), part, np.zeros(x.size)) for part in (z.high, z.low)]
     return np.where(system.free, block_solution_bound(system, _sum_bound(terms, blur)), 0.0)

@@ -17,7 +17,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..certificates.active_rows import ActiveRows, proven_rows, settled_rows
 from ..certificates.error_bounds import ErrorBound, error_bound, relative_to
 from ..certificates.linear_bounds import block_error_bound
-from ..certificates.reference_point import NearPoint
 from ..certificates.row_inequality import distance_above
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
@@ -253,20 +252,18 @@ class Derivative:
         >>> found.jvp_bound(dz, dq=[1, 0]) < 1e-15, 0.9e-3 < found.jvp_bound(1.001 * dz, dq=[1, 0]) < 2e-3
         (True, True)
         """
-        if self.is_unique is not True:
+        bound = self.bound
+        if not self.is_unique or bound is None or bound.near is None:
             raise UnsuitableProblem(
                 f"an error bound needs a derivative that is proven to exist, and is_unique is {self.is_unique}: M must "
                 "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
             )
-        problem, rows, system = self.problem, self._rows, self._system
+        free = self._rows.free
         dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
-        z = np.where(rows.free, rows.z, np.where(rows.is_upper, problem.upper, problem.lower))
-        known = cast(ErrorBound, self.bound).carried_to(z)
-        near = NearPoint(z, np.zeros(z.size), np.minimum(known, block_error_bound(system, z, problem.q)))
-        y = block_error_bound(system, np.where(rows.free, dz, moved), b, self._matrix_change(dM), near)
-        error = np.where(rows.free, y, distance_above(moved, np.zeros(z.size), dz))
+        y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
+        error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
         sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
-        return relative_to(*problem.peers.all_largest(*sizes))
+        return relative_to(*self.problem.peers.all_largest(*sizes))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""

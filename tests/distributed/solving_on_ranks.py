@@ -392,12 +392,16 @@ def derivatives_are_those_of_one_process(comm: Any) -> None:
 
     assert np.array_equal(found.free, one.free[own])
     assert found.degenerate.size == 0
-    assert found.is_unique is one.is_unique or (found.is_unique is None and comm.size > 1)
+    assert found.is_unique is one.is_unique is True
     near(found.jvp(dq=dq[own]), one.jvp(dq=dq))
     true = one.jvp(dq=dq, dlower=dlower, dupper=1.0)
     dz = found.jvp(dq=dq[own], dlower=dlower[own], dupper=1.0)
     near(dz, true)
     near(found.dw(dz, dq=dq[own]), one.dw(true, dq=dq))
+    if found.is_unique:
+        bounds = comm.allgather(found.jvp_bound(dz, dq=dq[own], dlower=dlower[own], dupper=1.0))
+        assert len(set(bounds)) == 1
+        assert 0.0 < bounds[0] <= 1e-8
     only_here = np.where(np.arange(n) < 5, 1.0, 0.0)  # the first rank alone has anything to say
     near(found.jvp(dlower=only_here[own]), one.jvp(dlower=only_here))
     for arguments in ((g,), (g, gw), (0.0 * g, only_here)):

@@ -355,6 +355,18 @@ def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
         assert found.jvp(dq=[1.0, 0.0, 0.0]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
+    """Where w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is free all the same, three units away."""
+    M = np.array([[1e-11, 1.0], [0.0, 1.0]])
+    z = np.array([1e6 + 3.0 * side, 1.0])
+    bounds = {"lower": [1e6, 0.0]} if side > 0.0 else {"lower": [-np.inf, 0.0], "upper": [1e6, np.inf]}
+    found = Derivative(LCP(M, -M @ z, **bounds), np.array([1e6, 1.0]), np.array([-3e-11 * side, 0.0]))
+    assert found.free.all()
+    assert found.z == pytest.approx(z, abs=1e-4)
+    check_against(piece_of(found), found, accuracy=1e-4)
+
+
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:

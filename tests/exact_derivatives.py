@@ -182,11 +182,16 @@ def product(M: Sequence[Sequence[Fraction]], x: Sequence[Fraction]) -> Vector:
     return [sum((a * b for a, b in zip(row, x, strict=True) if a and b), Fraction(0)) for row in M]
 
 
-def states_of(problem: LCP, z: Any, w: Any, free: Any) -> States:
-    """Return the states of the rows by those that are free, the others at the nearer bound, fixed ones by w."""
+def piece_at(problem: LCP, z: Any, free: Any) -> Piece:
+    """Return the piece on which these rows are free, the others at the bound nearer to z, fixed ones as w asks for."""
     with np.errstate(invalid="ignore"):
-        is_upper = np.where(problem.lower == problem.upper, w < 0.0, problem.upper - z < z - problem.lower)
-    return tuple(np.where(free, FREE, np.where(is_upper, UPPER, LOWER)).tolist())
+        is_upper = problem.upper - z < z - problem.lower
+    states = np.where(free, FREE, np.where(is_upper, UPPER, LOWER))
+    piece = Piece(problem, tuple(states.tolist()))
+    if piece.z is not None:
+        is_negative = np.array([w < 0 for w in piece.w], dtype=bool)
+        states = np.where((problem.lower == problem.upper) & is_negative, UPPER, states)
+    return Piece(problem, tuple(states.tolist()))
 
 
 def distance(found: Any, true: Any) -> float:

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
 from exact import FREE, LOWER, UPPER, exact_solution
-from exact_derivatives import Change, Piece, distance, states_of
+from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -35,9 +35,7 @@ def found_of(problem: LCP, **options: float) -> Derivative:
 
 def piece_of(found: Derivative, z=None) -> Piece:
     """The piece on which the rows in `free` are free, at the exact solution where that is given."""
-    problem = found.problem
-    z = found.z if z is None else np.array(z, dtype=float)
-    return Piece(problem, states_of(problem, z, problem.csr @ z + problem.q, found.free))
+    return piece_at(found.problem, found.z if z is None else np.array(z, dtype=float), found.free)
 
 
 def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: float = ACCURACY) -> None:

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import FREE, LOWER, UPPER
-from exact_derivatives import Change, ExactGradient, Piece, distance, states_of
+from exact_derivatives import Change, ExactGradient, Piece, distance, piece_at
 
 from lcp_plugin import LCP, Derivative, derivative, solve
 from lcp_plugin.errors import ConvergenceWarning
@@ -85,8 +85,15 @@ def chain(n: int, rng: Generator) -> np.ndarray:
     return np.diag(rng.uniform(2.0, 3.0, n)) + np.diag(upper, 1) + np.diag(lower, -1)
 
 
+def nearly_degenerate(n: int, rng: Generator) -> np.ndarray:
+    """Any of these; `drawn` makes slacks of it as small as rounding, or smaller."""
+    kinds = (h_plus, definite, nonsymmetric, scaled, chain)
+    return kinds[rng.integers(len(kinds))](n, rng)
+
+
 FAMILIES: dict[str, Callable[[int, Generator], np.ndarray]] = {
-    one.__name__: one for one in (h_plus, definite, p_matrix, nonsymmetric, ill_conditioned, scaled, chain)
+    one.__name__: one
+    for one in (h_plus, definite, p_matrix, nonsymmetric, ill_conditioned, scaled, chain, nearly_degenerate)
 }
 PROVEN_H_PLUS = ("h_plus", "chain", "scaled")
 
@@ -124,6 +131,8 @@ def drawn(family: str, kind: str, largest: int, rng: Generator) -> LCP:
     M, states = FAMILIES[family](n, rng), drawn_states(kind, n, rng)
     z = rng.normal(size=n)
     w = -states * (0.1 + rng.random(n)) * abs(M).max(axis=1)
+    if family == "nearly_degenerate":
+        w *= 10.0 ** -rng.choice([0.0, 8.0, 12.0, 14.0, 15.0, 16.0, 18.0, 30.0], size=n)
     if kind == "plain":
         z = np.where(states == LOWER, 0.0, abs(z))
     if family == "scaled":
@@ -222,18 +231,12 @@ def judge_strict(family: str, kind: str, largest: int, rng: Generator) -> Iterat
         yield f"{result.status.name}", False
         return
     found = derivative(result)
-    piece = Piece(problem, states_of(problem, found.z, problem.csr @ found.z + problem.q, found.free))
-    if not piece.is_solution:
-        yield "ROWS of no solution", True
-        return
-    if piece.degenerate:
-        yield "degenerate", False
-        if found.is_unique:
-            yield "UNIQUE although degenerate", True
-        return
+    piece = piece_at(problem, found.z, found.free)
     yield f"is_unique {found.is_unique}", False
     if found.degenerate.size:
-        yield "called degenerate", False
+        return
+    if not piece.is_strict:
+        yield "ROWS of no solution, or degenerate and not named", True
         return
     judged = Judged(found, piece, rng)
     judged.near("z", found.z, piece.z)
@@ -258,12 +261,11 @@ def judge_degenerate(kind: str, largest: int, rng: Generator) -> Iterator[tuple[
     yield f"{planted.size} planted rows, is_unique {found.is_unique}", bool(found.is_unique and planted.size)
     if not np.array_equal(found.degenerate, planted):
         yield f"DEGENERATE {found.degenerate} for {planted}", True
-    piece = Piece(problem, states_of(problem, z, problem.csr @ z + problem.q, found.free))
+    piece = piece_at(problem, z, found.free)
     if not piece.is_solution or piece.degenerate != [i for i in planted if i not in piece.free]:
         yield "ROWS that are free of no piece that meets here", True
         return
-    at = Piece(problem, tuple(FREE if i in piece.free and i not in planted else s for i, s in enumerate(
-        states_of(problem, z, problem.csr @ z + problem.q, found.free & ~np.isin(np.arange(z.size), planted)))))
+    at = piece_at(problem, z, found.free & ~np.isin(np.arange(z.size), planted))
     judged = Judged(found, piece, rng)
     judged.pushes_forward(at.one_sided(judged.change))
     judged.pulls_back(piece.vjp(judged.g, judged.gw))

@@ -23,7 +23,7 @@ from lcp_plugin.matrix.free_systems import FreeSystem
 from lcp_plugin.matrix.matrix import Matrix
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-property_test = settings(deadline=None, max_examples=40)
+property_test = settings(deadline=None, max_examples=30)
 STRICT = {"degenerate": 0.0, "active": 0.4}
 ACCURACY = 1e-12
 KINK = LCP([[2.0, 1.0], [1.0, 3.0]], [-2.0, -1.0])  # z = (1, 0), w = 0

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from .solving.batch import prepare as prepare
     from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
+    from .solving.batch_derivative import BatchDerivative as BatchDerivative
+    from .solving.batch_derivative import BatchGradient as BatchGradient
     from .solving.batch_result import BatchResult as BatchResult
     from .solving.derivative import Derivative as Derivative
     from .solving.derivative import Gradient as Gradient
@@ -70,6 +72,8 @@ _HOME = {
     "derivative": "solving.derivative",
     "Derivative": "solving.derivative",
     "Gradient": "solving.derivative",
+    "BatchDerivative": "solving.batch_derivative",
+    "BatchGradient": "solving.batch_derivative",
     "prepare": "solving.batch",
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_result",

@@ -14,6 +14,7 @@ from ..algorithms.short_road import as_dense
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.structure import outer_product
 from ..policy.choice import takes_the_short_road
 from ..problem.lcp import LCP, checked_start
 
@@ -67,6 +68,10 @@ class Items:
         """Return w = M z + q of problem k."""
         return self.problem(k).slack(z)
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return left_i right_j of each problem's rows where M has entries, in the form in which M was given."""
+        raise NotImplementedError
+
     def projected_start(self, k: int) -> Any:
         """Return where problem k begins."""
         return checked_start(self.problem(k), self.start(k))
@@ -102,6 +107,11 @@ class Listed(Items):
         """Return its z0, or None."""
         return None if self._starts is None else self._starts[k]
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return a list of CSR arrays, on the pattern of each M; None where no z was found."""
+        triples = zip(self._problems, left, right, strict=True)
+        return [outer_product(one.matrix, a, b) if one and a.size == one.n else None for one, a, b in triples]
+
     def groups(self) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors."""
         for n in sorted(self.sizes if self._starts is None else ()):
@@ -131,7 +141,7 @@ class Stacked(Items):
         if q is None:
             raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none")
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
-        self._vectors = {name: _rows(values, name, n) for name, values in named.items()}
+        self._vectors = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
         counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
         counts |= {} if self._shared else {"M": self._M.shape[0]}
         if len(set(counts.values())) > 1:
@@ -170,6 +180,15 @@ class Stacked(Items):
         if self._shared or np.count_nonzero(self._M[k]) <= DENSE_ABOVE_DENSITY * n * n:
             return self.problem(k).slack(z)
         return self._M[k] @ z + self._row("q", k)
+
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products of shape (B, n, n), or their sum where one M stands for all, on its pattern if sparse."""
+        if not self._shared:
+            return left[:, :, np.newaxis] * right[:, np.newaxis, :]
+        if self._base is None or not sp.issparse(self._M):
+            return left.T @ right
+        parts = (outer_product(self._base.matrix, a, b) for a, b in zip(left, right, strict=True))
+        return sum(parts, start=outer_product(self._base.matrix, *np.zeros((2, left.shape[1]))))
 
     def projected_start(self, k: int) -> Any:
         """Return where problem k begins."""
@@ -211,9 +230,9 @@ def _tridiagonal(M: Any) -> list[int]:
     return [k for k in suspects if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n]
 
 
-def _rows(values: ArrayLike, name: str, n: int) -> Any:
+def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
     """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
-    is_bound = name in ("lower", "upper")
+    is_bound = name in ("lower", "upper", "dlower", "dupper")
     need = f"{name} must have shape (B, n) or (n,), n = {n}{', or be a number' if is_bound else ''}"
     array = real_array(values, need)
     if array.ndim == 0 and is_bound:

@@ -17,7 +17,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,8 +28,10 @@ from ..certificates.error_bounds import ErrorBound, error_bound
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
-from ..matrix.structure import row_numbers
+from ..matrix.structure import outer_product
 from ..problem.lcp import LCP
+from .batch_derivative import BatchDerivative
+from .batch_result import BatchResult
 from .driver import solve
 from .result import Result
 
@@ -52,25 +54,29 @@ class Gradient(NamedTuple):
     M: sp.csr_array
 
 
-def derivative(result: Result) -> Derivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds.
+@overload
+def derivative(result: Result) -> Derivative: ...
+@overload
+def derivative(result: BatchResult) -> BatchDerivative: ...
+def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
+    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch.
 
     Parameters
     ----------
-    result : Result
+    result : Result or BatchResult
         SOLVED. What its run has built (the hierarchy of M) serves again.
 
     Returns
     -------
-    Derivative
-        Nothing is computed before it is asked for.
+    Derivative or BatchDerivative
+        Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
 
     Raises
     ------
     UnsuitableProblem
-        Where the result is not SOLVED.
+        Where a Result is not SOLVED.
     InvalidOption
-        Where it is no Result.
+        Where it is neither.
 
     Examples
     --------
@@ -85,6 +91,8 @@ def derivative(result: Result) -> Derivative:
     array([[-1.25, -0.  ],
            [-0.  , -0.  ]])
     """
+    if isinstance(result, BatchResult):
+        return BatchDerivative(result, derivative)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
@@ -248,7 +256,7 @@ class Derivative:
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
-            _on_pattern(problem, multiplier, self.z),
+            outer_product(problem.matrix, multiplier, self.z),
         )
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
@@ -282,13 +290,6 @@ def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = Fals
             "multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not determined"
         )
     return x
-
-
-def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries."""
-    rows, matrix = problem.matrix.csr_rows, problem.matrix
-    data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 
 def _one_sided(

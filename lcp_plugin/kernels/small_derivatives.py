@@ -1,0 +1,143 @@
+"""The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.desk`.
+
+First each z is solved for once more on its free rows: it is exact to rounding then, and its rows are told apart. A
+tangent and an adjoint are one linear solve each on the same rows. What is near a kink, or loses half of its digits in
+the elimination, is left to others, who calculate in twice the precision.
+
+An array with one row in front stands for all problems.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compilation import compiled, compiled_in_place, compiled_into_others
+from .desk import AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
+from .small_problems import classify, look_at, slack
+from .small_systems import solve_free
+
+STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
+HALF = 2.0**-26  # of the digits of a double
+
+
+@compiled
+def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: ignore[no-untyped-def]
+    """Solve once more for z and the sides of its rows, first ≤ k < end; `is_plain` says where that has succeeded.
+
+    Only rows of z with `is_plain` are looked at.
+    """
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        own = k if q.shape[0] > 1 else 0, k if lower.shape[0] > 1 else 0, k if upper.shape[0] > 1 else 0
+        for i in range(n):
+            real[Q, i], real[LOWER, i], real[UPPER, i] = q[own[0], i], lower[own[1], i], upper[own[2], i]
+            real[Z, i] = z[k, i]
+        is_plain[k] = _settled(M, k if M.shape[0] > 1 else 0, real, whole, room)
+        if is_plain[k]:
+            for i in range(n):
+                z[k, i], side[k, i] = real[FOUND, i], whole[SIDE, i]
+
+
+@compiled_in_place
+def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+    """Write FOUND and SIDE; return whether every row is clearly on one."""
+    n = M.shape[1]
+    _, is_usual, _, is_symmetric = look_at(M, k, real)
+    if not is_usual:
+        return False
+    slack(M, k, real, Z)
+    classify(real, whole, n, Z)
+    for _step in range(STEPS):
+        free = solve_free(M, k, real, whole, room, is_symmetric)
+        if free < 0 or not _keeps_digits(real, whole, room, is_symmetric, free):
+            return False
+        slack(M, k, real, FOUND)
+        if classify(real, whole, n, FOUND) == 0:
+            return _is_clear(M, k, real, whole)
+    return False
+
+
+@compiled_into_others
+def _keeps_digits(real, whole, room, is_symmetric, free):  # type: ignore[no-untyped-def]
+    """Return whether no pivot is half rounding; those of a block that is not symmetric are in units of their rows."""
+    for p in range(free):
+        unit = real[SCALE, whole[FREE, p]] if is_symmetric else 1.0
+        if not abs(room[p, p]) > HALF * unit:
+            return False
+    return True
+
+
+@compiled_into_others
+def _is_clear(M, k, real, whole):  # type: ignore[no-untyped-def]
+    """Return whether each row has a slack, or a distance from its bounds, in half of its digits.
+
+    Rows with equal bounds take the side that the sign of w asks for.
+    """
+    n = M.shape[1]
+    for i in range(n):
+        size = abs(real[Q, i])
+        for j in range(n):
+            size += abs(M[k, i, j] * real[FOUND, j])
+        z, lower, upper = real[FOUND, i], real[LOWER, i], real[UPPER, i]
+        if lower == upper:
+            whole[SIDE, i] = AT_UPPER if real[W, i] < 0.0 else whole[SIDE, i]
+            continue
+        distance = min(z - lower, upper - z) * real[SCALE, i] if whole[SIDE, i] == BETWEEN else abs(real[W, i])
+        if not distance > HALF * size:
+            return False
+    return True
+
+
+@compiled
+def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignore[no-untyped-def]
+    """Write how z changes with h = dM z + dq and with the bounds, first ≤ k < end; `is_plain` as above."""
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        own = k if h.shape[0] > 1 else 0, k if lower.shape[0] > 1 else 0, k if upper.shape[0] > 1 else 0
+        for i in range(n):
+            real[Q, i], real[LOWER, i], real[UPPER, i] = h[own[0], i], lower[own[1], i], upper[own[2], i]
+            whole[SIDE, i] = side[k, i]
+        of = k if M.shape[0] > 1 else 0
+        is_symmetric = look_at(M, of, real)[3]
+        is_plain[k] = solve_free(M, of, real, whole, room, is_symmetric) >= 0
+        for i in range(n):
+            dz[k, i] = real[FOUND, i]
+
+
+@compiled
+def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain):  # type: ignore[no-untyped-def]
+    """Write the gradients by q and the bounds of functions with ∂L/∂z = g, ∂L/∂w = by_w; the rest as in `tangents`."""
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    turned = np.empty((1, n, n))
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        own = k if g.shape[0] > 1 else 0, k if by_w.shape[0] > 1 else 0
+        for i in range(n):
+            for j in range(n):
+                turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
+            real[Q, i], real[KEPT, i], whole[SIDE, i] = g[own[0], i], by_w[own[1], i], side[k, i]
+            real[LOWER, i] = real[UPPER, i] = 0.0
+        is_symmetric = look_at(turned, 0, real)[3]
+        slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w
+        for i in range(n):
+            real[Q, i] = -real[W, i]
+        is_plain[k] = solve_free(turned, 0, real, whole, room, is_symmetric) >= 0
+        slack(turned, 0, real, FOUND)
+        for i in range(n):
+            by_q[k, i] = real[KEPT, i] - real[FOUND, i]
+            by_lower[k, i] = by_upper[k, i] = 0.0
+            if whole[SIDE, i] == AT_UPPER:
+                by_upper[k, i] = -real[W, i]
+            elif whole[SIDE, i] != BETWEEN:
+                by_lower[k, i] = -real[W, i]

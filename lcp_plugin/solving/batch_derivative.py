@@ -24,11 +24,13 @@ if TYPE_CHECKING:
 class BatchGradient:
     """What functions of the solutions of a batch have for gradients.
 
-    Attributes
+    Parameters
     ----------
     q, lower, upper : array, shape (B, n), or a list of arrays where the sizes differ
         As those of :class:`~lcp_plugin.Gradient`, one row a problem. NaN where `errors` of the derivative says why
         there is none; 0 where the function does not look at z and w.
+    by_M : callable
+        Gives M.
     """
 
     def __init__(self, q: Any, lower: Any, upper: Any, by_M: Callable[[], Any]) -> None:

@@ -88,8 +88,8 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
     >>> gradient.q, gradient.lower
     (array([-0.5,  0. ]), array([0. , 0.5]))
     >>> gradient.M.toarray()
-    array([[-1.25, -0.  ],
-           [-0.  , -0.  ]])
+    array([[-1.25,  0.  ],
+           [ 0.  ,  0.  ]])
     """
     if isinstance(result, BatchResult):
         return BatchDerivative(result, derivative)

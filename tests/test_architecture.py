@@ -21,7 +21,7 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
 }
 FLOORS = 14
-HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")
+HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax")
 FRONT_DOORS = ("__init__", "__main__")
 
 

@@ -236,8 +236,8 @@ class BatchDerivative:
         >>> gradient = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]])).vjp([1, 1])
         >>> gradient.q, gradient.M
         (array([[-0.5,  0. ],
-               [ 0. , -0.5]]), array([[-1.25, -0.  ],
-               [-0.  , -1.  ]]))
+               [ 0. , -0.5]]), array([[-1.25,  0.  ],
+               [ 0.  , -1.  ]]))
         """
         from ..kernels.small_derivatives import adjoints
 

@@ -158,7 +158,7 @@ EYE, ONES = np.eye(2), np.ones(2)
         (lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()), r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)"),
         (lambda t: lcp_layer(t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
         (lambda t: lcp_layer(t(EYE), t(1.0)), "q must have shape"),
-        (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "the axes in front must broadcast"),
+        (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
         (lambda t: lcp_layer(t(ONES), t(ONES)), "M must have shape"),
         (lambda t: lcp_layer(t(np.ones((2, 3))), t(ONES)), "M must have shape"),
         (lambda t: lcp_layer(t(np.eye(3)), t(ONES)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),

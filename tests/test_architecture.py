@@ -176,6 +176,19 @@ def test_star_import_needs_no_hypothesis() -> None:
     assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
 
 
+def test_layers_ask_for_their_frameworks() -> None:
+    """The help of ``lcp_plugin.learn`` needs none of them; each layer says in words what to install."""
+    code = (
+        "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
+        "import lcp_plugin.learn\n"
+        "for name in ('torch', 'jax'):\n"
+        "    try:\n        importlib.import_module(f'lcp_plugin.learn.{name}')\n"
+        "    except ImportError as error:\n        print(error)"
+    )
+    needed = "lcp_plugin.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
+
+
 def table_rows() -> dict[str, list[str]]:
     """The README's algorithm table: name → cells."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("\n## ")[0]

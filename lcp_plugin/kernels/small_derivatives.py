@@ -126,7 +126,8 @@ def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain): 
         for i in range(n):
             for j in range(n):
                 turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
-            real[Q, i], real[KEPT, i], whole[SIDE, i] = g[own[0], i], by_w[own[1], i], side[k, i]
+            real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i]
+            real[KEPT, i] = 0.0 if side[k, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
             real[LOWER, i] = real[UPPER, i] = 0.0
         is_symmetric = look_at(turned, 0, real)[3]
         slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w

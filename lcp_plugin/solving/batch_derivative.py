@@ -169,9 +169,7 @@ class BatchDerivative:
 
     # --- changes and gradients --------------------------------------------------------------------------
 
-    def jvp(
-        self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None,
-    ) -> Any:
+    def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
 
         Parameters
@@ -311,7 +309,7 @@ class BatchDerivative:
     def _given(self, values: Any, name: str) -> tuple[Any, Any]:
         """Return the rows that are given (0 for None), one in front for all, and which of them are not 0.
 
-        Rows of problems without derivative may hold anything.
+        Rows of problems that are not solved may hold anything.
         """
         return self._even_rows(values, name) if self._is_even else self._uneven_rows(values, name)
 
@@ -322,7 +320,7 @@ class BatchDerivative:
             raise InvalidProblem(f"{name} must have a row for each of the {count} problems, got shape {rows.shape}")
         is_asked = (rows != 0.0).any(1)
         if rows.shape[0] == count:
-            rows[[*self.errors]] = 0.0
+            rows[~self._is_solved] = 0.0
         if not np.isfinite(rows).all():
             k, i = np.argwhere(~np.isfinite(rows))[0].tolist()
             raise InvalidProblem(f"{name} must be finite, but {name}[{k}, {i}] = {rows[k, i]}; repair that entry")
@@ -335,7 +333,7 @@ class BatchDerivative:
         is_asked = np.array([bool(np.any(np.asarray(row) != 0.0)) for row in values], np.bool_)
         zeros = self._table(0.0)
         return [
-            zeros[k] if k in self.errors else finite_vector(row, f"{name}[{k}]", zeros[k].size)
+            finite_vector(row, f"{name}[{k}]", zeros[k].size) if self._is_solved[k] else zeros[k]
             for k, row in enumerate(values)
         ], is_asked
 
@@ -349,11 +347,11 @@ class BatchDerivative:
         if not self._is_even:
             self._require_one_each(dM, "dM", "matrices")
             return [
-                np.zeros(z.size) if k in self.errors else rectangular_matrix(dM[k], f"dM[{k}]", z.size, z.size) @ z
+                rectangular_matrix(dM[k], f"dM[{k}]", z.size, z.size) @ z if self._is_solved[k] else np.zeros(z.size)
                 for k, z in enumerate(self.z)
             ]
         n, z = self.batch.z.shape[1], self.z.copy()
-        z[[*self.errors]] = 0.0
+        z[~self._is_solved] = 0.0
         if sp.issparse(dM) or np.ndim(dM) == 2:
             return (rectangular_matrix(dM, "dM", n, n) @ z.T).T
         need = f"dM must have shape (B, n, n) or (n, n), B = {len(self)}, n = {n}"

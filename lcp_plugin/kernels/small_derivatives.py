@@ -1,8 +1,8 @@
 """The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.desk`.
 
-First each z is solved for once more on its free rows: it is exact to rounding then, and its rows are told apart. A
-tangent and an adjoint are one linear solve each on the same rows. What is near a kink, or loses half of its digits in
-the elimination, is left to others, who calculate in twice the precision.
+First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
+told apart. A tangent and an adjoint are one linear solve each on the same rows. What is near a kink, or loses half of
+its digits in the elimination, is left to others, who calculate in twice the precision.
 
 An array with one row in front stands for all problems.
 """
@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_place, compiled_into_others
+from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
 from .desk import AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
+from .floats import EPSILON
 from .small_problems import classify, look_at, slack
 from .small_systems import solve_free
 
@@ -22,7 +23,7 @@ HALF = 2.0**-26  # of the digits of a double
 
 @compiled
 def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: ignore[no-untyped-def]
-    """Solve once more for z and the sides of its rows, first ≤ k < end; `is_plain` says where that has succeeded.
+    """Make z exact to rounding and find the sides of its rows, first ≤ k < end; `is_plain` says where that succeeded.
 
     Only rows of z with `is_plain` are looked at.
     """
@@ -44,52 +45,61 @@ def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: igno
 
 @compiled_in_place
 def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
-    """Write FOUND and SIDE; return whether every row is clearly on one."""
+    """Write FOUND and SIDE, from Z; return whether every row is clearly on one."""
     n = M.shape[1]
     _, is_usual, _, is_symmetric = look_at(M, k, real)
     if not is_usual:
         return False
-    slack(M, k, real, Z)
-    classify(real, whole, n, Z)
+    for i in range(n):
+        real[FOUND, i] = real[Z, i]
     for _step in range(STEPS):
-        free = solve_free(M, k, real, whole, room, is_symmetric)
-        if free < 0 or not _keeps_digits(real, whole, room, is_symmetric, free):
-            return False
         slack(M, k, real, FOUND)
-        if classify(real, whole, n, FOUND) == 0:
-            return _is_clear(M, k, real, whole)
+        classify(real, whole, n, FOUND)
+        is_exact, is_clear = _judged(M, k, real, whole)
+        if is_exact:
+            return is_clear
+        if solve_free(M, k, real, whole, room, is_symmetric) < 0:
+            return False
     return False
 
 
-@compiled_into_others
-def _keeps_digits(real, whole, room, is_symmetric, free):  # type: ignore[no-untyped-def]
-    """Return whether no pivot is half rounding; those of a block that is not symmetric are in units of their rows."""
-    for p in range(free):
-        unit = real[SCALE, whole[FREE, p]] if is_symmetric else 1.0
-        if not abs(room[p, p]) > HALF * unit:
-            return False
-    return True
+@compiled_in_any_order
+def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
+    """Return whether another solve would change FOUND by rounding alone, and whether no row is near a kink.
 
-
-@compiled_into_others
-def _is_clear(M, k, real, whole):  # type: ignore[no-untyped-def]
-    """Return whether each row has a slack, or a distance from its bounds, in half of its digits.
-
-    Rows with equal bounds take the side that the sign of w asks for.
+    A row is clear where its slack, or its distance from the bounds, has half of its digits. One with equal bounds
+    takes the side that the sign of w asks for.
     """
     n = M.shape[1]
+    is_exact = is_clear = True
     for i in range(n):
         size = abs(real[Q, i])
         for j in range(n):
             size += abs(M[k, i, j] * real[FOUND, j])
-        z, lower, upper = real[FOUND, i], real[LOWER, i], real[UPPER, i]
-        if lower == upper:
-            whole[SIDE, i] = AT_UPPER if real[W, i] < 0.0 else whole[SIDE, i]
-            continue
-        distance = min(z - lower, upper - z) * real[SCALE, i] if whole[SIDE, i] == BETWEEN else abs(real[W, i])
-        if not distance > HALF * size:
-            return False
-    return True
+        z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
+        if side == BETWEEN:
+            is_exact &= w <= (n + 2) * EPSILON * size
+            is_clear &= min(z - lower, upper - z) * real[SCALE, i] > HALF * size
+        else:
+            is_exact &= z == (upper if side == AT_UPPER else lower)
+            is_clear &= (w > HALF * size) | (lower == upper)
+            if lower == upper and real[W, i] < 0.0:
+                whole[SIDE, i] = AT_UPPER
+    return is_exact, is_clear
+
+
+@compiled_into_others
+def _solved(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+    """Write FOUND by one linear solve; return whether no pivot is half rounding.
+
+    Pivots of a block that is not symmetric are in units of their rows.
+    """
+    free = solve_free(M, k, real, whole, room, is_symmetric)
+    keeps_digits = free >= 0
+    for p in range(free):
+        unit = real[SCALE, whole[FREE, p]] if is_symmetric else 1.0
+        keeps_digits &= abs(room[p, p]) > HALF * unit
+    return keeps_digits
 
 
 @compiled
@@ -107,7 +117,7 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
             whole[SIDE, i] = side[k, i]
         of = k if M.shape[0] > 1 else 0
         is_symmetric = look_at(M, of, real)[3]
-        is_plain[k] = solve_free(M, of, real, whole, room, is_symmetric) >= 0
+        is_plain[k] = _solved(M, of, real, whole, room, is_symmetric)
         for i in range(n):
             dz[k, i] = real[FOUND, i]
 
@@ -133,7 +143,7 @@ def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain): 
         slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w
         for i in range(n):
             real[Q, i] = -real[W, i]
-        is_plain[k] = solve_free(turned, 0, real, whole, room, is_symmetric) >= 0
+        is_plain[k] = _solved(turned, 0, real, whole, room, is_symmetric)
         slack(turned, 0, real, FOUND)
         for i in range(n):
             by_q[k, i] = real[KEPT, i] - real[FOUND, i]

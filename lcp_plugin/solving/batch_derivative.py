@@ -249,10 +249,12 @@ class BatchDerivative:
                 for table in tables:
                     table[k] = np.zeros_like(table[k])
         by_q, by_lower, by_upper = tables
-        return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q))
+        return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q, left))
 
-    def _by_M(self, by_q: Any) -> Any:
+    def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
         z = self.z.copy() if self._is_even else [*self.z]
+        for k in left:
+            z[k] = self[k].z
         for k in self.errors:
             if not np.any(by_q[k]):  # nothing was asked of a problem without z
                 z[k] = np.zeros_like(z[k])

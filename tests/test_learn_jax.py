@@ -16,7 +16,16 @@ import jax.numpy as jnp  # noqa: E402
 from jax.test_util import check_grads  # noqa: E402
 
 import lcp_plugin.learn.jax as layers  # noqa: E402
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, derivative, gallery, solve  # noqa: E402
+from lcp_plugin import (  # noqa: E402
+    LCP,
+    InvalidOption,
+    InvalidProblem,
+    NotConverged,
+    UnsuitableProblem,
+    derivative,
+    gallery,
+    solve,
+)
 from lcp_plugin.learn.jax import lcp_layer  # noqa: E402
 
 INF = np.inf
@@ -111,9 +120,22 @@ def test_a_sparse_matrix_is_a_constant() -> None:
 def test_what_is_not_solved_is_named() -> None:
     """A batch with a problem that has no solution raises, and says which; compiled, the words stay."""
     M = jnp.stack([jnp.eye(2), -jnp.eye(2), jnp.eye(2)])
-    for layer in (lcp_layer, jax.jit(lcp_layer)):
-        with pytest.raises(Exception, match=r"problem \(1,\) of the batch gives the layer no solution"):
-            jax.block_until_ready(layer(M, -jnp.ones(2)))
+    with pytest.raises(NotConverged, match=r"^problem \(1,\) of the batch gives the layer no solution"):
+        lcp_layer(M, -jnp.ones(2))
+    with pytest.raises(Exception, match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution"):
+        jax.block_until_ready(jax.jit(lcp_layer)(M, -jnp.ones(2)))
+
+
+def test_a_singular_block_is_told_in_the_backward_pass() -> None:
+    """No gradient exists there; the forward pass has an answer all the same."""
+    with pytest.raises(UnsuitableProblem, match="singular"):
+        jax.grad(lambda q: lcp_layer(jnp.zeros((1, 1)), q, -INF).sum())(jnp.zeros(1))
+
+
+def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
+    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
+    gradient = jax.grad(lambda q: lcp_layer(jnp.array([[2.0]]), q).sum())(jnp.zeros(1))
+    assert gradient.item() in (0.0, -0.5)
 
 
 def test_single_precision_is_refused() -> None:
@@ -138,5 +160,5 @@ def test_single_precision_is_refused() -> None:
 )
 def test_what_is_refused(call: Callable[[], Any], said: str) -> None:
     """Other shapes and numbers that are no problem, in words."""
-    with pytest.raises(Exception, match=said):  # out of a callback JAX may wrap it
-        jax.block_until_ready(call())
+    with pytest.raises(InvalidProblem, match=said):
+        call()

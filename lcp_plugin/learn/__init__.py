@@ -1,5 +1,7 @@
 """Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched. Needs the extra ``[learn]``.
 
+On Linux PyTorch brings gigabytes for graphics cards; the layers use none, and its builds for the CPU do as well.
+
 In PyTorch::
 
     import torch
@@ -16,7 +18,7 @@ and in JAX::
     jax.config.update("jax_enable_x64", True)
     from lcp_plugin.learn.jax import lcp_layer
 
-    jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # under jit, vmap and lax.map, too
+    jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # under jit and vmap, too
 
 **Shapes.** The last axis of q and of the bounds is that of the unknowns, the last two of M are its rows and columns;
 axes in front are those of a batch, and broadcast as everywhere. One M of shape (n, n) for all costs one matrix. A bound
@@ -25,8 +27,8 @@ may be a number. What is small is solved, and differentiated, in one compiled lo
 also be sparse: a scipy array, a constant of the layer; in PyTorch a CSR tensor, with a gradient by its values.
 
 **What comes back** is z, solved for once more on its free rows, so that it is exact to rounding whatever the tolerance
-was; write w as ``M @ z + q``. Where a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says which of the batch
-it is. (Within ``jit``, JAX puts its own error around these words.)
+was; w = M z + q is easily written beside it. Where a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
+which of the batch it is. (Within ``jit``, JAX puts its own error around these words.)
 
 **Gradients** by all four are those of :meth:`lcp_plugin.BatchDerivative.vjp`: exact where no row is both at a bound and
 has w = 0. Where one is, as where a ReLU gets 0, they are those of one of the pieces that meet there. A second

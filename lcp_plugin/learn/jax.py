@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -88,9 +89,7 @@ def lcp_layer(
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _solution(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any) -> Any:
     """Return z; M of shape (1, …, n, n) or (…, n, n) with all axes of the batch, or None."""
-    return jax.pure_callback(
-        partial(_solve, wishes), jax.ShapeDtypeStruct(q.shape, q.dtype), M, q, lower, upper, vmap_method="expand_dims"
-    )
+    return _in_numpy(partial(_solve, wishes), _like(q), M, q, lower, upper)
 
 
 def _forward(wishes: Wishes, *data: Any) -> tuple[Any, Any]:
@@ -100,8 +99,7 @@ def _forward(wishes: Wishes, *data: Any) -> tuple[Any, Any]:
 
 def _backward(wishes: Wishes, kept: Any, g: Any) -> tuple[Any, ...]:
     M, z = kept[0], kept[-1]
-    like_z = jax.ShapeDtypeStruct(z.shape, z.dtype)
-    by = jax.pure_callback(partial(_differentiate, wishes), (like_z,) * 3, *kept, g, vmap_method="expand_dims")
+    by = _in_numpy(partial(_differentiate, wishes), (_like(z),) * 3, *kept, g)
     return None if M is None else _by_entries(M, by[0], z), *by
 
 
@@ -109,12 +107,11 @@ _solution.defvjp(_forward, _backward)
 
 
 def _solve(wishes: Wishes, *data: Any) -> Any:
-    found, axes = solved(wishes, *_in_numpy(data))
+    found, axes = solved(wishes, *data)
     return found.z.reshape(*axes, found.z.shape[-1])
 
 
-def _differentiate(wishes: Wishes, *data: Any) -> Any:
-    M, q, lower, upper, z, g = _in_numpy(data)
+def _differentiate(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z: Any, g: Any) -> Any:
     found, axes = solved(wishes, M, q, lower, upper, z)  # it begins at its solution: one look says so
     every = np.broadcast_shapes(axes, g.shape[:-1])
     by = tuple(np.empty((*every, g.shape[-1])) for _ in range(3))
@@ -141,5 +138,15 @@ def _array(values: Any, name: str) -> Any:
     return jnp.asarray(values, dtype=jnp.float64)
 
 
-def _in_numpy(data: tuple[Any, ...]) -> list[Any]:
-    return [None if array is None else np.asarray(array) for array in data]
+def _like(array: Any) -> Any:
+    return jax.ShapeDtypeStruct(array.shape, array.dtype)
+
+
+def _in_numpy(function: Callable[..., Any], like: Any, *data: Any) -> Any:
+    """Return what a function of numpy arrays gives: at once where the numbers are there, so that its errors arrive."""
+    def call(*data: Any) -> Any:
+        return function(*(None if array is None else np.asarray(array) for array in data))
+
+    if any(isinstance(array, jax.core.Tracer) for array in data):
+        return jax.pure_callback(call, like, *data, vmap_method="expand_dims")
+    return jax.tree.map(jnp.asarray, call(*data))

@@ -138,22 +138,51 @@ def test_a_rough_solution_has_the_exact_derivative() -> None:
     assert np.allclose(rough.vjp(np.ones(10)).M, fine.vjp(np.ones(10)).M, rtol=1e-12, atol=1e-13)
 
 
-def test_kinks_are_left_to_those_who_calculate_more_precisely() -> None:
-    """Degenerate rows are named, and changes are one-sided, as one by one; the others stay as they were."""
+def test_kinks() -> None:
+    """Degenerate rows are named, changes are one-sided, gradients hold them, as one by one; others are as before."""
     M, q, lower, upper = planted(40, 6, 8)
     plain = of((M, q, lower, upper))
     q[:10], lower[:10], upper[:10] = 0.0, 0.0, INF  # z = 0 = w
     found = of((M, q, lower, upper))
+    assert not found._careful
     assert found.degenerate[:10].all()
     assert not found.degenerate[10:].any()
     dq = np.random.default_rng(0).normal(size=q.shape)
-    dz = found.jvp(dq=dq)
+    dz, gradient = found.jvp(dq=dq), found.vjp(dq)
     assert (dz[:10] >= 0.0).all()
     assert np.array_equal(dz[10:], plain.jvp(dq=dq)[10:])
     for k in range(10):
         assert found[k].is_unique is False
         assert np.array_equal(dz[k], found[k].jvp(dq=dq[k]))
-        assert np.array_equal(found.vjp(np.ones(6)).lower[k], found[k].vjp(np.ones(6)).lower)
+        assert np.array_equal(gradient.lower[k], found[k].vjp(dq[k]).lower)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_planted_kinks(seed: int) -> None:
+    """Small integers with z and w known, both 0 above the bound in some rows: named, and treated as one by one."""
+    rng = np.random.default_rng(seed)
+    M = rng.integers(-2, 3, (60, 5, 5)).astype(float) + 12.0 * np.eye(5)
+    place, at_upper = rng.integers(3, size=(60, 5)), rng.random((60, 5)) < 0.3
+    lower = rng.integers(-3, 3, (60, 5)).astype(float)
+    upper = lower + 4.0
+    z = np.where(place == 0, lower + rng.integers(1, 4, (60, 5)), np.where(at_upper, upper, lower))
+    w = np.where(place == 1, np.where(at_upper, -1.0, 1.0) * rng.integers(1, 4, (60, 5)), 0.0)
+    found = of((M, w - (M @ z[:, :, None])[:, :, 0], lower, upper))
+    assert np.array_equal(found.degenerate, place == 2)
+    assert np.array_equal(found.free, place == 0)
+    assert len(found._careful) < 10
+    assert_each(found)
+
+
+def test_zero_rows_that_are_free_together_with_a_kink() -> None:
+    """Where holding the degenerate rows leaves a singular block, those are free, as one by one."""
+    M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
+    found = derivative(solve_batch(M, np.array([[0.0, 1.0, -1.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0]))
+    assert found.degenerate.tolist() == [[False, True, False]]
+    gradient = found.vjp([1.0, 2.0, 3.0])
+    assert np.isfinite(gradient.q).all()
+    assert gradient.q[0].tolist() == found[0].vjp([1.0, 2.0, 3.0]).q.tolist()
+    assert found.free.tolist() == [found[0].free.tolist()]
 
 
 def test_ill_conditioned_blocks_are_left_to_them_too() -> None:

@@ -1,8 +1,9 @@
 """The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.desk`.
 
 First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
-told apart. A tangent and an adjoint are one linear solve each on the same rows. What is near a kink, or loses half of
-its digits in the elimination, is left to others, who calculate in twice the precision.
+told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
+that leaves a regular block; a tangent there is left to others, and so is what is near one, or loses half of its digits
+in the elimination: they calculate in twice the precision.
 
 An array with one row in front stands for all problems.
 """
@@ -12,13 +13,14 @@ from __future__ import annotations
 import numpy as np
 
 from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
-from .desk import AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
+from .desk import AT_LOWER, AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
 from .floats import EPSILON
 from .small_problems import classify, look_at, slack
 from .small_systems import solve_free
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
 HALF = 2.0**-26  # of the digits of a double
+KINK = 4  # added to the side of a row that is at this bound, with w = 0
 
 
 @compiled
@@ -65,26 +67,30 @@ def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
 
 @compiled_in_any_order
 def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
-    """Return whether another solve would change FOUND by rounding alone, and whether no row is near a kink.
+    """Return whether another solve would change FOUND by rounding alone, and whether each row is clear; mark kinks.
 
-    A row is clear where its slack, or its distance from the bounds, has half of its digits. One with equal bounds
-    takes the side that the sign of w asks for.
+    A row is at a kink where both its slack and its distance from the bounds are rounding, and clear where one of them
+    has half of its digits. One with equal bounds takes the side that the sign of w asks for.
     """
     n = M.shape[1]
     is_exact = is_clear = True
     for i in range(n):
-        size = abs(real[Q, i])
+        size, terms = abs(real[Q, i]), 2
         for j in range(n):
             size += abs(M[k, i, j] * real[FOUND, j])
+            terms += M[k, i, j] != 0.0
         z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
+        distance, floor = min(z - lower, upper - z) * real[SCALE, i], terms * EPSILON * size
         if side == BETWEEN:
-            is_exact &= w <= (n + 2) * EPSILON * size
-            is_clear &= min(z - lower, upper - z) * real[SCALE, i] > HALF * size
+            is_exact &= w <= floor
         else:
             is_exact &= z == (upper if side == AT_UPPER else lower)
-            is_clear &= (w > HALF * size) | (lower == upper)
-            if lower == upper and real[W, i] < 0.0:
-                whole[SIDE, i] = AT_UPPER
+        if lower == upper:
+            whole[SIDE, i] = AT_UPPER if real[W, i] < 0.0 else AT_LOWER
+        elif w <= floor and distance <= floor:
+            whole[SIDE, i] = (AT_UPPER if upper - z < z - lower else AT_LOWER) + KINK
+        else:
+            is_clear &= (distance if side == BETWEEN else w) > HALF * size
     return is_exact, is_clear
 
 
@@ -115,9 +121,10 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
         for i in range(n):
             real[Q, i], real[LOWER, i], real[UPPER, i] = h[own[0], i], lower[own[1], i], upper[own[2], i]
             whole[SIDE, i] = side[k, i]
+            is_plain[k] &= side[k, i] < KINK  # others solve a small LCP
         of = k if M.shape[0] > 1 else 0
         is_symmetric = look_at(M, of, real)[3]
-        is_plain[k] = _solved(M, of, real, whole, room, is_symmetric)
+        is_plain[k] = is_plain[k] and _solved(M, of, real, whole, room, is_symmetric)
         for i in range(n):
             dz[k, i] = real[FOUND, i]
 
@@ -136,7 +143,7 @@ def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain): 
         for i in range(n):
             for j in range(n):
                 turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
-            real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i]
+            real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i] % KINK
             real[KEPT, i] = 0.0 if side[k, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
             real[LOWER, i] = real[UPPER, i] = 0.0
         is_symmetric = look_at(turned, 0, real)[3]

@@ -106,9 +106,9 @@ class BatchDerivative:
 
     Notes
     -----
-    Small problems without rows near a kink, and with free blocks that do not lose half of the digits in elimination,
-    share one compiled loop, on as many threads as the batch had: the bits are the same for any number. The others
-    are left to their Derivative: so one-sided derivatives, and elements of the B-subdifferential, are what it gives.
+    Small problems share one compiled loop, on as many threads as the batch had: the bits are the same for any number.
+    Those near a kink, with free blocks that lose half of the digits in elimination, or in need of a one-sided
+    derivative are left to their Derivative, which takes a hundred times as long.
     """
 
     def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
@@ -140,24 +140,31 @@ class BatchDerivative:
     @cached_property
     def z(self) -> Any:
         """The solutions at which the derivatives are taken, shape (B, n) or a list; NaN where there is none."""
-        return self._gathered(np.nan, lambda part: part.z, lambda one: one.z)
+        z = self._gathered(np.nan, lambda part: part.z, lambda one: one.z)
+        return read_only(z) if self._is_even else z
 
     @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
         from ..kernels.desk import BETWEEN
 
-        return self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
+        free = self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
+        kinks = [k for k, is_degenerate in enumerate(self.degenerate) if is_degenerate.any()]
+        for k, own in self._one_by_one(kinks, lambda k: self[k].free):
+            free[k] = own  # degenerate rows are free where nothing else leaves a regular block
+        return free
 
     @cached_property
     def degenerate(self) -> Any:
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
+        from ..kernels.small_derivatives import KINK
+
         def told(one: Derivative) -> Any:
             is_degenerate = np.zeros(one.z.size, np.bool_)
             is_degenerate[one.degenerate] = True
             return is_degenerate
 
-        return self._gathered(False, lambda part: np.zeros(part.z.shape, np.bool_), told)
+        return self._gathered(False, lambda part: part.side >= KINK, told)
 
     def _gathered(self, otherwise: Any, of_part: Callable[[_Part], Any], of_one: Callable[[Derivative], Any]) -> Any:
         table = self._table(otherwise)
@@ -165,7 +172,7 @@ class BatchDerivative:
             _put(table, part.plain, of_part(part)[part.is_plain])
         for k, answer in self._one_by_one(self._careful, lambda k: of_one(self[k])):
             table[k] = answer
-        return read_only(table) if self._is_even else table
+        return table
 
     # --- changes and gradients --------------------------------------------------------------------------
 
@@ -266,7 +273,7 @@ class BatchDerivative:
     def _parts(self) -> list[_Part]:
         """The groups of small problems, settled."""
         parts = []
-        for group in self.batch.items.groups():
+        for group in self.batch.items.groups(every=True):
             z = np.array([self.batch.z[k] for k in group.items]) if not self._is_even else self.batch.z[group.items]
             parts.append(_Part(group, z, self._is_solved[group.items], self.batch.threads))
         return parts

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms.short_road import as_dense
+from ..algorithms.short_road import as_dense, is_short
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
@@ -60,8 +60,8 @@ class Items:
         """Return its z0, or None."""
         raise NotImplementedError
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         raise NotImplementedError
 
     def slack(self, k: int, z: Any) -> Any:
@@ -112,11 +112,11 @@ class Listed(Items):
         triples = zip(self._problems, left, right, strict=True)
         return [outer_product(one.matrix, a, b) if one and a.size == one.n else None for one, a, b in triples]
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         for n in sorted(self.sizes if self._starts is None else ()):
             same = [(k, one) for k, one in enumerate(self._problems) if one is not None and one.n == n]
-            items = [k for k, one in same if takes_the_short_road(one)]
+            items = [k for k, one in same if (is_short if every else takes_the_short_road)(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue
@@ -199,17 +199,17 @@ class Stacked(Items):
         """Return its z0, or None."""
         return self._row("z0", k) if "z0" in self._vectors else None
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         n = self._M.shape[-1]
         is_here = np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         if self._base is not None:
-            is_here &= takes_the_short_road(self._base)
+            is_here &= (is_short if every else takes_the_short_road)(self._base)
         elif n > COMPILED_SPARSE_UP_TO:
             is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
             is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)
-        elif n > 2:
+        elif n > 2 and not every:
             is_here[_tridiagonal(self._M)] = False  # solve knows better
         items = np.flatnonzero(is_here)
         if n == 0 or items.size == 0:

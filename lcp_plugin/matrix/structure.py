@@ -21,13 +21,6 @@ def row_numbers(M: Any) -> IntVector:
     return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
 
 
-def outer_product(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of the entries of M, in its own rows."""
-    rows = matrix.csr_rows
-    data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-
-
 def strong_blocks(M: Any) -> tuple[int, IntVector]:
     """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
     return _connected(M, "strong")

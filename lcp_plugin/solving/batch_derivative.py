@@ -11,10 +11,11 @@ import scipy.sparse as sp
 
 from ..checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ..errors import InvalidProblem, LCPError, UnsuitableProblem
+from ..problem.lcp import LCP
 from ..settings import Status
-from .batch_items import Group, rows_of_a_batch
+from .batch_items import rows_of_a_batch
+from .batch_parts import BatchPart, chosen, put
 from .batch_result import BatchResult
-from .chunks import in_chunks
 from .result import Result
 
 if TYPE_CHECKING:
@@ -46,45 +47,6 @@ class BatchGradient:
         return self._by_M()
 
 
-class _Part:
-    """Problems of a batch that share a compiled loop.
-
-    Attributes
-    ----------
-    z, side : arrays, shape (k, n)
-        Their solutions, solved for once more, and where each row is: a side of `kernels.desk`.
-    is_plain : array of bool, shape (k,)
-        Where the compiled loop has settled these.
-    """
-
-    def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
-        from ..kernels.small_derivatives import settle_all
-
-        self.group, self.threads = group, threads
-        self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
-        data = group.M, group.q, group.lower, group.upper
-
-        def settle(first: int, end: int) -> None:
-            settle_all(*data, first, end, self.z, self.side, self.is_plain)
-
-        in_chunks(settle, group.items.size, threads)
-
-    @property
-    def plain(self) -> Any:
-        """Which of the batch the loop has settled."""
-        return self.group.items[self.is_plain]
-
-    def derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], Any]:
-        """Return so many arrays that the kernel writes of the rows given, and for which problems it has succeeded."""
-        answers, is_plain = [np.empty(self.z.shape) for _ in range(count)], self.is_plain.copy()
-
-        def derive(first: int, end: int) -> None:
-            kernel(self.group.M, self.side, *given, first, end, *answers, is_plain)
-
-        in_chunks(derive, self.group.items.size, self.threads)
-        return answers, is_plain
-
-
 class BatchDerivative:
     """The derivatives of z by the data, one of each problem of a batch.
 
@@ -96,6 +58,8 @@ class BatchDerivative:
     batch : BatchResult
     each : callable
         Gives the Derivative of a Result.
+    on_pattern : callable
+        Gives left_i right_j in the places of the entries of an LCP's M.
 
     Attributes
     ----------
@@ -111,8 +75,10 @@ class BatchDerivative:
     derivative are left to their Derivative, which takes a hundred times as long.
     """
 
-    def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
-        self.batch, self._derivative_of = batch, each
+    def __init__(
+        self, batch: BatchResult, each: Callable[[Result], Derivative], on_pattern: Callable[[LCP, Any, Any], Any]
+    ) -> None:
+        self.batch, self._derivative_of, self._on_pattern = batch, each, on_pattern
         self._each: dict[int, Derivative] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
         self._is_solved = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
@@ -166,10 +132,12 @@ class BatchDerivative:
 
         return self._gathered(False, lambda part: part.side >= KINK, told)
 
-    def _gathered(self, otherwise: Any, of_part: Callable[[_Part], Any], of_one: Callable[[Derivative], Any]) -> Any:
+    def _gathered(
+        self, otherwise: Any, of_part: Callable[[BatchPart], Any], of_one: Callable[[Derivative], Any]
+    ) -> Any:
         table = self._table(otherwise)
         for part in self._parts:
-            _put(table, part.plain, of_part(part)[part.is_plain])
+            put(table, part.plain, of_part(part)[part.is_plain])
         for k, answer in self._one_by_one(self._careful, lambda k: of_one(self[k])):
             table[k] = answer
         return table
@@ -265,17 +233,17 @@ class BatchDerivative:
         for k in self.errors:
             if not np.any(by_q[k]):  # nothing was asked of a problem without z
                 z[k] = np.zeros_like(z[k])
-        return self.batch.items.outer(by_q, z)
+        return self.batch.items.outer(by_q, z, self._on_pattern)
 
     # --- the two roads ----------------------------------------------------------------------------------
 
     @cached_property
-    def _parts(self) -> list[_Part]:
+    def _parts(self) -> list[BatchPart]:
         """The groups of small problems, settled."""
         parts = []
         for group in self.batch.items.groups(every=True):
             z = np.array([self.batch.z[k] for k in group.items]) if not self._is_even else self.batch.z[group.items]
-            parts.append(_Part(group, z, self._is_solved[group.items], self.batch.threads))
+            parts.append(BatchPart(group, z, self._is_solved[group.items], self.batch.threads))
         return parts
 
     @cached_property
@@ -290,9 +258,9 @@ class BatchDerivative:
         """Return so many tables that the kernel writes of all problems, and the problems that it leaves."""
         tables, left = [self._table(np.nan) for _ in range(count)], [*self._careful]
         for part in self._parts:
-            answers, is_plain = part.derived(kernel, [_chosen(rows, part.group.items) for rows in given], count)
+            answers, is_plain = part.derived(kernel, [chosen(rows, part.group.items) for rows in given], count)
             for table, answer in zip(tables, answers, strict=True):
-                _put(table, part.group.items[is_plain], answer[is_plain])
+                put(table, part.group.items[is_plain], answer[is_plain])
             left += part.group.items[part.is_plain & ~is_plain].tolist()
         return tables, left
 
@@ -370,21 +338,6 @@ class BatchDerivative:
         if not np.isfinite(dM).all():
             raise InvalidProblem(f"dM must be finite, but dM{np.argwhere(~np.isfinite(dM))[0].tolist()} is not")
         return np.matmul(dM, z[:, :, np.newaxis])[:, :, 0]
-
-
-def _put(table: Any, items: Any, rows: Any) -> None:
-    if isinstance(table, np.ndarray):
-        table[items] = rows
-    else:
-        for k, row in zip(items.tolist(), rows, strict=True):
-            table[k] = row
-
-
-def _chosen(rows: Any, items: Any) -> Any:
-    """Return those rows as an array, read-only; one row in front stays for all."""
-    if len(rows) == 1 and isinstance(rows, np.ndarray):
-        return read_only(rows)
-    return read_only(rows[items] if isinstance(rows, np.ndarray) else np.array([rows[k] for k in items]))
 
 
 def _sum(rows: Any, others: Any) -> Any:

@@ -28,7 +28,7 @@ from ..certificates.error_bounds import ErrorBound, error_bound
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
-from ..matrix.structure import outer_product
+from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from .batch_derivative import BatchDerivative
 from .batch_result import BatchResult
@@ -92,7 +92,7 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
            [ 0.  ,  0.  ]])
     """
     if isinstance(result, BatchResult):
-        return BatchDerivative(result, derivative)
+        return BatchDerivative(result, derivative, _on_pattern)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
@@ -256,7 +256,7 @@ class Derivative:
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
-            outer_product(problem.matrix, multiplier, self.z),
+            _on_pattern(problem, multiplier, self.z),
         )
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
@@ -290,6 +290,13 @@ def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = Fals
             "multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not determined"
         )
     return x
+
+
+def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_array:
+    """Return left_i right_j in the places of M's entries."""
+    rows, matrix = problem.matrix.csr_rows, problem.matrix
+    data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
+    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 
 def _one_sided(

@@ -212,6 +212,8 @@ def compile_everything() -> str:
     from ..certificates.error_bounds import error_bound
     from ..evidence import gallery
     from ..kernels.compilation import cache_folder
+    from ..solving.batch import solve_batch
+    from ..solving.derivative import derivative
     from ..solving.driver import solve
 
     began = time.perf_counter()
@@ -222,4 +224,7 @@ def compile_everything() -> str:
     for problem in (scene.problem, dense):
         for name in ("multigrid", "lemke", "newton", "auto"):
             error_bound(problem, solve(problem, name).z)
+    found = derivative(solve_batch([dense]))
+    found.vjp(np.ones((1, 9)))
+    found.jvp(dq=np.ones(9))
     return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"

@@ -17,7 +17,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,6 +33,8 @@ from ..matrix.free_systems import FreeSystem
 from ..matrix.structure import row_numbers
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
+from .batch_derivative import BatchDerivative
+from .batch_result import BatchResult
 from .driver import solve
 from .result import Result
 
@@ -55,25 +57,29 @@ class Gradient(NamedTuple):
     M: sp.csr_array
 
 
-def derivative(result: Result) -> Derivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds.
+@overload
+def derivative(result: Result) -> Derivative: ...
+@overload
+def derivative(result: BatchResult) -> BatchDerivative: ...
+def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
+    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch.
 
     Parameters
     ----------
-    result : Result
+    result : Result or BatchResult
         SOLVED. What its run has built (the hierarchy of M) serves again.
 
     Returns
     -------
-    Derivative
-        Nothing is computed before it is asked for.
+    Derivative or BatchDerivative
+        Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
 
     Raises
     ------
     UnsuitableProblem
-        Where the result is not SOLVED.
+        Where a Result is not SOLVED.
     InvalidOption
-        Where it is no Result.
+        Where it is neither.
 
     Examples
     --------
@@ -88,6 +94,8 @@ def derivative(result: Result) -> Derivative:
     array([[-1.25,  0.  ],
            [ 0.  ,  0.  ]])
     """
+    if isinstance(result, BatchResult):
+        return BatchDerivative(result, derivative, _on_pattern)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"

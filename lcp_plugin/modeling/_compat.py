@@ -36,8 +36,9 @@ MATRIX_PRODUCT = _atoms("binary_operators.MulExpression")
 ENTRY_SUM = _atoms("sum.Sum")
 BROADCAST = _atoms("promote.Promote", "broadcast_to.broadcast_to")
 TRANSPOSE = _atoms("transpose.transpose")
+HORIZONTAL = _atoms("hstack.Hstack")
 STACKS: dict[Any, Any] = {
-    **dict.fromkeys(_atoms("hstack.Hstack"), sp.hstack),
+    **dict.fromkeys(HORIZONTAL, sp.hstack),
     **dict.fromkeys(_atoms("vstack.Vstack"), sp.vstack),
 }
 KRONECKER = _atoms("kron.kron")
@@ -152,6 +153,13 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
         low, high = (bound_value(bound, variable) for bound in given)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     return lower, upper
+
+
+def attribute_expressions(variable: Any) -> tuple[Any, Any] | None:
+    """Return the bounds of a variable as its attribute states them where a parameter is in them, else None."""
+    given = variable.attributes.get("bounds")
+    is_parametric = given is not None and any(isinstance(bound, cp.Expression) for bound in given)
+    return tuple(given) if is_parametric else None
 
 
 def bound_value(bound: Any, owner: Any) -> Any:

@@ -23,8 +23,9 @@ from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
 from .batch import ModelBatch, solve_for
-from .builder import Builder, Model
+from .builder import Builder
 from .constraint import Complements, box, complements
+from .model import Model
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
 

@@ -154,19 +154,19 @@ class Builder:
         is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
         if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
             self.unbounded.append(side)
-        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset))
+        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset, side.expression))
 
     def _keep_pair(
         self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: _Function,
-        sign: FloatVector, value: tuple[Any, Any] = (1.0, 0.0),
+        sign: FloatVector, value: tuple[Any, Any, Any] = (1.0, 0.0, None),
     ) -> None:
         """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
         self.pairs.append((columns, function, sign))
         shape = pair.first.expression.shape
         for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
             if constraint is not None:
-                scale, shift = (sign, 0.0) if is_slack else value
-                self.reports.append(Report(constraint, columns, shape, is_slack, scale, shift))
+                how = (sign, 0.0, None) if is_slack else value
+                self.reports.append(Report(constraint, columns, shape, is_slack, *how))
 
     @staticmethod
     def _sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:

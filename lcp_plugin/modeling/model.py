@@ -24,6 +24,7 @@ class Report:
     is_slack: bool
     scale: Any = 1.0
     shift: Any = 0.0
+    expression: Any = None  # whose parameters move scale and shift
 
     def value(self, z: FloatVector, w: FloatVector) -> NDArray[np.float64]:
         """Return the dual value in the constraint's own shape."""
@@ -44,9 +45,12 @@ class Model:
 
     def values(self, z: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id, in its own shape."""
-        z = self.elimination.expand(z)
+        return self.split(self.elimination.expand(z))
+
+    def split(self, unknowns: FloatVector) -> dict[int, Any]:
+        """Return what belongs to each variable, by its id and in its shape."""
         places = [(variable, self.offsets[variable.id]) for variable in self.variables]
-        return {v.id: z[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
+        return {v.id: unknowns[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
 
     def duals(self, z: FloatVector, w: FloatVector) -> list[tuple[Any, Any]]:
         """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""

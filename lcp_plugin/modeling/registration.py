@@ -22,14 +22,17 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
+from ._compat import answer_derivatives, clear_answering, refuse_without_derivatives, set_answering
 from .batch import ModelBatch, solve_for
 from .builder import Builder
 from .constraint import Complements, box, complements
+from .gradients import Differentiable, differentiable_parameters, values_of_parameters
 from .model import Model
+from .model_derivative import ModelDerivative
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
 
-CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
+CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 CVXPY_STATUS = {
     Status.SOLVED: settings.OPTIMAL,
     Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
@@ -46,6 +49,7 @@ def register() -> None:
     """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name."""
     for name in METHODS:
         cp.Problem.register_solve(name, solve_model)
+    answer_derivatives()
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -213,7 +217,7 @@ def stated_in_cvxpy(problem: LCP) -> Any:
 
 def solve_model(
     problem: Any, algorithm: Any = "auto", *, warm_start: bool = True, verbose: bool = False, solver: Any = None,
-    **options: Any,
+    requires_grad: bool = False, **options: Any,
 ) -> Any:
     """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
 
@@ -228,6 +232,8 @@ def solve_model(
         Tell the story of the run through cvxpy's logger.
     solver : None
         There because cvxpy passes it; there is no other solver to choose.
+    requires_grad : bool
+        Let ``problem.backward()`` and ``problem.derivative()`` differentiate this solution afterwards.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 
@@ -245,6 +251,9 @@ def solve_model(
     """
     if solver is not None:
         raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
+    clear_answering(problem)
+    if requires_grad:
+        refuse_without_derivatives()
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
         return cp.Problem._solve(
             problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
@@ -252,6 +261,8 @@ def solve_model(
     foreign = [name for name in CVXPY_FLAGS if name in options]
     if foreign:
         raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
+    parameters = differentiable_parameters(problem) if requires_grad else []
+    known = values_of_parameters(parameters)
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if start is not None and np.isfinite(start).all():
@@ -260,6 +271,11 @@ def solve_model(
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
+    answering = None
+    if requires_grad:
+        constraints = [report.constraint for report in model.reports]
+        answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
+    set_answering(problem, answering)
     return problem.value
 
 

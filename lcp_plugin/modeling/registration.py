@@ -29,6 +29,7 @@ from .constraint import Complements, box, complements
 from .gradients import Differentiable, differentiable_parameters, values_of_parameters
 from .model import Model
 from .model_derivative import ModelDerivative
+from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
 
@@ -255,12 +256,13 @@ def solve_model(
     if requires_grad:
         refuse_without_derivatives()
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
+        if requires_grad:
+            options = {"algorithm": algorithm, **options}
+            return _differentiable_program(problem, warm_start, verbose, options)
         return cp.Problem._solve(
             problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
         )
-    foreign = [name for name in CVXPY_FLAGS if name in options]
-    if foreign:
-        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
+    _refuse_flags(options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters)
     model = build_from(problem)
@@ -277,6 +279,25 @@ def solve_model(
         answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
     set_answering(problem, answering)
     return problem.value
+
+
+def _differentiable_program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+    """Solve a quadratic program by cvxpy's three public steps, and keep what its derivatives need."""
+    _refuse_flags(options)
+    parameters = differentiable_parameters(problem)
+    data, chain, inverse_data = problem.get_problem_data(QPSolver, verbose=verbose)
+    refuse_undisciplined(chain)
+    answer = chain.solve_via_data(problem, data, warm_start, verbose, options)
+    solution = ProgramDerivative(problem, data, chain, inverse_data, answer)
+    problem.unpack_results(answer, chain, inverse_data)
+    set_answering(problem, Differentiable(solution, parameters, solution.constraints))
+    return problem.value
+
+
+def _refuse_flags(options: Mapping[str, Any]) -> None:
+    foreign = [name for name in CVXPY_FLAGS if name in options]
+    if foreign:
+        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
 
 
 def write_back(problem: Any, model: Model, result: Result) -> None:

@@ -1,8 +1,8 @@
 """What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense.
 
 Who answers for the derivatives of a problem is decided here, too. cvxpy looks for what diffcp left in a private cache;
-nothing is put there. Problem.backward and Problem.derivative are wrapped instead, and ask us where the solution that the
-problem has is one of ours: by any later solve it has another, or none, and cvxpy answers as if we were not there.
+nothing is put there. Problem.backward and Problem.derivative are wrapped instead, and ask us where the solution that
+the problem has is one of ours: any later solve gives it another, and cvxpy answers as if we were not there.
 """
 
 from __future__ import annotations

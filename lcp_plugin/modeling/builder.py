@@ -77,7 +77,8 @@ class Builder:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
         function = affine_map(constraint.expr, memo=self.memo)
-        self.equations.append(_Function(constraint.expr, self._matrix(function), function.offset, constraint, function.shape))
+        matrix, shape = self._matrix(function), function.shape
+        self.equations.append(_Function(constraint.expr, matrix, function.offset, constraint, shape))
         for variable, block in function.blocks.items():
             if is_definition(block):
                 self.is_defined[self.offsets[variable] + block.indices] = True

@@ -1,4 +1,4 @@
-"""``problem.backward()`` and ``problem.derivative()`` after a solve by this package: what cvxpy's leaves ask and get."""
+"""``problem.backward()`` and ``problem.derivative()`` after our solves: what cvxpy's leaves ask, and what they get."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
 """The derivative of a model's solution by its parameters: the LCP's own, at the solution, and that of its data.
 
-With z held, all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): q's multiplier μ in
-the LCP gives dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of their
-own: with D u_d + … = 0 they move u by −D⁻¹ ∂_p.
+With z held, all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the
+gradient by q, dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of
+their own: D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
@@ -17,10 +17,12 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ..checks import FloatVector
-from ..solving.derivative import Derivative, derivative
 from ..solving.result import Result
 from .model import BoundSource, Model
 from .parametric import ParametricExpression
+
+if TYPE_CHECKING:
+    from ..solving.derivative import Derivative
 
 Changes = dict[int, Any]
 
@@ -104,6 +106,8 @@ class ModelDerivative:
 
     @cached_property
     def _at(self) -> Derivative:
+        from ..solving.derivative import derivative  # with compiled kernels, which a model alone does not need
+
         return derivative(self._result)
 
     @cached_property

@@ -19,6 +19,9 @@ from ._compat import name_of
 from .extract import postorder
 from .linear_part import Values
 
+#: Atoms that do to changes what they do to values.
+LINEAR: tuple[Any, ...] = (*atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM)
+
 
 class Outer(NamedTuple):
     """The gradient left · rightᵀ by the entries of a matrix, not multiplied out.
@@ -89,7 +92,8 @@ class ParametricExpression:
                 else:
                     moved[id(node)] = self._pushed(node, [moved.get(id(argument)) for argument in node.args])
         change = atoms.dense(moved[id(self.root)]) if moved else np.zeros(self.root.shape)
-        return self._finite(np.ravel(change, order="F"))
+        whole: FloatVector = self._finite(np.ravel(change, order="F"))
+        return whole
 
     def backward(self, gradient: Any) -> dict[int, Any]:
         """Return the gradients by the parameters of a function that has this gradient by the expression.
@@ -150,10 +154,11 @@ class ParametricExpression:
                 change if change.shape == node.shape else np.broadcast_to(atoms.dense(change), node.shape)
                 for change in changes if change is not None
             )
-        if isinstance(node, (*atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM)):
+        if isinstance(node, LINEAR):
             is_sparse = any(map(sp.issparse, changes))
             zero: Any = sp.csc_array if is_sparse else np.zeros
-            whole = [zero(part.shape) if own is None else own for part, own in zip(node.args, changes, strict=True)]
+            parts = zip(node.args, changes, strict=True)
+            whole = [zero(part.shape) if change is None else change for part, change in parts]
             return atoms.shaped(node, atoms.constant_numeric(node, whole))
         return sum(
             (self._jacobian(node, k).T @ np.ravel(atoms.dense(change), order="F"))

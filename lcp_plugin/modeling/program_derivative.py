@@ -1,8 +1,8 @@
 """The derivative of a quadratic program's solution by its parameters, through its optimality conditions as an LCP.
 
-z = (x, multipliers), M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b). cvxpy's compiled program is affine in the
-parameters where the problem follows its DPP rules: P, c, and [A b] are tensors times (parameters, 1). With z held they
-make one sparse Jacobian of M z + q by the parameters.
+z = (x, multipliers), M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b). Where a problem follows the DPP rules,
+the program that cvxpy compiles is affine in the parameters: P, c and [A b] are tensors times (parameters, 1). With z
+held they make one sparse Jacobian of M z + q by the parameters.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,9 +22,11 @@ from ..checks import FloatVector
 from ..conversions.qp_solution import QPSolution
 from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
-from ..solving.derivative import Derivative
 from .model_derivative import Changes
 from .qp_solver import Answer
+
+if TYPE_CHECKING:
+    from ..solving.derivative import Derivative
 
 
 NOT_UNIQUE = (
@@ -100,9 +102,9 @@ class ProgramDerivative:
             variable.id: self._entries_of(variable, chain, inverse_data) for variable in problem.variables()
         }
         numbers = 1.0 + np.arange(self._multipliers.size)
-        split = numbers[: -self._equations or None], numbers[numbers.size - self._equations :]
+        inequality, equality = np.split(numbers, [numbers.size - self._equations])
         zero = np.zeros(answer.solution.x.size)
-        counted = QPSolution(answer.solution.program, zero, *split, zero, zero)
+        counted = QPSolution(answer.solution.program, zero, inequality, equality, zero, zero)
         inverted = chain.invert(Answer(answer.result, counted, settings.OPTIMAL, answer.goal), inverse_data)
         self._duals = [
             (constraint, Entries.of(inverted.dual_vars[constraint.id], zero.size))
@@ -183,6 +185,8 @@ class ProgramDerivative:
     @cached_property
     def _at(self) -> Derivative:
         """The derivative of the optimality conditions; rows without a limit have no multiplier."""
+        from ..solving.derivative import Derivative  # with compiled kernels, which a program alone does not need
+
         solution, program = self._answer.solution, self._answer.solution.program
         rows = sp.csr_array(sp.vstack([program.G, program.A]))
         M = sp.block_array([[program.P, rows.T], [-rows, None]], format="csr")

@@ -256,12 +256,12 @@ def solve_model(
     if requires_grad:
         refuse_without_derivatives()
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
+        options["algorithm"] = algorithm
         if requires_grad:
-            options = {"algorithm": algorithm, **options}
             return _differentiable_program(problem, warm_start, verbose, options)
-        return cp.Problem._solve(
-            problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
-        )
+        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+        set_answering(problem, None)
+        return value
     _refuse_flags(options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters)

@@ -33,7 +33,7 @@ from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, attribute_bounds, leaf_value, name_of
+from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of
 from .extract import postorder
 
 Values = dict[int, Any]
@@ -304,6 +304,7 @@ def accompany(solver_class: type) -> None:
                 'solver=lcp_plugin.QPSolver, or method="LCP"'
             )
         self.__dict__.pop("unpack_results", None)
+        clear_answering(self)
         if not isinstance(solver, solver_class):
             return compiled(self, solver, *args, **kwargs)
         try:

@@ -298,13 +298,13 @@ def accompany(solver_class: type) -> None:
 
     @wraps(compiled)
     def get_problem_data(self: Any, solver: Any, *args: Any, **kwargs: Any) -> Any:
+        clear_answering(self)
         if isinstance(solver, str) and solver in METHODS:
             raise SolverError(
                 f"solver={solver!r}: cvxpy looks for names among its own solvers only; write "
                 'solver=lcp_plugin.QPSolver, or method="LCP"'
             )
         self.__dict__.pop("unpack_results", None)
-        clear_answering(self)
         if not isinstance(solver, solver_class):
             return compiled(self, solver, *args, **kwargs)
         try:

@@ -14,8 +14,9 @@ from .reference_point import ActiveSetSteps
 from .residuals import Certificate
 from .row_inequality import RowInequality
 
-STEPS = 6  # of the active-set method; from a solved problem two to three settle all rows
+STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
 GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
+EXACT = 1e-14  # relative: what a step may leave of the error
 ROUNDING = 4.0  # times the rounding floor: what PRECISION_LIMIT grants a residual
 
 
@@ -89,15 +90,13 @@ def _settled(problem: LCP, z: FloatVector) -> tuple[RowInequality, FreeSystem] |
     """Return a point whose rows solve their own equations, with that system; None where steps do not get there."""
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL)
     at = RowInequality.at(problem, z)
-    before: FreeSystem | None = None
     for _ in range(STEPS):
         following = steps.next_point(at)
         if following is None:
             return None
-        at = following
-        if steps.system is before:
+        change, at = np.abs(following.high - at.high).max(initial=0.0), following
+        if steps.is_settled(at) and GOAL * change <= EXACT * np.abs(at.high).max(initial=0.0):
             return at, steps.system
-        before = steps.system
     return None
 
 

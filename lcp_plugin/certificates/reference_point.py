@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.upward import sum_above
 from ..matrix.free_systems import FreeSystem
 from ..problem.lcp import LCP
@@ -51,23 +51,29 @@ class ActiveSetSteps:
     def next_point(self, at: RowInequality) -> RowInequality | None:
         """Return the inequality at the next point, or None where the step is not finite."""
         problem = self.problem
-        w = 0.5 * (at.slack - at.negative_slack)
-        target = at.high - self.scale * w
-        on_lower = target <= problem.lower
-        on_upper = (target >= problem.upper) & ~on_lower
-        free = ~(on_lower | on_upper)
+        w, on_lower, free = self._sides(at)
         bound = np.where(on_lower, problem.lower, problem.upper)
         delta = np.where(free, 0.0, (bound - at.high) - at.low)
-        if free.any():
-            if not np.array_equal(free, self.system.free):
-                self.system = FreeSystem(problem.matrix, free)
-            solution = self.system.solve(-(w + problem.csr @ delta), goal=self.goal)
-            if solution is None:
-                return None
-            delta += solution
+        if not np.array_equal(free, self.system.free):
+            self.system = FreeSystem(problem.matrix, free)
+        solution = self.system.solve(-(w + problem.csr @ delta), goal=self.goal)
+        if solution is None:
+            return None
+        delta += solution
         if not np.isfinite(delta).all():
             return None
         high = at.high + delta
         part = high - at.high
         low = (at.high - (high - part)) + (delta - part) + at.low
         return RowInequality.at(problem, np.where(free, high, bound), np.where(free, low, 0.0))
+
+    def is_settled(self, at: RowInequality) -> bool:
+        """Return whether the point, that of the last step, has the free rows of that step."""
+        return np.array_equal(self._sides(at)[2], self.system.free)
+
+    def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
+        """Return w, the rows that it holds at their lower bounds, and those that are free."""
+        w = 0.5 * (at.slack - at.negative_slack)
+        target = at.high - self.scale * w
+        on_lower = target <= self.problem.lower
+        return w, on_lower, ~(on_lower | (target >= self.problem.upper))

@@ -130,10 +130,10 @@ class FreeSystem:
     @cached_property
     def _truncation(self) -> Any:
         """The grids of M with all that is not free taken out."""
-        from .hierarchy.levels import hierarchy_of
+        from .hierarchy.levels import COARSEST, hierarchy_of
         from .hierarchy.truncation import Truncation
 
-        truncation = Truncation(hierarchy_of(self.matrix))
+        truncation = Truncation(hierarchy_of(self.matrix, COARSEST))
         top = truncation.grids[0]
         top.is_free[: self.matrix.own] = self.free
         top.free_changed[: self.matrix.own] = ~self.free

@@ -218,7 +218,7 @@ def build_hierarchy(
 
 
 @fact
-def hierarchy_of(matrix: Matrix, coarsest: int = COARSEST) -> Hierarchy:
+def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
     """Return the hierarchy of M, which its solves share."""
     scales_rows = not has_symmetric_entries(matrix)
     return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers)

@@ -415,6 +415,20 @@ def test_at_a_kink_backward_gives_one_piece_and_derivative_one_side() -> None:
         assert float(x.delta) == change
 
 
+def test_a_program_at_a_kink_moves_to_one_side() -> None:
+    """The minimum of (x − p)² over x ≥ 0 is max(p, 0), with the multiplier max(−2 p, 0): at p = 0 each side its own."""
+    p, x = cp.Parameter(value=0.0), cp.Variable()
+    rows = [x >= 0]
+    problem = cp.Problem(cp.Minimize(cp.square(x - p)), rows)
+    problem.solve(method="LCP", requires_grad=True)
+    for side, change, multiplier in ((1.0, 1.0, 0.0), (-1.0, 0.0, 2.0)):
+        p.delta = side
+        problem.derivative()
+        assert [float(x.delta), float(rows[0].dual_variables[0].delta)] == [change, multiplier]
+    problem.backward()
+    assert float(p.gradient) in (0.0, 1.0)
+
+
 def test_derivatives_are_at_the_values_of_the_solve() -> None:
     """A parameter that has changed since, even in place, changes nothing before the next solve."""
     k, q, x = cp.Parameter(value=2.0), cp.Parameter(1, value=[-6.0]), cp.Variable(1)
@@ -512,18 +526,21 @@ def test_parameters_that_do_not_matter_have_gradient_zero() -> None:
 # --- refusals -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "attributes",
-    [{"integer": True}, {"boolean": True}, {"symmetric": True}, {"PSD": True}, {"diag": True}, {"complex": True}],
-    ids=lambda attributes: next(iter(attributes)),
+RIGID: tuple[dict[str, Any], ...] = (
+    *({name: True} for name in ("integer", "boolean", "symmetric", "PSD", "diag", "complex")),
+    {"sparsity": [(0, 1), (0, 1)]},
 )
-def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, bool]) -> None:
-    """Integer, Boolean, complex, symmetric, PSD and diagonal parameters: refused before the solve, by name."""
-    P, x = cp.Parameter((2, 2), name="rigid", value=np.eye(2), **attributes), cp.Variable(2)
+
+
+@pytest.mark.parametrize("attributes", RIGID, ids=lambda attributes: next(iter(attributes)))
+def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, Any]) -> None:
+    """Integer, Boolean, complex, symmetric, PSD, diagonal and sparse parameters: refused before the solve, by name."""
+    P, x = cp.Parameter((2, 2), name="rigid", **attributes), cp.Variable(2)
     problem = ComplementarityProblem(complements(x >= 0, cp.real(P) @ x - 1 >= 0))
     with pytest.raises(UnsupportedModel, match=f"parameter rigid has the attribute '{next(iter(attributes))}'"):
         problem.solve(requires_grad=True)
-    if "complex" not in attributes:
+    if not attributes.keys() & {"complex", "sparsity"}:
+        P.value = np.eye(2)
         assert problem.solve() == 0.0
 
 

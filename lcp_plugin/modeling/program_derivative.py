@@ -22,6 +22,7 @@ from ..checks import FloatVector
 from ..conversions.qp_solution import QPSolution
 from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
+from ._compat import dense
 from .model_derivative import Changes
 from .qp_solver import Answer
 
@@ -44,11 +45,10 @@ class Entries(NamedTuple):
     shape: tuple[int, ...]
 
     @classmethod
-    def of(cls, numbers: Any, first: int = 0) -> Entries:
+    def of(cls, numbers: Any, first: int, shape: tuple[int, ...]) -> Entries:
         """Return the entries from numbers that count the unknowns from 1; `first` is the place of the first."""
-        whole = numbers.toarray() if sp.issparse(numbers) else np.asarray(numbers)
-        flat = np.rint(np.ravel(whole, order="F"))
-        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), whole.shape)
+        flat = np.rint(np.ravel(dense(numbers), order="F"))
+        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), shape)
 
     def taken(self, unknowns: FloatVector) -> Any:
         """Return the variable's entries."""
@@ -107,7 +107,7 @@ class ProgramDerivative:
         counted = QPSolution(answer.solution.program, zero, inequality, equality, zero, zero)
         inverted = chain.invert(Answer(answer.result, counted, settings.OPTIMAL, answer.goal), inverse_data)
         self._duals = [
-            (constraint, Entries.of(inverted.dual_vars[constraint.id], zero.size))
+            (constraint, Entries.of(inverted.dual_vars[constraint.id], zero.size, constraint.dual_variables[0].shape))
             for constraint in problem.constraints if constraint.id in (inverted.dual_vars or {})
         ]
 
@@ -173,7 +173,7 @@ class ProgramDerivative:
                 f"variable {variable.name()} is not among those of the program that cvxpy made; leave requires_grad "
                 "out, or use a plain variable"
             )
-        return Entries.of(numbers, self._program.var_id_to_col.get(leaf.id, 0))
+        return Entries.of(numbers, self._program.var_id_to_col.get(leaf.id, 0), variable.shape)
 
     def _refuse_unsolved(self) -> None:
         if self._answer.status != settings.OPTIMAL:

@@ -606,6 +606,24 @@ def test_releases_without_derivatives_are_refused(monkeypatch: pytest.MonkeyPatc
         problem.solve(requires_grad=True)
 
 
+def test_another_layout_of_the_compiled_program_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where cvxpy's tensors do not make the program that was solved, no gradient comes of them."""
+    compiled = cp.Problem.get_problem_data
+
+    def changed(self: Any, *args: Any, **kwargs: Any) -> Any:
+        data, *rest = compiled(self, *args, **kwargs)
+        program = copy.copy(data["param_prob"])
+        program.q = 2 * program.q
+        return {**data, "param_prob": program}, *rest
+
+    monkeypatch.setattr(cp.Problem, "get_problem_data", changed)
+    problem, *_ = quadratic()
+    with pytest.raises(UnsupportedModel, match="layout that is not known"):
+        problem.solve(method="LCP", requires_grad=True)
+    with pytest.raises(ValueError, match="requires_grad"):
+        problem.backward()
+
+
 def test_modeling_loads_no_kernels() -> None:
     """Stating models loads no numba: derivatives load when they are asked for."""
     assert printed_by("import sys, lcp_plugin; lcp_plugin.complements; print('numba' in sys.modules)") == "False"

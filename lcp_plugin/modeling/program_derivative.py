@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
@@ -22,13 +23,15 @@ from ..checks import FloatVector
 from ..conversions.qp_solution import QPSolution
 from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
-from ._compat import dense
+from ._compat import dense, leaf_value
 from .model_derivative import Changes
-from .qp_solver import Answer
+from .qp_solver import SAME, Answer
 
 if TYPE_CHECKING:
     from ..solving.derivative import Derivative
 
+
+ROUNDING = 1e-9  # of the terms of a residual that is computed in two ways
 
 NOT_UNIQUE = (
     "the minimum of the program, or its multipliers, are not determined by the active constraints alone: these are "
@@ -88,6 +91,8 @@ class ProgramDerivative:
         What ``problem.get_problem_data`` returned.
     answer : Answer
         What the solver said of it.
+    known : dict
+        From the id of a parameter to the value with which the program was solved.
 
     Raises
     ------
@@ -95,8 +100,10 @@ class ProgramDerivative:
         Where a variable is not found again in the compiled program.
     """
 
-    def __init__(self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: Answer) -> None:
-        self._answer, self._program = answer, data[settings.PARAM_PROB]
+    def __init__(
+        self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: Answer, known: Changes
+    ) -> None:
+        self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
         self._equations = int(data["n_eq"])
         self._variables = {
             variable.id: self._entries_of(variable, chain, inverse_data) for variable in problem.variables()
@@ -111,6 +118,30 @@ class ProgramDerivative:
             for constraint in problem.constraints if constraint.id in (inverted.dual_vars or {})
         ]
 
+    def confirm(self, problem: Any) -> None:
+        """Raise where the compiled program, as it is read here, is not the one that was solved and unpacked.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+            With the values of the solve.
+        """
+        if self._answer.status != settings.OPTIMAL:
+            return
+        z, point = self._z, self._by_column(self._known)
+        point[-1] = 1.0
+        found = [(self._variables[variable.id].taken(z), leaf_value(variable)) for variable in problem.variables()]
+        found += [(entries.taken(z), constraint.dual_value) for constraint, entries in self._duals]
+        residual = self._residual(z)
+        error = np.abs(residual @ point - (self._conditions.M @ z + self._conditions.q))
+        is_same = (error <= ROUNDING * (1.0 + abs(residual) @ np.abs(point))).all()
+        goal = SAME * self._answer.goal  # cvxpy projects values on the attributes of their variables
+        if not is_same or not all(_agree(own, dense(theirs), goal) for own, theirs in found):
+            raise UnsupportedModel(
+                f"cvxpy {cp.__version__} compiled this program to a layout that is not known here, so that its "
+                "gradients would be wrong; leave requires_grad out, or use a release from 1.6 to 1.9"
+            )
+
     @property
     def constraints(self) -> list[Any]:
         """Those that have dual values."""
@@ -119,12 +150,8 @@ class ProgramDerivative:
     def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
         """Return the change of each variable, by its id, and of each dual value, with its constraint."""
         self._refuse_unsolved()
-        by_column = np.zeros(self._jacobian.shape[1])
-        for key, column in self._columns.items():
-            part = np.ravel(changes[key], order="F")
-            by_column[column : column + part.size] = part
         with _in_words_of_programs():
-            dz = self._at.jvp(dq=self._jacobian @ by_column)
+            dz = self._at.jvp(dq=self._jacobian @ self._by_column(changes)[:-1])
         variables = {key: entries.taken(dz) for key, entries in self._variables.items()}
         return variables, [(constraint, entries.taken(dz)) for constraint, entries in self._duals]
 
@@ -150,6 +177,14 @@ class ProgramDerivative:
         """The first column of each parameter by its id; the constants have a negative id, and the last column."""
         known = {parameter.id for parameter in self._program.parameters}
         return {key: column for key, column in self._program.param_id_to_col.items() if key in known}
+
+    def _by_column(self, values: Changes) -> FloatVector:
+        """Return values of the parameters in their columns, and 0 in the last one."""
+        whole = np.zeros(self._program.q.shape[1])
+        for key, column in self._columns.items():
+            part = np.ravel(dense(values[key]), order="F")
+            whole[column : column + part.size] = part
+        return whole
 
     @property
     def _multipliers(self) -> FloatVector:
@@ -182,48 +217,60 @@ class ProgramDerivative:
                 f"{self._answer.result.advice}"
             )
 
-    @cached_property
-    def _at(self) -> Derivative:
-        """The derivative of the optimality conditions; rows without a limit have no multiplier."""
-        from ..solving.derivative import Derivative  # with compiled kernels, which a program alone does not need
+    @property
+    def _z(self) -> FloatVector:
+        return np.concatenate([self._answer.solution.x, self._multipliers])
 
-        solution, program = self._answer.solution, self._answer.solution.program
+    @cached_property
+    def _conditions(self) -> LCP:
+        """The optimality conditions; rows without a limit have no multiplier."""
+        program = self._answer.solution.program
         rows = sp.csr_array(sp.vstack([program.G, program.A]))
         M = sp.block_array([[program.P, rows.T], [-rows, None]], format="csr")
         limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
         is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
-        q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
         lower = np.concatenate([-free, np.zeros(program.h.size), -none])
         upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
-        z = np.concatenate([solution.x, self._multipliers])
-        problem = LCP(M, q, lower=lower, upper=upper)
+        return LCP(M, np.concatenate([program.c, np.where(is_limit, limits, 0.0)]), lower=lower, upper=upper)
+
+    @cached_property
+    def _at(self) -> Derivative:
+        from ..solving.derivative import Derivative  # with compiled kernels, which a program alone does not need
+
+        problem, z = self._conditions, self._z
         return Derivative(problem, z, problem.M @ z + problem.q)
 
     @cached_property
     def _jacobian(self) -> sp.csr_array:
-        """The derivative of M z + q by the columns of the parameters, z held.
+        """The derivative of M z + q by the columns of the parameters, z held."""
+        return sp.csr_array(self._residual(self._at.z)[:, :-1])
+
+    def _residual(self, z: FloatVector) -> sp.csr_array:
+        """Return the matrix that makes M z + q of (parameters, 1), z held.
 
         cvxpy's rows are A x + b = 0 first, then A x + b ≥ 0; entry (i, j) of [A b] is row i + j·rows of the tensor.
         """
-        program, z = self._program, self._at.z
+        program = self._program
         n = program.x.size
         x, y, equality = np.split(z, [n, z.size - self._equations])
         multipliers = np.append(equality, -y)
-        rows = multipliers.size
         place = n + np.append(y.size + np.arange(equality.size), np.arange(y.size))
         sign = np.append(np.full(equality.size, -1.0), np.ones(y.size))
         A, c = sp.coo_array(program.A), sp.coo_array(program.q)
-        i, j = A.row % max(rows, 1), A.row // max(rows, 1)
-        is_linear = j < n
+        data = np.where(np.isfinite(A.data), A.data, 0.0)  # rows without a limit
+        j, i = np.divmod(A.row, max(multipliers.size, 1))
+        of_x, of_c = j < n, c.row < n  # the others are b, and the constant of the objective
         parts = [
-            (c.row, c.col, np.where(c.row < n, c.data, 0.0)),
-            (np.where(is_linear, j, 0), A.col, np.where(is_linear, multipliers[i] * A.data, 0.0)),
-            (place[i], A.col, sign[i] * np.append(x, 1.0)[j] * A.data),
+            (c.row[of_c], c.col[of_c], c.data[of_c]),
+            (j[of_x], A.col[of_x], (multipliers[i] * data)[of_x]),
+            (place[i], A.col, sign[i] * np.append(x, 1.0)[j] * data),
         ]
         if program.P is not None:
             P = sp.coo_array(program.P)
             parts.append((P.row % n, P.col, P.data * x[P.row // n]))
-        row, column, data = (np.concatenate(part) for part in zip(*parts, strict=True))
-        row = np.where(data != 0.0, row, 0)  # the constant of the objective has no row
-        whole = sp.csr_array(sp.coo_array((data, (row, column)), shape=(z.size, program.q.shape[1])))
-        return sp.csr_array(whole[:, :-1])
+        row, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return sp.csr_array(sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1])))
+
+
+def _agree(own: Any, theirs: Any, tolerance: float) -> bool:
+    return bool((np.abs(own - theirs) <= tolerance * (1.0 + np.abs(own).max(initial=0.0))).all())

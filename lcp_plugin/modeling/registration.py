@@ -285,11 +285,13 @@ def _differentiable_program(problem: Any, warm_start: bool, verbose: bool, optio
     """Solve a quadratic program by cvxpy's three public steps, and keep what its derivatives need."""
     _refuse_flags(options)
     parameters = differentiable_parameters(problem)
+    known = values_of_parameters(parameters)
     data, chain, inverse_data = problem.get_problem_data(QPSolver, verbose=verbose)
     refuse_undisciplined(chain)
     answer = chain.solve_via_data(problem, data, warm_start, verbose, options)
-    solution = ProgramDerivative(problem, data, chain, inverse_data, answer)
+    solution = ProgramDerivative(problem, data, chain, inverse_data, answer, known)
     problem.unpack_results(answer, chain, inverse_data)
+    solution.confirm(problem)
     set_answering(problem, Differentiable(solution, parameters, solution.constraints))
     return problem.value
 

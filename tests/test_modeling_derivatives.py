@@ -613,7 +613,7 @@ def test_another_layout_of_the_compiled_program_is_refused(monkeypatch: pytest.M
     def changed(self: Any, *args: Any, **kwargs: Any) -> Any:
         data, *rest = compiled(self, *args, **kwargs)
         program = copy.copy(data["param_prob"])
-        program.q = 2 * program.q
+        program.A = 2 * program.A
         return {**data, "param_prob": program}, *rest
 
     monkeypatch.setattr(cp.Problem, "get_problem_data", changed)

@@ -294,9 +294,42 @@ def bounds_of_the_variable(r: Any) -> Parts:
     return ComplementarityProblem(pair), [lower, upper, q], [x], [pair]
 
 
+def parts_of_a_variable(r: Any) -> Parts:
+    q, u = cp.Parameter(6, value=10 * r.standard_normal(6)), cp.Parameter(3, value=r.standard_normal(3))
+    x = cp.Variable(6)
+    F = dominant(r, 6) @ x + q
+    first, second = complements(x[:3] >= u, F[:3] >= 0), complements(box(x[3:], -1, cp.exp(u)), F[3:])
+    return cp.Problem(cp.Minimize(0), [first, second]), [q, u], [x], [first, second, first.first.constraint]
+
+
+def chain_of_definitions(r: Any) -> Parts:
+    q, k = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(value=2.0)
+    x, a, b, t = cp.Variable(4), cp.Variable(4), cp.Variable(4), cp.Variable()
+    pair = complements(x >= 0, b >= 0)
+    chain = [a == k * (dominant(r, 4) @ x) - t, b == a / k + q * k + t * k, t == cp.sum(x) / k + k**2]
+    return cp.Problem(cp.Minimize(0), [pair, *chain]), [q, k], [x, a, b, t], [pair, *chain]
+
+
+def fixed_by_a_parameter(r: Any) -> Parts:
+    q, at = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(4, value=r.standard_normal(4))
+    x = cp.Variable(4)
+    pair = complements(box(x, at, at), dominant(r, 4) @ x + q)
+    return cp.Problem(cp.Minimize(0), [pair]), [q, at], [x], [pair]
+
+
+def free_with_its_equation(r: Any) -> Parts:
+    q, k = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(value=2.0)
+    x, y, B = cp.Variable(4, nonpos=True), cp.Variable(2), r.standard_normal((2, 4))
+    pair = complements(x, dominant(r, 4) @ x + q - B.T @ y <= 0)
+    equation = complements(y, (k * np.eye(2)) @ y + B @ x - k == 0)
+    problem = cp.Problem(cp.Minimize(0), [pair, equation])
+    return problem, [q, k], [x, y], [pair, equation, equation.second.constraint]
+
+
 MODELS = (
     *(matrix_and_offset, not_disciplined, boxed, definitions_and_equations, two_functions, several_pairs),
-    *(upper_bounds, bounds_of_the_variable),
+    *(upper_bounds, bounds_of_the_variable, parts_of_a_variable, chain_of_definitions, fixed_by_a_parameter),
+    free_with_its_equation,
 )
 
 # --- quadratic and linear programs --------------------------------------------------------------------------------

@@ -349,10 +349,8 @@ def _spread(node: Any, gradient: Any) -> Any:
     shape = node.args[0].shape
     axes = range(len(shape)) if node.axis is None else [axis % len(shape) for axis in np.atleast_1d(node.axis)]
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(shape))
-    whole = np.broadcast_to(np.reshape(gradient, kept, order="F"), shape)
-    if len(shape) != 2:
-        return whole
     one = np.reshape(gradient, kept, order="F")
-    if kept[0] == 1:
-        return Outer(np.ones((shape[0], 1)), one.T * np.ones((shape[1], 1)))
-    return Outer(one * np.ones((shape[0], 1)), np.ones((shape[1], 1))) if kept[1] == 1 else whole
+    if len(shape) == 2 and 1 in kept:
+        rows, columns = np.ones((shape[0], 1)), np.ones((shape[1], 1))
+        return Outer(rows, one.T * columns) if kept[0] == 1 else Outer(one * rows, columns)
+    return np.broadcast_to(one, shape)

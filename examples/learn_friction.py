@@ -1,6 +1,6 @@
 """Friction coefficients learned from a film: sledges that stick and slip.
 
-Three sledges hang together by springs, and another spring pulls the first of them along at a constant speed. Each sticks
+Three sledges hang together by springs, and another spring pulls the first of them at a constant speed. Each sticks
 until the springs overcome its friction, then it slips. In a step of length Δt friction gives a sledge the impulse z, at
 most μ m g Δt: at less the sledge stands still, and at the limit it slides against it. With v = A⁻¹(z + b) the speeds,
 

@@ -41,8 +41,8 @@ def march(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     spot = STRIKE * np.exp(x)  # the ends need no more: the first price is exercised, at the last the put is worthless
     payoff, shift = np.maximum(STRIKE - spot, 0.0), -spot * np.heaviside(-np.rint(x / h), 0.5)
     changes = ((0 * A, shift), (2 * VOLATILITY * D, 0 * shift), (R, 0 * shift))  # of A and of the bound
-    years, boundary, kept = MATURITY * np.linspace(0, 1, STEPS + 1) ** 2, [STRIKE], []
-    value, tangents = payoff, [dg for _, dg in changes]
+    years, value, tangents = MATURITY * np.linspace(0, 1, STEPS + 1) ** 2, payoff, [dg for _, dg in changes]
+    boundary, kept = [STRIKE], []
     for k, step in enumerate(np.diff(years)):
         new = step if k < 4 else step / 2
         old = step - new
@@ -94,8 +94,8 @@ def main(out: Path = Path()) -> None:
     theirs = tree_greeks(prices, years[at]).T
     for price, left, mine, other in zip(prices, years[at], ours, theirs, strict=True):
         print(f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}")
-    delta, vega, rho = abs(ours / theirs - 1).max(axis=0)
-    print(f"check: delta differs from the tree's by {delta:.1e}, vega by {vega:.1e}, rho by {rho:.1e}, relatively")
+    print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(
+        *abs(ours / theirs - 1).max(axis=0)))
 
     plt.style.use(STYLE)
     figure, panels = plt.subplots(2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1])

@@ -16,7 +16,7 @@ from ....solving.derivative import derivative
 from ....solving.driver import solve
 from ...benchmarks.timing import timed
 from ...contestants import fresh
-from ...drawing import Line, draw_errors
+from ...drawing import COLOURS, LABEL_SIZE, new_figure, styled
 from ...exporting import csv_of
 from ...gallery import parse
 from ...gallery.scene import Scene
@@ -25,7 +25,7 @@ from ..section import Collected, Effort, Finding, Part, Say, Section, brief, fig
 SCENES = ("half_active:n=10000", "paper_example_2:n=10000")
 QUICK_SCENES = ("half_active:n=2500",)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-TOLD = 1e-8
+TOLD, LEAST = 1e-8, 1e-17  # the usual tolerance; an error of zero is drawn there
 WAYS = {"derivative": "multigrid", "difference": "reference"}  # and the family that colours each
 
 
@@ -114,10 +114,16 @@ def _change(way: str, problem: LCP, h: FloatVector, tolerance: float) -> FloatVe
 
 
 def _figure(content: dict[str, Any], number: int) -> Any:
-    lines = []
-    for way, family in WAYS.items():
-        points = [point for point in content["points"] if point["way"] == way]
-        seconds, errors = ([max(point[key], 1e-17) for point in points] for key in ("seconds", "error"))
-        lines.append(Line(way, family, seconds, errors, arrives=True))
-    drawn = draw_errors(lines, (), ("seconds", "relative error of dz/dq · h"), None)
+    with styled():
+        drawn, axes = new_figure()
+        for way, family in WAYS.items():
+            points = [point for point in content["points"] if point["way"] == way]
+            seconds, errors = [one["seconds"] for one in points], [max(one["error"], LEAST) for one in points]
+            axes.plot(seconds, errors, "o-", color=COLOURS[family], markersize=4.5, linewidth=1.0, label=way)
+            for k in (0, -1) if way == "difference" else ():
+                axes.annotate(f"{TOLERANCES[k]:.0e}", (seconds[k], errors[k]), (0, 6), textcoords="offset points",
+                              color=COLOURS[family], fontsize=LABEL_SIZE, ha="center")
+        axes.set(xscale="log", yscale="log", ylim=(LEAST / 3.0, 10.0), xlabel="seconds", ylabel="relative error of dz")
+        axes.margins(x=0.12)
+        axes.legend(loc="best")
     return figure(drawn, f"derivative-{number}", f"Derivative error against time on {content['scene']}")

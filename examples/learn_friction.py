@@ -25,7 +25,7 @@ from lcp_plugin.evidence.drawing import STYLE
 
 PLANTED, GUESS = np.array([0.30, 0.50, 0.20]), np.array([0.45, 0.30, 0.40])
 MASS, GRAVITY, PULL = 1.0, 9.81, 0.25  # kg, m/s², m/s
-STEP, STEPS, NOISE = 0.015, 600, 0.01  # s, –, m: standard deviation of a measured position
+STEP, STEPS, NOISE = 0.02, 450, 0.01  # s, –, m: standard deviation of a measured position
 STIFF = 40.0  # N/m, of every spring
 SPRINGS = STIFF * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 M = np.linalg.inv(MASS * np.eye(3) + STEP**2 * SPRINGS)
@@ -96,7 +96,7 @@ def main(out: Path = Path()) -> None:
     seconds, places, guessed = STEP * np.arange(1, STEPS + 1), film(learned)[0], film(GUESS)[0]
     for k, colour in enumerate(("#0072B2", "#D55E00", "#009E73")):
         behind = -0.6 * k
-        left.plot(seconds[::8], behind + noisy.measured[::8, k], ".", color=colour, markersize=4, alpha=0.55)
+        left.plot(seconds[::6], behind + noisy.measured[::6, k], ".", color=colour, markersize=4, alpha=0.55)
         left.plot(seconds, behind + places[:, k], color=colour, linewidth=1.6)
         left.plot(seconds, behind + guessed[:, k], color=colour, linewidth=1, linestyle=(0, (4, 3)))
         left.text(seconds[-1] + 0.1, behind + places[-1, k], f"sledge {k + 1}", color=colour, va="center")

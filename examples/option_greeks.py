@@ -9,9 +9,9 @@ The derivative of a step is one linear solve on the prices where waiting is righ
 
     dV_new = jvp(dM = ½Δτ dA,  dq = −(I − ½Δτ A) dV_old + ½Δτ dA V_old).
 
-Delta is the derivative by a shift of the payoff along x, which comes in through the bound. Steps grow with τ, as the
-boundary slows down; the first four are implicit (1 instead of ½). The check: differences of a binomial tree that is
-extrapolated in its steps, 15 % above the exercise boundary, at which vega and rho vanish.
+Delta is the derivative by a shift of the payoff along x, which comes in through the bound. Steps grow with τ, the first
+four are implicit (1 instead of ½). The check: differences of a binomial tree, extrapolated in its levels, today and
+15 % above the exercise boundary, at which vega and rho vanish.
 
 Sources: Forsyth, Vetzal, SIAM J. Sci. Comput. 23, 2002, doi:10.1137/S1064827500382324 (steps in time); Leisen, Reimer,
 Applied Mathematical Finance 3, 1996, doi:10.1080/13504869600000015 (tree).
@@ -94,8 +94,8 @@ def main(out: Path = Path()) -> None:
     theirs = tree_greeks(prices, years[at]).T
     for price, left, mine, other in zip(prices, years[at], ours, theirs, strict=True):
         print(f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}")
-    print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(
-        *abs(ours / theirs - 1).max(axis=0)))
+    off = abs(ours / theirs - 1).max(axis=0)
+    print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(*off))
 
     plt.style.use(STYLE)
     figure, panels = plt.subplots(2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1])

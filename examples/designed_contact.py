@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 from lcp_plugin import LCP, derivative, prepare, solve
 from lcp_plugin.evidence.drawing import STYLE
 
-SIZE, EVALUATIONS = 316, 28  # nodes along each side; solves, each with its gradient
+SIZE, EVALUATIONS = 316, 24  # nodes along each side; solves, each with its gradient
 FLOOR, PRESSURE, BETA = -1.0, 5.0, 1e-6
 
 

@@ -28,7 +28,7 @@ from lcp_plugin import LCP, derivative, solve
 from lcp_plugin.evidence.drawing import STYLE
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
-SIZE, STEPS, KEPT, LEVELS = 5999, 1000, 10, 4001  # every tenth step is kept; levels of the tree
+SIZE, STEPS, KEPT, LEVELS = 5999, 1000, 10, (1001, 4001, 4001)  # every tenth step is kept; trees for each Greek
 
 
 def march(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -67,9 +67,10 @@ def tree(spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, le
     p, share = probability(d2), probability(d2 + spread)
     up, down = growth * share / p, growth * (1 - share) / (1 - p)
     price = spot[:, None] * np.exp(ups * np.log(up)[:, None] + (levels - ups) * np.log(down)[:, None])
-    falls, rises, value = ((1 - p) / growth)[:, None], (p / growth)[:, None], np.maximum(STRIKE - price, 0.0)
+    falls, rises, back = np.array([(1 - p) / growth, p / growth, 1 / down])[..., None]
+    value = np.maximum(STRIKE - price, 0.0)
     for _ in range(levels):
-        price = price[:, :-1] / down[:, None]
+        price = price[:, :-1] * back
         value = np.maximum(falls * value[:, :-1] + rises * value[:, 1:], STRIKE - price)
     return value[:, 0]
 
@@ -77,10 +78,10 @@ def tree(spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, le
 def tree_greeks(spot: np.ndarray, years: np.ndarray) -> np.ndarray:
     """Return delta, vega and rho by fourth-order differences of the extrapolated tree, shape (3, points)."""
     found = np.zeros((3, spot.size))
-    for greek, (ds, dv, dr) in enumerate(np.diag([1.0, 0.012, 0.007])):
+    for greek, ((ds, dv, dr), levels) in enumerate(zip(np.diag([1.0, 0.012, 0.007]), LEVELS, strict=True)):
         for k, weight in ((-2, 1), (-1, -8), (1, 8), (2, -1)):
             data = spot + k * ds, RATE + k * dr, VOLATILITY + k * dv, years
-            found[greek] += weight / 12 / (ds + dv + dr) * (2 * tree(*data, 2 * LEVELS + 1) - tree(*data, LEVELS))
+            found[greek] += weight / 12 / (ds + dv + dr) * (2 * tree(*data, 2 * levels + 1) - tree(*data, levels))
     return found
 
 
@@ -88,29 +89,27 @@ def main(out: Path = Path()) -> None:
     """Compute the Greeks at all times, compare with a binomial tree, save a picture into the folder OUT."""
     x = np.linspace(-1.5, 1.5, SIZE + 2)[1:-1]
     spot, (years, boundary, kept) = STRIKE * np.exp(x), march(x)
-    at = np.array([100, 100, 100, 100, 80, 60])  # four prices today, the last of them along the boundary
-    prices = np.array([100.0, 115.0, 130.0, *1.15 * boundary[at[3:]]])
+    at = np.array([100, 100, 100, 80, 60])  # three prices today, the last of them along the boundary
+    prices = np.array([100.0, 120.0, *1.15 * boundary[at[2:]]])
     ours = np.array([[np.interp(price, spot, one) for one in kept[k - 1]] for price, k in zip(prices, at, strict=True)])
     theirs = tree_greeks(prices, years[at]).T
     for price, left, mine, other in zip(prices, years[at], ours, theirs, strict=True):
         print(f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}")
     off = abs(ours / theirs - 1).max(axis=0)
     print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(*off))
-
     plt.style.use(STYLE)
     figure, panels = plt.subplots(2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1])
     shown, today = slice(*np.searchsorted(spot, (60, 150)), 5), MATURITY - years
     names = ("delta", "vega (EUR per 1.00 of σ)", "rho (EUR per 1.00 of r)")
     for greek, (name, (above, below)) in enumerate(zip(names, panels.T, strict=True)):
         field, colours = kept[:, greek, shown].T, ("cividis", "viridis", "viridis_r")[greek]
-        mesh = above.pcolormesh(today[1:], spot[shown], field, cmap=colours, shading="gouraud", rasterized=True)
-        figure.colorbar(mesh, ax=above, pad=0.02)
+        figure.colorbar(above.pcolormesh(today[1:], spot[shown], field, cmap=colours, shading="gouraud"), ax=above)
         above.fill_between(today, boundary, 60, color="white", linewidth=0)
         above.plot(today, boundary, color="#D55E00", linewidth=2)
         above.plot(today[at], prices, "o", color="#D55E00", markersize=4, markerfacecolor="white", clip_on=False)
         above.set(xlim=(0, MATURITY), ylim=(60, 150), title=name, xlabel="time (years)", ylabel="S (EUR)")
         below.plot(spot[shown], field[:, -1], color="#0072B2", linewidth=1.8, label="derivative of the LCPs")
-        below.plot(prices[:4], theirs[:4, greek], "o", color="#D55E00", markerfacecolor="white", label="tree")
+        below.plot(prices[:3], theirs[:3, greek], "o", color="#D55E00", markerfacecolor="white", label="tree")
         below.set(xlim=(60, 150), xlabel="spot price S (EUR)", title=f"{name.split()[0]} today")
         above.text(0.3, 63, "exercise", color="#D55E00")
     panels[1, 0].legend(loc="lower right")

@@ -82,8 +82,8 @@ def derivative(result: Result) -> Derivative:
     >>> gradient.q, gradient.lower
     (array([-0.5,  0. ]), array([0. , 0.5]))
     >>> gradient.M.toarray()
-    array([[-1.25, -0.  ],
-           [-0.  , -0.  ]])
+    array([[-1.25,  0.  ],
+           [ 0.  ,  0.  ]])
     """
     if not isinstance(result, Result):
         raise InvalidOption(

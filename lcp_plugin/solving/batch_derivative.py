@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from ..checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ..errors import InvalidProblem, LCPError, UnsuitableProblem
-from ..problem.lcp import LCP
 from ..settings import Status
 from .batch_items import rows_of_a_batch
 from .batch_parts import BatchPart, chosen, put
@@ -58,8 +57,6 @@ class BatchDerivative:
     batch : BatchResult
     each : callable
         Gives the Derivative of a Result.
-    on_pattern : callable
-        Gives left_i right_j in the places of the entries of an LCP's M.
 
     Attributes
     ----------
@@ -75,10 +72,8 @@ class BatchDerivative:
     derivative are left to their Derivative, which takes a hundred times as long.
     """
 
-    def __init__(
-        self, batch: BatchResult, each: Callable[[Result], Derivative], on_pattern: Callable[[LCP, Any, Any], Any]
-    ) -> None:
-        self.batch, self._derivative_of, self._on_pattern = batch, each, on_pattern
+    def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
+        self.batch, self._derivative_of = batch, each
         self._each: dict[int, Derivative] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
         self._is_solved = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
@@ -233,7 +228,7 @@ class BatchDerivative:
         for k in self.errors:
             if not np.any(by_q[k]):  # nothing was asked of a problem without z
                 z[k] = np.zeros_like(z[k])
-        return self.batch.items.outer(by_q, z, self._on_pattern)
+        return self.batch.items.outer(by_q, z)
 
     # --- the two roads ----------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from ..algorithms.short_road import as_dense, is_short
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.structure import outer_on_pattern
 from ..policy.choice import takes_the_short_road
 from ..problem.lcp import LCP, checked_start
 
@@ -67,14 +68,12 @@ class Items:
         """Return w = M z + q of problem k."""
         return self.problem(k).slack(z)
 
-    def outer(self, left: Any, right: Any, on_pattern: Callable[[LCP, Any, Any], Any]) -> Any:
+    def outer(self, left: Any, right: Any) -> Any:
         """Return left_i right_j of each problem's rows where M has entries, in the form in which M was given.
 
         Parameters
         ----------
         left, right : arrays, shape (B, n), or lists of arrays
-        on_pattern : callable
-            Does so for one LCP.
         """
         raise NotImplementedError
 
@@ -113,10 +112,10 @@ class Listed(Items):
         """Return its z0, or None."""
         return None if self._starts is None else self._starts[k]
 
-    def outer(self, left: Any, right: Any, on_pattern: Callable[[LCP, Any, Any], Any]) -> Any:
+    def outer(self, left: Any, right: Any) -> Any:
         """Return a list of CSR arrays, on the pattern of each M; None where no z was found."""
         triples = zip(self._problems, left, right, strict=True)
-        return [on_pattern(one, a, b) if one and a.size == one.n else None for one, a, b in triples]
+        return [outer_on_pattern(one.matrix, a, b) if one and a.size == one.n else None for one, a, b in triples]
 
     def groups(self, *, every: bool = False) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
@@ -187,15 +186,15 @@ class Stacked(Items):
             return self.problem(k).slack(z)
         return self._M[k] @ z + self._row("q", k)
 
-    def outer(self, left: Any, right: Any, on_pattern: Callable[[LCP, Any, Any], Any]) -> Any:
+    def outer(self, left: Any, right: Any) -> Any:
         """Return products of shape (B, n, n), or their sum where one M stands for all, on its pattern if sparse."""
         if not self._shared:
             return left[:, :, np.newaxis] * right[:, np.newaxis, :]
         if self._base is None or not sp.issparse(self._M):
             return left.T @ right
-        total = on_pattern(self._base, *np.zeros((2, left.shape[1])))
+        total = outer_on_pattern(self._base.matrix, *np.zeros((2, left.shape[1])))
         for a, b in zip(left, right, strict=True):
-            total.data += on_pattern(self._base, a, b).data
+            total.data += outer_on_pattern(self._base.matrix, a, b).data
         return total
 
     def projected_start(self, k: int) -> Any:

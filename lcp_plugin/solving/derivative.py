@@ -30,7 +30,7 @@ from ..certificates.row_inequality import distance_above
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
-from ..matrix.structure import row_numbers
+from ..matrix.structure import outer_on_pattern
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .batch_derivative import BatchDerivative
@@ -95,7 +95,7 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
            [ 0.  ,  0.  ]])
     """
     if isinstance(result, BatchResult):
-        return BatchDerivative(result, derivative, _on_pattern)
+        return BatchDerivative(result, derivative)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
@@ -311,7 +311,7 @@ class Derivative:
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
-            _on_pattern(problem, multiplier, self.z),
+            outer_on_pattern(problem.matrix, multiplier, self.z),
         )
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
@@ -362,18 +362,6 @@ def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = Fals
             "multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not determined"
         )
     return x
-
-
-def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries, on ranks of the own rows."""
-    rows, matrix, peers = problem.matrix.csr_rows, problem.matrix, problem.peers
-    data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    if peers.is_alone:
-        return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-    columns = np.concatenate([np.arange(peers.first, peers.first + matrix.own), peers.ghosts])
-    gradient = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
-    gradient.sort_indices()
-    return gradient
 
 
 def _one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product
 from ..problem.linear_constraints import LinearConstraints
+from .blocks import multiple_of_identity, vertically
 from .presolve import like
 
 if TYPE_CHECKING:
@@ -47,10 +48,11 @@ class Constraints:
     @classmethod
     def of(cls, program: QuadraticProgram) -> Constraints:
         """Return the constraints of a program."""
-        identity, sizes = sp.eye_array(program.n, format="csr"), (program.h.size, program.b.size, program.n, program.n)
-        matrix = sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A), -identity, identity], format="csr")
+        n, sizes = program.n, (program.h.size, program.b.size, program.n, program.n)
+        bounds = (multiple_of_identity(sign, n) for sign in (-1.0, 1.0))
+        matrix = vertically(sp.csr_array(program.G), sp.csr_array(program.A), *bounds)
         limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
-        return cls(sp.csr_array(matrix), limit, np.repeat([False, True, False, False], sizes), sizes)
+        return cls(matrix, limit, np.repeat([False, True, False, False], sizes), sizes)
 
     @property
     def rows(self) -> int:
@@ -205,7 +207,7 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
     A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
     singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
     """
-    stacked, m = sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)], format="csr"), program.h.size
+    stacked, m = vertically(sp.csr_array(program.G), sp.csr_array(program.A)), program.h.size
     right = np.concatenate([program.h, program.b])
     is_equality, counts = np.arange(right.size) >= m, np.diff(stacked.indptr)
     rows = np.flatnonzero(counts == 1)

@@ -15,6 +15,7 @@ from ..kernels.floats import EPSILON
 from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
 from ..matrix.factors import factor_fits
 from ..problem.lcp import LCP
+from .blocks import horizontally, vertically
 from .constraints import FoldedRows, Indices
 from .qp_solution import QPSolution
 
@@ -129,9 +130,9 @@ class KKTForm(QPOrigin):
         """Return M, an ndarray where it is small and full."""
         rows = self.rows.left.size
         C = self.rows.folded.constraints.matrix[:rows]
-        return _kept_as_suits(sp.block_array(
-            [[sp.csr_array(self.program.P), C.T], [-C, sp.csr_array((rows, rows))]], format="csr"
-        ))
+        minus = sp.csr_array((-C.data, C.indices, C.indptr), shape=C.shape)
+        upper = horizontally(sp.csr_array(self.program.P), sp.csr_array(C.T))
+        return _kept_as_suits(vertically(upper, horizontally(minus, sp.csr_array((rows, rows)))))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         n = self.program.n

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
-from .factors import PositiveFactor, factor_fits, positive_factor
+from .factors import DENSE_UP_TO, PositiveFactor, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
@@ -95,6 +95,9 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
         return False
     if is_diagonal(P):
         return True
+    filled = np.flatnonzero(diagonal)
+    if sp.issparse(P) and filled.size <= DENSE_UP_TO:
+        P, diagonal = P[filled].toarray()[:, filled], diagonal[filled]
     shift = _margin(diagonal.size, diagonal.size)
     if shift > LARGEST_SHIFT or not _can_factorise(P):
         return None
@@ -206,8 +209,9 @@ def _scaled(P: Any, scale: FloatVector) -> Any:
     if not sp.issparse(P):
         with np.errstate(over="ignore", invalid="ignore"):
             return scale[:, None] * P * scale
-    by_row = sp.diags_array(scale)
-    return (by_row @ P @ by_row).tocsc()
+    rows = sp.csr_array(P)
+    data = rows.data * np.repeat(scale, np.diff(rows.indptr)) * scale[rows.indices]
+    return sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape)  # of its transpose, which is the same
 
 
 def _is_finite(matrix: Any) -> bool:

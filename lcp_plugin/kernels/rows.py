@@ -1,4 +1,4 @@
-"""Compiled passes over the rows of a matrix: is it symmetric, and the sums over both of its triangles."""
+"""Compiled passes over the rows of a matrix: is it symmetric, sums over its triangles, what a solve leaves over."""
 
 from __future__ import annotations
 
@@ -47,3 +47,17 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
                 above += (abs(data[k]) * weight) * v[j]
         lower[i] = below
         upper[i] = above
+
+
+@compiled
+def left_over(indptr, indices, data, diagonal, right, x, left):  # type: ignore[no-untyped-def]
+    """Fill left with right − (M + diag(diagonal)) x; return its largest magnitude, NaN where one is NaN."""
+    largest = 0.0
+    for i in range(left.size):
+        value = right[i] - diagonal[i] * x[i]
+        for k in range(indptr[i], indptr[i + 1]):
+            value -= data[k] * x[indices[k]]
+        left[i] = value
+        if not abs(value) <= largest:
+            largest = abs(value) if largest == largest else largest
+    return largest

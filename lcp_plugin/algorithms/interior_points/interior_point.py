@@ -18,11 +18,12 @@ from ...deadline import is_over
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
+from . import primal_active_set, quasidefinite
 from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
 from .monotone_rows import monotone_rows
 from .outlook import Progress, Starts
 from .predictor_corrector import PredictorCorrector
-from .primal_active_set import PrimalActiveSet, rehearse
+from .primal_active_set import PrimalActiveSet
 from .quasidefinite import signs_of
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
@@ -93,8 +94,9 @@ class InteriorPoint(Algorithm):
             return z if left <= FINISHED * reference_residual(problem) else _Search(problem).finished(z)
 
     def rehearsal(self) -> InteriorPoint:
-        """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor."""
-        rehearse()
+        """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor or has multipliers."""
+        primal_active_set.rehearse()
+        quasidefinite.rehearse()
         return self
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:

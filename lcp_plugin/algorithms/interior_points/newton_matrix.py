@@ -73,25 +73,23 @@ class NewtonMatrix(ABC):
         """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
         x = self._apply(right)
         size = float(np.max(np.abs(right), initial=0.0))
-        goal = REFINED * size
-        left = self._left(right, x)
-        error = float(np.max(np.abs(left), initial=0.0))
+        left, error = self._left(right, x)
         for _ in range(REFINEMENTS):
-            if not goal < error < np.inf:
+            if not REFINED * size < error < np.inf:
                 break
             better = x + self._apply(left)
-            left = self._left(right, better)
-            smaller = float(np.max(np.abs(left), initial=0.0))
+            left, smaller = self._left(right, better)
             if not smaller < error:
                 break
             x, error = better, smaller
         self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
         return x
 
-    def _left(self, right: FloatVector, x: FloatVector) -> FloatVector:
+    def _left(self, right: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
+        """Return what x leaves of the right-hand side, and its largest magnitude."""
         self.work += self._entries
-        left: FloatVector = right - self.M @ x - self._diagonal * x
-        return left
+        left = right - self.M @ x - self._diagonal * x
+        return left, float(np.max(np.abs(left), initial=0.0))
 
     def is_useful(self, diagonal: FloatVector) -> bool:
         """Whether a solve leaves a residual of M + diag(diagonal) that refinement can reduce."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from .newton_matrix import NewtonMatrix
 
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
@@ -37,6 +37,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         indices[self._diagonal_at] = np.arange(self.n)
         self._own_diagonal = M.diagonal()
         self._upper = sp.csc_array((data, indices, starts), shape=M.shape)
+        self._rows = read_only(M.indptr), read_only(M.indices), read_only(M.data)
         self._factor: Any = None
         self._factor_work = self._solve_work = 0.0
 
@@ -56,6 +57,13 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
             self._factor.update(self._upper, upper=True)  # which is silent about a zero pivot: the check below is not
         self.work += self._factor_work
         return self.is_useful(diagonal)
+
+    def _left(self, right: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
+        from ...kernels.rows import left_over
+
+        self.work += float(self.M.nnz)
+        left = np.empty(self.n)
+        return left, float(left_over(*self._rows, self._diagonal, right, x, left))
 
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += self._solve_work
@@ -106,3 +114,10 @@ def _two_colours(rows: Any, columns: Any, is_same: Any, n: int) -> FloatVector:
     _, part = connected_components(sp.vstack([twofold, opposite]), directed=False)
     signs: FloatVector = np.where(part[:n] <= part[n:], 1.0, -1.0)
     return signs
+
+
+def rehearse() -> None:
+    """Compile what a problem of one unknown does not need."""
+    matrix = QuasidefiniteNewtonMatrix(sp.csr_array([[1.0]]), np.ones(1))
+    matrix.factorise(np.ones(1))
+    matrix.solve(np.ones(1))

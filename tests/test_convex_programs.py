@@ -174,6 +174,14 @@ def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
         assert result.iterations <= 80
 
 
+def test_a_factor_that_magnifies_errors_is_not_used() -> None:
+    """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
+    problem = lcp_from_qp(CAMPAIGN.program("redundant", np.random.default_rng([1008, 100]), 100))
+    result = solve(problem, INTERIOR)
+    assert problem.origin.recover(result).is_stationary(1e-9)
+    assert result.iterations <= 20
+
+
 @pytest.mark.parametrize("kind", ["dependent rows", "unstable dynamics"])
 def test_a_second_solve_starts_from_the_first(kind: str) -> None:
     """With numbers changed a little the active set that was right solves again, in one step or two instead of many."""

@@ -246,7 +246,7 @@ class _Search:
         """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
             return False
-        progress, first_gap, counted = Progress(), point.gap, point.matrix.work
+        progress, first_gap, counted = Progress(self.is_program), point.gap, point.matrix.work
         polishes, settled_for, last, steps, held = 0, 0, _active(point, 1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():

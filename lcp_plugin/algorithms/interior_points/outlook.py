@@ -6,22 +6,24 @@ import numpy as np
 
 MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
 SHORT = 0.15  # of the whole second step: the start is not as large as the answer
-PATIENCE = 25  # steps
+PATIENCE, LONG_PATIENCE = 12, 25  # steps
 
 
 class Progress:
-    """The smallest residual, gap and infeasibility so far: where none of them falls, nothing improves."""
+    """The smallest residual so far; of a program, gap and infeasibility too: where none falls, nothing improves."""
 
-    def __init__(self) -> None:
-        self._least = np.full(3, np.inf)
+    def __init__(self, is_program: bool) -> None:
+        self._count, self._patience = (3, LONG_PATIENCE) if is_program else (1, PATIENCE)
+        self._least = np.full(self._count, np.inf)
         self._since = 0
 
     def has_ended(self, *measures: float) -> bool:
-        """Return whether for a while no measure has fallen below nine tenths of its smallest value."""
-        falls = np.array(measures) < 0.9 * self._least
-        self._least = np.where(falls, measures, self._least)
+        """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
+        present = np.array(measures[: self._count])
+        falls = present < 0.9 * self._least
+        self._least = np.where(falls, present, self._least)
         self._since = 0 if falls.any() else self._since + 1
-        return self._since >= PATIENCE
+        return self._since >= self._patience
 
 
 class Starts:

@@ -52,6 +52,7 @@ class PredictorCorrector:
     ) -> None:
         self.matrix, self.q, self.corrections = matrix, q, corrections
         self.length, self.infeasibility = 0.0, np.inf
+        self._is_program = bool((matrix.signs < 0.0).any())
         self.has_lower, self.has_upper = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
         self.lower, self.upper = lower[self.has_lower], upper[self.has_upper]
         self._pairs = self.has_lower.size + self.has_upper.size
@@ -82,7 +83,7 @@ class PredictorCorrector:
         """Begin near z and w, shape (n,), with all distances and multipliers well inside."""
         self.below, self.above = z[self.has_lower] - self.lower, self.upper - z[self.has_upper]
         self.w_lower, self.w_upper = w[self.has_lower], -w[self.has_upper]
-        if (self.matrix.signs < 0.0).any():
+        if self._is_program:
             self._shift_roles()
         else:
             for sides in ((self.below, self.above), (self.w_lower, self.w_upper)):
@@ -128,13 +129,14 @@ class PredictorCorrector:
         length = self._length(affine)
         centring = (self._gap_after(affine, min(1.0, length)) / gap) ** 3 if gap > 0.0 else 0.0
         direction, length = self._towards(centring * gap, affine, 1.0 if length > SHORT else length)
-        if length <= SHORT:
+        if length <= SHORT and self._is_program:
             # What is infeasible has become small more slowly than the gap: first larger products, then less of it.
+            # (Where M is no program's there may be no solution, and products would grow beyond all bounds.)
             self._r *= SHARP
             centring = min(1.0 / max(length, SMALLEST), LARGEST_CENTRING)
             direction, length = self._towards(centring * gap, affine, length)
         self.length = min(1.0, TO_THE_BOUNDARY * length)
-        if self.matrix.missed > SHARP * self.infeasibility:
+        if self._is_program and self.matrix.missed > SHARP * self.infeasibility:
             self.matrix.sharpen()
         self._move(direction, self.length)
         return bool(np.isfinite(self.z).all())

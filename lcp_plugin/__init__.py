@@ -45,12 +45,14 @@ if TYPE_CHECKING:
     from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
     from .solving.batch_result import BatchResult as BatchResult
+    from .solving.certification import certify as certify
     from .solving.derivative import Derivative as Derivative
     from .solving.derivative import Gradient as Gradient
     from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
     from .solving.march import march as march
+    from .solving.program_proofs import Certification as Certification
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -67,6 +69,8 @@ _HOME = {
     "Sample": "solving.result",
     "Status": "settings",
     "solve": "solving.driver",
+    "certify": "solving.certification",
+    "Certification": "solving.program_proofs",
     "derivative": "solving.derivative",
     "Derivative": "solving.derivative",
     "Gradient": "solving.derivative",

@@ -1,0 +1,235 @@
+"""Rigorous lower bounds of the optimal value of a quadratic program, from any point and any multipliers.
+
+With weights μ for which P − diag(μ) is positive semidefinite, any x̂, multipliers λ ≥ 0 of G x ≤ h and any ν of A x = b,
+s = P x̂ + c + Gᵀλ + Aᵀν, every feasible x within a box [l, u] that holds all of them has
+
+    f(x) ≥ f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b) + Σ_i inf over l_i ≤ t ≤ u_i of s_i (t − x̂_i) + ½ μ_i (t − x̂_i)².
+
+Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
+(x̂, λ, ν) is repaired first, by least squares with some room, and where s_i must be exactly zero in rational arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import BoolVector, FloatVector
+from ..conversions.constraints import fold_simple_rows
+from ..conversions.program import QuadraticProgram
+from ..deadline import is_over
+from ..exact.linear_systems import solved_nearby
+from ..exact.rational import Row, Vector, enclosures, products, rational, rational_rows
+from ..exact.rounding import compensated_pair, compensated_product, lower_end
+from ..exact.upward import product_above, quotient_above, sum_above
+from .curvature import Curvature
+from .implied_bounds import Box
+
+ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: some, and ample, beyond what its least squares round
+ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
+DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
+EXACT_UP_TO = 100  # equations that are solved in rationals in .4 s; 1.7 s are needed for 200
+
+
+class DualPoint(NamedTuple):
+    """A point x̂ and multipliers of G and of A, those of G not negative; x̂ need not be feasible."""
+
+    x: FloatVector
+    y: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class DualBounds:
+    """A program with what bounds its optimal value from below.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+    curvature : Curvature
+    box : pair of ndarray, shape (n,)
+        Bounds that every feasible x keeps.
+    """
+
+    program: QuadraticProgram
+    curvature: Curvature
+    box: Box
+
+    def best(self, x: FloatVector, y: FloatVector, enough: float = np.inf) -> float:
+        """Return the largest lower bound that the point and the multipliers, or their repairs, prove; −∞ for none.
+
+        Nothing is repaired any more once a bound is enough.
+        """
+        if not np.isfinite(self.curvature.weights).all():
+            return -np.inf
+        point = self.admitted(x, y)
+        found = self.value(point)
+        for room in ROOMS:
+            if found >= enough or is_over():
+                break
+            repaired = self._with_room(point, room)
+            found = max(found, self.value(repaired))
+            if found < enough and not is_over():
+                found = max(found, self._exact_value(repaired))
+        return found
+
+    def admitted(self, x: FloatVector, y: FloatVector) -> DualPoint:
+        """Return the point with multipliers that are allowed: none negative, none where a box says the same."""
+        m = self.program.h.size
+        allowed = np.where(np.isfinite(y), y, 0.0)
+        allowed[:m] = np.where(np.isfinite(self.program.h), np.maximum(allowed[:m], 0.0), 0.0)
+        allowed[self._is_bound] = 0.0
+        return DualPoint(x, allowed)
+
+    def value(self, at: DualPoint) -> float:
+        """Return a double below the bound that is proved by this point as it is; −∞ where there is none."""
+        program, (x, y) = self.program, at
+        with np.errstate(all="ignore"):
+            high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
+            parts = [compensated_pair(matrix, x, offset) for matrix, offset in (
+                (sp.csr_array(program.P), None), (self._rows, -self._limit)
+            )]
+            # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
+            factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
+            values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
+            twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
+            blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+            here = 0.5 * float(lower_end(twice, error)[0]) - _sum_above(np.concatenate(blur))
+            part, rest = compensated_pair_ends(high, low, radius)
+            found = math.nextafter(here, -np.inf) - self._loss(part, rest, *self._distances(x, x))
+        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+
+    def _distances(self, low: FloatVector, high: FloatVector) -> Box:
+        """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
+        with np.errstate(invalid="ignore"):
+            return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
+
+    def _loss(self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector) -> float:
+        """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
+        weights = self.curvature.weights
+        corners = np.max([
+            product_above(s_high, below), product_above(s_low, below),
+            product_above(-s_high, above), product_above(-s_low, above),
+        ], axis=0)
+        largest = np.maximum(np.abs(s_low), np.abs(s_high))
+        bent = np.where(weights > 0.0, weights, 1.0)
+        vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
+        reach = np.maximum(np.abs(below), np.abs(above))
+        sagging = sum_above(corners, product_above(-0.5 * weights, product_above(reach, reach)))
+        return _sum_above(np.where(weights > 0.0, np.minimum(corners, vertex), sagging))
+
+    # --- Repairs ------------------------------------------------------------------------------------------------
+
+    def _with_room(self, at: DualPoint, room: float) -> DualPoint:
+        """Return a point beside this one whose s has the signs that the open sides ask for, with room if it can be."""
+        needs_rise, needs_fall = self._open_sides
+        asked = needs_rise | needs_fall
+        m = self.program.h.size
+        for _ in range(ROUNDS):
+            v = np.concatenate(at)
+            s, size = self._stacked @ v + self.program.c, abs(self._stacked) @ np.abs(v) + np.abs(self.program.c)
+            margin = np.where(needs_rise & needs_fall, 0.0, room * size)
+            target = np.where(needs_rise, np.maximum(s, margin), np.where(needs_fall, np.minimum(s, -margin), s))
+            target[needs_rise & needs_fall] = 0.0
+            wrong = np.flatnonzero(asked & (np.abs(target - s) > 0.0))
+            if not wrong.size:
+                break
+            movable = np.flatnonzero(np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]]))
+            change = _least_squares(self._stacked[wrong][:, movable], (target - s)[wrong])
+            v[movable] += change
+            at = self.admitted(v[: at.x.size], v[at.x.size :])
+        return at
+
+    def _exact_value(self, at: DualPoint) -> float:
+        """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none."""
+        needs_rise, needs_fall = self._open_sides
+        s = self._stacked @ np.concatenate(at) + self.program.c
+        zero = np.flatnonzero((needs_rise & needs_fall) | (needs_rise & (s < 0.0)) | (needs_fall & (s > 0.0)))
+        if zero.size > EXACT_UP_TO:
+            return -np.inf
+        rows, m = self._exact_stacked, self.program.h.size
+        is_movable = np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]]).tolist()
+        exact = solved_nearby(
+            [rows[j] for j in zero], [-Fraction(self.program.c[j]) for j in zero.tolist()],
+            rational(np.concatenate(at)), is_movable,
+        )
+        if exact is None or any(y < 0 for y in exact[at.x.size : at.x.size + m]):
+            return -np.inf
+        return self._value_of(exact[: at.x.size], exact[at.x.size :])
+
+    def _value_of(self, x: Vector, y: Vector) -> float:
+        """Return `value` of rational numbers."""
+        c = rational(self.program.c)
+        curved = products(rational_rows(self.program.P), x)
+        here = sum((at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)), Fraction(0))
+        rows = zip(y, products(rational_rows(self._rows), x), rational(self._limit), strict=True)
+        here += sum((weight * (value - limit) for weight, value, limit in rows if weight), Fraction(0))
+        s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
+        with np.errstate(all="ignore"):
+            loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
+            found = float(enclosures([here])[0][0]) - loss
+        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+
+    @cached_property
+    def _open_sides(self) -> tuple[BoolVector, BoolVector]:
+        """Where s must not be negative, and where it must not be positive: open sides without curvature.
+
+        A side that only the rows together close may be far away.
+        """
+        is_flat, folded = self.curvature.weights <= 0.0, fold_simple_rows(self.program).folded
+        return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
+
+    @cached_property
+    def _rows(self) -> sp.csr_array:
+        rows = sp.vstack([sp.csr_array(self.program.G), sp.csr_array(self.program.A)], format="csr")
+        return sp.csr_array(rows)
+
+    @cached_property
+    def _limit(self) -> FloatVector:
+        limit = np.concatenate([self.program.h, self.program.b])
+        return np.where(np.isfinite(limit), limit, 0.0)
+
+    @cached_property
+    def _is_bound(self) -> BoolVector:
+        """Rows of one entry: the box says what they say."""
+        return np.asarray(np.diff(self._rows.indptr) <= 1)
+
+    @cached_property
+    def _stacked(self) -> sp.csr_array:
+        """[P Gᵀ Aᵀ]."""
+        return sp.csr_array(sp.hstack([sp.csr_array(self.program.P), self._rows.T], format="csr"))
+
+    @cached_property
+    def _exact_stacked(self) -> list[Row]:
+        return rational_rows(self._stacked)
+
+
+def compensated_pair_ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
+    """Return doubles below and above every value that a compensated pair stands for."""
+    spread = sum_above(low, radius), sum_above(-low, radius)
+    return -sum_above(-high, spread[1]), sum_above(high, spread[0])
+
+
+def _sum_above(values: FloatVector) -> float:
+    """Return a double above the sum of the values."""
+    if not np.isfinite(values).all():
+        return float(np.inf)
+    try:
+        return math.nextafter(math.fsum(values), math.inf)
+    except OverflowError:
+        return math.inf
+
+
+def _least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
+    """Return the shortest of the least squares solutions, to rounding where it is small."""
+    if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
+        return np.asarray(np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0])
+    from scipy.sparse.linalg import lsmr
+
+    return np.asarray(lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0])
+

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
-from ..conversions.constraints import fold_simple_rows
+from ..conversions.constraints import fold_simple_rows, largest_entries
 from ..conversions.program import QuadraticProgram
 from ..deadline import is_over
 from ..exact.linear_systems import solved_nearby
@@ -31,8 +31,9 @@ from ..exact.upward import product_above, quotient_above, sum_above
 from .curvature import Curvature
 from .implied_bounds import Box
 
-ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: some, and ample, beyond what its least squares round
+ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
 ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
+NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 EXACT_UP_TO = 100  # equations that are solved in rationals in .4 s; 1.7 s are needed for 200
 
@@ -128,22 +129,28 @@ class DualBounds:
     def _with_room(self, at: DualPoint, room: float) -> DualPoint:
         """Return a point beside this one whose s has the signs that the open sides ask for, with room if it can be."""
         needs_rise, needs_fall = self._open_sides
-        asked = needs_rise | needs_fall
-        m = self.program.h.size
+        is_free = needs_rise & needs_fall
+        sign = np.where(needs_rise, 1.0, -1.0)
+        largest = largest_entries(self._rows, 0) * np.abs(at.y).max(initial=0.0)
         for _ in range(ROUNDS):
             v = np.concatenate(at)
-            s, size = self._stacked @ v + self.program.c, abs(self._stacked) @ np.abs(v) + np.abs(self.program.c)
-            margin = np.where(needs_rise & needs_fall, 0.0, room * size)
-            target = np.where(needs_rise, np.maximum(s, margin), np.where(needs_fall, np.minimum(s, -margin), s))
-            target[needs_rise & needs_fall] = 0.0
-            wrong = np.flatnonzero(asked & (np.abs(target - s) > 0.0))
-            if not wrong.size:
+            s = self._stacked @ v + self.program.c
+            size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
+            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, room * size))
+            asked = needs_rise | needs_fall
+            if not (asked & (np.abs(target - s) > 0.1 * room * size)).any():
                 break
-            movable = np.flatnonzero(np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]]))
-            change = _least_squares(self._stacked[wrong][:, movable], (target - s)[wrong])
-            v[movable] += change
+            # What is nearly zero must not become wrong by what is put right elsewhere.
+            near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
+            movable = np.flatnonzero(self._is_movable(at))
+            v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
             at = self.admitted(v[: at.x.size], v[at.x.size :])
         return at
+
+    def _is_movable(self, at: DualPoint) -> BoolVector:
+        """Which entries of x̂ and of the multipliers a repair may change."""
+        m = self.program.h.size
+        return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
 
     def _exact_value(self, at: DualPoint) -> float:
         """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none."""
@@ -153,10 +160,9 @@ class DualBounds:
         if zero.size > EXACT_UP_TO:
             return -np.inf
         rows, m = self._exact_stacked, self.program.h.size
-        is_movable = np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]]).tolist()
         exact = solved_nearby(
             [rows[j] for j in zero], [-Fraction(self.program.c[j]) for j in zero.tolist()],
-            rational(np.concatenate(at)), is_movable,
+            rational(np.concatenate(at)), self._is_movable(at).tolist(),
         )
         if exact is None or any(y < 0 for y in exact[at.x.size : at.x.size + m]):
             return -np.inf
@@ -225,7 +231,7 @@ def _sum_above(values: FloatVector) -> float:
         return math.inf
 
 
-def _least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
+def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
     """Return the shortest of the least squares solutions, to rounding where it is small."""
     if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
         return np.asarray(np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0])

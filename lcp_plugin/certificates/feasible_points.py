@@ -1,8 +1,8 @@
 """Points that are proved to satisfy all constraints of a program, near a point that nearly does.
 
-Small programs: the equations and the rows that are tight are solved in rational arithmetic; where that leaves a row
-violated, the point is moved towards one that a linear program finds inside, and checked again. Otherwise a point counts
-only as it stands, every row of it evaluated with its rounding.
+Without equations a point is moved off the rows that are tight, by least squares, and every row evaluated with its
+rounding. In small programs the equations and the rows that are tight are solved in rational arithmetic; where that
+leaves a row violated, the point is moved towards one that a linear program finds inside, and checked again.
 """
 
 from __future__ import annotations
@@ -25,9 +25,12 @@ from ..exact.linear_systems import solved_nearby
 from ..exact.rational import Row, Vector, enclosures, products, rational, rational_rows
 from ..exact.rounding import compensated_pair, compensated_product, upper_end
 from ..exact.upward import product_above, sum_above
+from .dual_bounds import ROOMS, least_squares
 
 TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's unit: rows that are solved for as if they were equations; then none
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
+SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
+NEAR = 1e-9  # of a row's unit: rows that a point is moved off
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,10 @@ class FeasiblePoints:
         constraints = self.program.constraints
         if not (constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
+        for room in ROOMS if not constraints.is_equality.any() else ():
+            moved = self._moved_off(x, room)
+            if not (constraints.excess(moved) > 0.0).any():
+                return FeasiblePoint.of(self.program, moved, moved)
         if not self.is_small:
             return None
         for tight in TIGHT:
@@ -83,7 +90,21 @@ class FeasiblePoints:
     @property
     def is_small(self) -> bool:
         """Whether rational arithmetic is tried."""
-        return self.program.b.size <= EXACT_UP_TO and self.program.constraints.rows <= EXACT_UP_TO * EXACT_UP_TO
+        return self.program.b.size <= EXACT_UP_TO and self.program.n + self.program.constraints.rows <= SMALL
+
+    def _moved_off(self, x: FloatVector, room: float) -> FloatVector:
+        """Return the nearest point that leaves some room in the rows and bounds that x nearly meets, to rounding."""
+        rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
+        is_row = np.arange(rows.limit.size) < rows.rows
+        with np.errstate(invalid="ignore"):
+            value = rows.matrix @ x - rows.limit
+        tight = np.flatnonzero(is_row & (value > -NEAR * rows.unit))
+        at_bound = (x <= self.program.lower) | (x >= self.program.upper)
+        free = np.flatnonzero(~at_bound)
+        right = np.minimum(-value - room * rows.unit, 0.0)[tight]
+        moved = x.copy()
+        moved[free] += least_squares(rows.matrix[tight][:, free], right)
+        return np.clip(moved, self.program.lower, self.program.upper)
 
     def _solved(self, x: FloatVector, tight: float) -> Vector | None:
         """Return a feasible point at which the rows that x nearly meets hold with equality, or one beside it."""

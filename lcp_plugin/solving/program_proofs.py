@@ -116,8 +116,13 @@ class ProgramProofs:
 
     def upper(self, *near: FloatVector) -> list[FeasiblePoint]:
         """Return points that are proved to be feasible, near those given and our own solution."""
-        own = [] if self.own_solution is None else [self.own_solution.x]
-        return list(self.points.candidates(*near, *own))
+        own = self.own_solution if self.is_small else self.__dict__.get("own_solution")
+        return list(self.points.candidates(*near, *([] if own is None else [own.x])))
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a solution of our own is worth its time where nothing depends on it."""
+        return self.program.n + self.program.h.size + self.program.b.size <= SMALL
 
     # --- Claims -------------------------------------------------------------------------------------------------
 
@@ -148,7 +153,7 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        if self.program.n + self.program.h.size + self.program.b.size <= SMALL or value[0] - lower > tolerance:
+        if self.is_small or not value[1] - lower <= tolerance * (1.0 + abs(value[0])):
             lower = max(lower, self.own_lower)
         found = Proved(value, violation, lower, self.upper(x), tolerance)
         return found.certification(self, x, complaint)

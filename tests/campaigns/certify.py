@@ -62,7 +62,7 @@ def case(kind: str, rng: np.random.Generator, largest: int) -> Case:
     h = G @ x + np.where(is_active, 0.0, eighths(rng, m, 1))
     c = -(P @ x + G.T @ inequality + A.T @ equality - at_lower + at_upper)
     program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
-    is_definite = kind.startswith("definite")
+    is_definite = bool(np.linalg.eigvalsh(P)[0] > 1e-9)
     return Case(program, x, (inequality, equality, at_lower, at_upper), objective(program, x), is_definite)
 
 

@@ -68,15 +68,17 @@ class DualBounds:
         """
         if not np.isfinite(self.curvature.weights).all():
             return -np.inf
-        point = self.admitted(x, y)
-        found = self.value(point)
+        given = self.admitted(x, y)
+        found, points = self.value(given), [given]
         for room in ROOMS:
             if found >= enough or is_over():
+                return found
+            points.append(self._with_room(given, room))
+            found = max(found, self.value(points[-1]))
+        for point in points:
+            if found >= enough or is_over():
                 break
-            repaired = self._with_room(point, room)
-            found = max(found, self.value(repaired))
-            if found < enough and not is_over():
-                found = max(found, self._exact_value(repaired))
+            found = max(found, self._exact_value(point))
         return found
 
     def admitted(self, x: FloatVector, y: FloatVector) -> DualPoint:
@@ -155,8 +157,10 @@ class DualBounds:
     def _exact_value(self, at: DualPoint) -> float:
         """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none."""
         needs_rise, needs_fall = self._open_sides
-        s = self._stacked @ np.concatenate(at) + self.program.c
-        zero = np.flatnonzero((needs_rise & needs_fall) | (needs_rise & (s < 0.0)) | (needs_fall & (s > 0.0)))
+        v = np.concatenate(at)
+        s = self._stacked @ v + self.program.c
+        rounding = ROOMS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
+        zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
         if zero.size > EXACT_UP_TO:
             return -np.inf
         rows, m = self._exact_stacked, self.program.h.size

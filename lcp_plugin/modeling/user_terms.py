@@ -90,7 +90,7 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
         if claim.points:
             return _against_unboundedness(problem, claim)
         if claim.solution.status in settings.SOLUTION_PRESENT:
-            return _against_values(problem, claim) or against_optimality(problem, claim, before)
+            return _against_values(problem, claim) or _against_optimality(problem, claim, before)
     return None
 
 
@@ -109,8 +109,8 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
     return None
 
 
-def against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
-    """Return what is wrong with the multipliers, or None: a point where the Lagrangian is below the minimum."""
+def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
+    """Look for a point where the Lagrangian is below the claimed minimum."""
     claimed = sense_of(problem) * float(claim.solution.opt_val)
     for value, size in _weighed(problem, claim.solution, values_of(problem), before, goal_of):
         if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):

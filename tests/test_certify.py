@@ -276,7 +276,7 @@ def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None
     assert problem.status == "optimal"
     for before, variable in zip(values, problem.variables(), strict=True):
         np.testing.assert_array_equal(before, variable.value)
-    assert (said.distance is not None) == (name == "portfolio")
+    assert (said.distance is not None) == (name in ("portfolio", "least squares", "symmetric"))
 
 
 def test_wrong_values_of_cvxpy_variables() -> None:

@@ -3,6 +3,9 @@
 P falls into the blocks that its pattern connects. A block of one entry is its own weight. A larger one is definite by a
 factorisation with a rounding margin, semidefinite by its row sums or by exact elimination, or semidefinite to rounding:
 then its weights are negative, by what rounding can hide.
+
+On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². Where P + ρ AᵀA is positive definite, ρ > 0, its
+weights may serve in place of those of P, between points that satisfy the equations exactly.
 """
 
 from __future__ import annotations
@@ -17,10 +20,10 @@ from scipy.sparse.csgraph import connected_components
 from ..checks import FloatVector
 from ..deadline import is_over
 from ..exact.linear_systems import exact_symmetric_part, has_nonnegative_pivots
-from ..exact.rounding import comparison_product, lower_end
+from ..exact.rounding import comparison_product, gamma, lower_end
 from ..matrix.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..matrix.matrix import Matrix
-from .definite_bounds import smallest_eigenvalue_bound
+from .definite_bounds import UNDERFLOW, smallest_eigenvalue_bound
 
 EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second, and six times that at 60
 OUTWARD = 1.0 + 2.0**-40  # more than what rounds in a margin of a few operations
@@ -37,21 +40,25 @@ class Curvature:
         −∞ where nothing is known.
     indefinite : str
         Why P is certainly not positive semidefinite, or nothing.
+    penalty : float
+        ρ: xᵀP x + ρ‖A x‖² is what the weights are below, for every x.
     """
 
     weights: FloatVector
     indefinite: str = ""
+    penalty: float = 0.0
 
     @property
     def is_semidefinite(self) -> bool:
-        """Whether P is proved to be positive semidefinite."""
+        """Whether the form is proved to be positive semidefinite: P, or P on the null space of A."""
         return bool((self.weights >= 0.0).all())
 
     @property
     def evidence(self) -> str:
         """What is known of P, in words."""
         if self.is_semidefinite:
-            return f"P is positive {'definite' if (self.weights > 0.0).all() else 'semidefinite'}"
+            where = " on the null space of A" if self.penalty else ""
+            return f"P is positive {'definite' if (self.weights > 0.0).all() else 'semidefinite'}{where}"
         if np.isfinite(self.weights).all():
             return f"P is positive semidefinite only to rounding, λ_min ≥ {self.weights.min():.1e}"
         return self.indefinite or UNKNOWN
@@ -90,6 +97,37 @@ def curvature(P: Any) -> Curvature:
             return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
         weights[block] = found
     return Curvature(weights)
+
+
+def constrained_curvature(P: Any, A: Any) -> Curvature:
+    """Return the curvature of P, or that of P + ρ AᵀA where only this is definite.
+
+    Parameters
+    ----------
+    P, A : arrays or CSR arrays, shapes (n, n) and (p, n)
+
+    Examples
+    --------
+    >>> found = constrained_curvature(np.diag([0.0, 2.0]), np.array([[1.0, -1.0]]))
+    >>> found.evidence, found.penalty
+    ('P is positive definite on the null space of A', 2.0)
+    """
+    own, rows = curvature(P), sp.csr_array(A)
+    if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
+        return own
+    square = sp.csr_array(rows.T @ rows)
+    bent, held = (float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square))
+    penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent > 0.0 and np.isfinite(bent / held) else 1.0
+    form = sp.csr_array(P + penalty * square)
+    form = sp.csr_array((form + form.T) * 0.5)
+    if not np.isfinite(form.data).all():
+        return own
+    found = curvature(form)
+    # What rounded in an entry is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal one of its row sums.
+    ones, magnitude = np.ones(own.weights.size), abs(rows)
+    size = abs(sp.csr_array(P)) @ ones + penalty * (magnitude.T @ (magnitude @ ones))
+    weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW
+    return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else own
 
 
 def _weights(P: sp.csr_array) -> FloatVector | None:

@@ -100,12 +100,13 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
     scale = eigenvalue.scale
-    norm = _norm_above(product_above(scale, sum_above(size, 4.0 * TINY)))  # products above may have underflowed
+    norm = norm_above(product_above(scale, sum_above(size, 4.0 * TINY)))  # products above may have underflowed
     bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
 
-def _norm_above(x: FloatVector) -> np.float64:
+def norm_above(x: FloatVector) -> np.float64:
+    """Return a double above ‖x‖₂ for x ≥ 0, whatever underflows."""
     largest = np.float64(x.max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
         return largest

@@ -5,6 +5,9 @@ s = P x̂ + c + Gᵀλ + Aᵀν, every feasible x within a box [l, u] that holds
 
     f(x) ≥ f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b) + Σ_i inf over l_i ≤ t ≤ u_i of s_i (t − x̂_i) + ½ μ_i (t − x̂_i)².
 
+Where the weights are those of P + ρ AᵀA, ½ ρ‖A x̂ − b‖² is to be taken off: f is then f + ½ ρ‖A x − b‖², with
+multipliers ν − ρ (A x̂ − b).
+
 Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
 (x̂, λ, ν) is repaired first, by least squares with some room, and where s_i must be exactly zero in rational arithmetic.
 """
@@ -19,13 +22,14 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ..checks import BoolVector, FloatVector
 from ..conversions.constraints import fold_simple_rows, largest_entries
 from ..conversions.program import QuadraticProgram
 from ..deadline import is_over
 from ..exact.linear_systems import solved_nearby
-from ..exact.rational import Row, Vector, enclosures, products, rational, rational_rows
+from ..exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
 from ..exact.rounding import compensated_pair, compensated_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
 from .curvature import Curvature
@@ -102,9 +106,11 @@ class DualBounds:
             values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
             twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
             blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+            missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
+            blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
             here = 0.5 * float(lower_end(twice, error)[0]) - _sum_above(np.concatenate(blur))
-            part, rest = compensated_pair_ends(high, low, radius)
-            found = math.nextafter(here, -np.inf) - self._loss(part, rest, *self._distances(x, x))
+            loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
+            found = math.nextafter(here, -np.inf) - loss
         return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
 
     def _distances(self, low: FloatVector, high: FloatVector) -> Box:
@@ -163,22 +169,55 @@ class DualBounds:
         zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
         if zero.size > EXACT_UP_TO:
             return -np.inf
-        rows, m = self._exact_stacked, self.program.h.size
-        exact = solved_nearby(
-            [rows[j] for j in zero], [-Fraction(self.program.c[j]) for j in zero.tolist()],
-            rational(np.concatenate(at)), self._is_movable(at).tolist(),
-        )
-        if exact is None or any(y < 0 for y in exact[at.x.size : at.x.size + m]):
+        rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
+        target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
+        guess, movable = rational(v), self._is_movable(at)
+        exact = solved_nearby(rows, target, guess, movable.tolist())
+        if exact is None or any(y < 0 for y in exact[n : n + m]):
+            left = [value - product for product, value in zip(products(rows, guess), target, strict=True)]
+            guess, movable = self._with_more_rows(zero, left, guess, movable)
+            exact = solved_nearby(rows, target, guess, movable.tolist())
+        if exact is None or any(y < 0 for y in exact[n : n + m]):
             return -np.inf
-        return self._value_of(exact[: at.x.size], exact[at.x.size :])
+        return self._value_of(exact[:n], exact[n:])
+
+    def _with_more_rows(
+        self, zero: NDArray[np.intp], left: Vector, guess: Vector, movable: BoolVector
+    ) -> tuple[Vector, BoolVector]:
+        """Return a guess with multipliers of inactive rows too, of which tiny ones make up for what rounding left.
+
+        Rows that are active alone may not span what c and they were before they were rounded.
+        """
+        from scipy.optimize import lsq_linear
+
+        largest = max((abs(value) for value in left), default=ZERO)
+        matrix = self._stacked[zero]
+        if not largest or matrix.shape[0] * matrix.shape[1] > DENSE_UP_TO:
+            return guess, movable
+        n, m = self.program.n, self.program.h.size
+        is_row = np.isfinite(self._limit_of_rows) & ~self._is_bound
+        usable = movable | np.concatenate([np.zeros(n, bool), is_row])
+        low = np.where(movable | (np.arange(movable.size) >= n + m), -np.inf, 0.0)
+        found, right = np.zeros(movable.size), np.array([float(value / largest) for value in left])
+        with np.errstate(all="ignore"):
+            found[usable] = lsq_linear(
+                matrix[:, np.flatnonzero(usable)].toarray(), right, (low[usable], np.inf), tol=1e-14
+            ).x
+        found[~np.isfinite(found) | (~movable & (found < NEAR))] = 0.0
+        return [old + Fraction(more) * largest for old, more in zip(guess, found, strict=True)], movable | (found > 0.0)
 
     def _value_of(self, x: Vector, y: Vector) -> float:
         """Return `value` of rational numbers."""
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
         here = sum((at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)), Fraction(0))
-        rows = zip(y, products(rational_rows(self._rows), x), rational(self._limit), strict=True)
-        here += sum((weight * (value - limit) for weight, value, limit in rows if weight), Fraction(0))
+        missed = [
+            value - limit
+            for value, limit in zip(products(rational_rows(self._rows), x), rational(self._limit), strict=True)
+        ]
+        here += sum((weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0))
+        penalty = Fraction(self.curvature.penalty) / 2
+        here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
         s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
         with np.errstate(all="ignore"):
             loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
@@ -201,8 +240,11 @@ class DualBounds:
 
     @cached_property
     def _limit(self) -> FloatVector:
-        limit = np.concatenate([self.program.h, self.program.b])
-        return np.where(np.isfinite(limit), limit, 0.0)
+        return np.where(np.isfinite(self._limit_of_rows), self._limit_of_rows, 0.0)
+
+    @cached_property
+    def _limit_of_rows(self) -> FloatVector:
+        return np.concatenate([self.program.h, self.program.b])
 
     @cached_property
     def _is_bound(self) -> BoolVector:
@@ -219,7 +261,7 @@ class DualBounds:
         return rational_rows(self._stacked)
 
 
-def compensated_pair_ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
+def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
     """Return doubles below and above every value that a compensated pair stands for."""
     spread = sum_above(low, radius), sum_above(-low, radius)
     return -sum_above(-high, spread[1]), sum_above(high, spread[0])
@@ -235,11 +277,16 @@ def _sum_above(values: FloatVector) -> float:
         return math.inf
 
 
+@np.errstate(all="ignore")
 def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
-    """Return the shortest of the least squares solutions, to rounding where it is small."""
+    """Return the shortest of the least squares solutions, to rounding where it is small; 0 where it overflows."""
     if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
-        return np.asarray(np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0])
-    from scipy.sparse.linalg import lsmr
+        try:
+            found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
+        except np.linalg.LinAlgError:
+            return np.zeros(matrix.shape[1])
+    else:
+        from scipy.sparse.linalg import lsmr
 
-    return np.asarray(lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0])
-
+        found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
+    return np.where(np.isfinite(found), found, 0.0)

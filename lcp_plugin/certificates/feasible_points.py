@@ -8,7 +8,6 @@ leaves a row violated, the point is moved towards one that a linear program find
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -151,13 +150,6 @@ class FeasiblePoints:
     @cached_property
     def _rows(self) -> list[Row]:
         return rational_rows(self.program.constraints.matrix)
-
-    def candidates(self, *points: FloatVector) -> Iterator[FeasiblePoint]:
-        """Yield what is proved near some points; the one inside where that is nothing."""
-        found = [point for x in points if (point := self.near(x)) is not None]
-        yield from found
-        if not found and self.inside is not None:
-            yield FeasiblePoint.of(self.program, *enclosures(self.inside))
 
 
 def objective_bounds(

@@ -121,7 +121,10 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
         own = proofs.own_solution
         blind = np.zeros(reduced.program.n) if own is None else own.x
         return replace(found.certification(proofs, blind, complaint), distance=None)
-    return found.certification(proofs, x, complaint, reduced.columns)
+    said = found.certification(proofs, x, complaint, reduced.columns)
+    if said.distance is None:
+        return said
+    return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
 
 
 def _missed(constraint: Any) -> tuple[float, float]:
@@ -191,8 +194,17 @@ class ReducedProblem:
     @property
     def columns(self) -> Indices:
         """The columns of the user's variables."""
+        return np.unique(self._entries)
+
+    @property
+    def most_copies(self) -> int:
+        """How many entries of the user's variables one column is at most: two in a symmetric matrix."""
+        return int(np.bincount(self._entries, minlength=1).max())
+
+    @property
+    def _entries(self) -> Indices:
         every = np.concatenate([np.zeros(0, np.intp), *(place.ravel() for place in (self.places or {}).values())])
-        return np.unique(every[every >= 0])
+        return every[every >= 0]
 
     def values(self, problem: Any, proofs: ProgramProofs) -> FloatVector | None:
         """Return the program's x of the user's values; other variables as equations define them, or as we find them."""

@@ -95,7 +95,8 @@ def certify(
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         refuse_nonconvex(problem)
-        proofs = ProgramProofs(problem)
+        # What a time limit cut short is not kept.
+        proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):
             return proofs.of_claim(str(claim))
         answer = _answer(problem, x, multipliers)

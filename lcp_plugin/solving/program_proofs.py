@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.curvature import curvature
+from ..certificates.curvature import constrained_curvature
+from ..certificates.definite_bounds import norm_above
 from ..certificates.dual_bounds import DualBounds
 from ..certificates.feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from ..certificates.implied_bounds import implied_box
@@ -22,7 +23,9 @@ from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import attempts
 from ..deadline import is_over, seconds_left
 from ..errors import LCPError
+from ..exact.rational import enclosures
 from ..exact.rounding import compensated_product
+from ..exact.upward import quotient_above, sum_above
 from .driver import solve
 
 OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multipliers
@@ -76,10 +79,17 @@ class ProgramProofs:
 
     program: QuadraticProgram
 
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> ProgramProofs:
+        """Return the proofs that are kept with a program: the answers of several solvers need them once."""
+        kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
+        return kept
+
     @cached_property
     def bounds(self) -> DualBounds:
         """What lower bounds are made of."""
-        return DualBounds(self.program, curvature(self.program.P), implied_box(self.program))
+        form = constrained_curvature(self.program.P, self.program.A)
+        return DualBounds(self.program, form, implied_box(self.program))
 
     @cached_property
     def points(self) -> FeasiblePoints:
@@ -115,9 +125,21 @@ class ProgramProofs:
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
     def upper(self, *near: FloatVector) -> list[FeasiblePoint]:
-        """Return points that are proved to be feasible, near those given and our own solution."""
-        own = self.own_solution if self.is_small else self.__dict__.get("own_solution")
-        return list(self.points.candidates(*near, *([] if own is None else [own.x])))
+        """Return points that are proved to be feasible, near those given and our own solution, or else any."""
+        found = [point for x in near if (point := self.points.near(x)) is not None]
+        if self.is_small or "own_solution" in self.__dict__:
+            found += self._own_point
+        return found or self._inside
+
+    @cached_property
+    def _own_point(self) -> list[FeasiblePoint]:
+        own = None if self.own_solution is None else self.points.near(self.own_solution.x)
+        return [] if own is None else [own]
+
+    @cached_property
+    def _inside(self) -> list[FeasiblePoint]:
+        inside = self.points.inside
+        return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
 
     @property
     def is_small(self) -> bool:
@@ -234,10 +256,11 @@ class Proved:
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
 
 
+@np.errstate(all="ignore")  # what overflows bounds nothing
 def distances(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
 ) -> tuple[float, float]:
-    """Return bounds, from above and from below, of ‖x − x*‖₂; ∞ and 0 where P is not proved positive definite.
+    """Return bounds, from above and from below, of ‖x − x*‖₂ in the columns; ∞ and 0 where x* may not be the only one.
 
     Notes
     -----
@@ -249,15 +272,15 @@ def distances(
     if not 0.0 < least < math.inf or lower == -math.inf:
         return near, far
     for point in points:
-        around = math.sqrt(2.0 * max(point.value - lower, 0.0) / least) * OUTWARD
-        apart = np.abs(x - point.near)[columns]
-        radius = float(np.linalg.norm(point.radius[columns])) * OUTWARD
-        length = float(np.linalg.norm(apart))
-        near = min(near, (length * OUTWARD + radius + around) * OUTWARD)
-        far = max(far, length / OUTWARD - (radius + around) * OUTWARD)
+        gap = float(quotient_above(2.0 * max(float(sum_above(point.value, -lower)), 0.0), least))
+        blur = float(norm_above(point.radius[columns])) + math.sqrt(gap) * OUTWARD
+        length = float(norm_above(np.abs(x - point.near)[columns]))
+        near = min(near, (length + blur) * OUTWARD)
+        far = max(far, length / OUTWARD**2 - blur * OUTWARD)
     return near, far
 
 
+@np.errstate(all="ignore")
 def error_of_x(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, tolerance: float, far: float
 ) -> str:

@@ -258,6 +258,7 @@ def models() -> dict[str, cp.Problem]:
     }
 
 
+@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")  # osqp's, of options that old cvxpy sends
 @pytest.mark.parametrize("name", models())
 @pytest.mark.parametrize("solver", ["CLARABEL", "OSQP"])
 def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None:
@@ -332,6 +333,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(unsolved(integer=True)), UnsupportedModel, "is integer"),
     (lambda: certify(unsolved([lambda x: cp.sqrt(x) <= 1])), UnsupportedModel, "convex"),
     (lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])), UnsupportedModel, "is_dcp"),
+    (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
     (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),
     (lambda: certify(SIMPLE, [1.0]), InvalidProblem, r"length 2, got shape \(1,\)"),
     (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),

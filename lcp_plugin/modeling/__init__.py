@@ -44,4 +44,9 @@ unbounded, without which neither is said. A contradiction is a ``SolverError`` t
 derives for its own variables are not used. All this is in units of the program's data, never relative to x: row i's
 violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
 what is called optimal (1e-7 by default).
+
+**Whoever solved it**, ``lcp_plugin.certify(problem)`` tells what is proved of the values and the status:
+
+>>> lcp_plugin.certify(problem).verdict
+'proved'
 """

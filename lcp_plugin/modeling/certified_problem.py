@@ -77,6 +77,8 @@ def _check(problem: Any) -> None:
             "certify takes convex problems, and this one does not follow cvxpy's rules of convexity; "
             "problem.is_dcp() must be True"
         )
+    if not problem.variables():
+        raise UnsupportedModel("the problem has no variables: there is no answer to certify")
     if reasons := why_not(problem):
         raise UnsupportedModel(
             f"certify takes convex quadratic and linear programs, what cvxpy can write so; here {'; '.join(reasons)}"
@@ -86,8 +88,8 @@ def _check(problem: Any) -> None:
     if problem.status in CLAIMED or problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
         return
     for variable in problem.variables():
-        value = None if variable.value is None else dense_value(leaf_value(variable))
-        if value is None or not np.isfinite(value).all():
+        value = leaf_value(variable)
+        if value is None or not np.isfinite(dense_value(value)).all():
             what = "no value" if value is None else "a value that is not finite"
             raise InvalidProblem(f"variable {variable.name()} has {what}; solve the problem again, or set it")
 

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
-from lcp_plugin.certificates.curvature import curvature
+from lcp_plugin.certificates.curvature import constrained_curvature, curvature
+from lcp_plugin.certificates.dual_bounds import DualPoint
 from lcp_plugin.certificates.feasible_points import FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
@@ -167,6 +168,52 @@ def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_r
     for i, weight in enumerate(found.weights.tolist()):
         rest[i][i] -= Fraction(weight)
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 4), st.integers(0, 2), st.integers(1, 3), st.integers(0, 2**31))
+def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int, p: int, seed: int) -> None:
+    """P + ρ AᵀA − diag(weights) has no negative eigenvalue, exactly."""
+    rng = np.random.default_rng(seed)
+    F, A = rng.integers(-3, 4, (n, rank)).astype(float), rng.normal(size=(p, n))
+    found = constrained_curvature(F @ F.T, A)
+    rest, rows = exact.exact_rows(F @ F.T), exact.exact_rows(A)
+    for i in range(n):
+        for j in range(n):
+            rest[i][j] += Fraction(found.penalty) * sum((row[i] * row[j] for row in rows), Fraction(0))
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str) -> None:
+    """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
+    finite = 0
+    for seed in range(25):
+        rng = np.random.default_rng([seed, 21])
+        case = CAMPAIGN.case(kind, rng, 3)
+        bounds = ProgramProofs(case.program).bounds
+        right = np.concatenate(case.multipliers[:2])
+        for size in (0.0, 1e-12, 1e-2, 1.0):
+            for is_flipped in (False, True):
+                x = case.x + size * rng.normal(size=case.x.size)
+                y = (right + size * rng.normal(size=right.size)) * (-1.0 if is_flipped else 1.0)
+                at = bounds.admitted(x, y)
+                found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
+                finite += np.isfinite(found[2])
+                assert all(value == -INF or Fraction(value) <= case.value for value in found), (seed, size, found)
+    assert finite >= 50
+
+
+def test_the_bound_is_sharp_where_it_can_be() -> None:
+    """Of ½x² the bound at x̂ = 1 is its minimum; on x₁ = 0, without curvature of its own, that of a linear objective."""
+    plain = ProgramProofs(QuadraticProgram([[1.0]], [0.0])).bounds
+    assert plain.best(np.ones(1), np.zeros(0)) == pytest.approx(0.0, abs=1e-15)
+    held = ProgramProofs(QuadraticProgram([[0.0]], [1.0], A=[[1.0], [2.0]], b=[0.0, 0.0])).bounds
+    for x in (0.0, 1e-3, 1.0):
+        value = held.value(DualPoint(np.array([x]), np.zeros(2)))
+        assert value <= 0.0
+        assert held.value(DualPoint(np.array([x]), np.array([-1.0, 0.0]))) <= 0.0
 
 
 def test_indefinite_by_a_rounding_error_is_no_proof() -> None:

@@ -211,9 +211,10 @@ def test_the_bound_is_sharp_where_it_can_be() -> None:
     assert plain.best(np.ones(1), np.zeros(0)) == pytest.approx(0.0, abs=1e-15)
     held = ProgramProofs(QuadraticProgram([[0.0]], [1.0], A=[[1.0], [2.0]], b=[0.0, 0.0])).bounds
     for x in (0.0, 1e-3, 1.0):
-        value = held.value(DualPoint(np.array([x]), np.zeros(2)))
-        assert value <= 0.0
-        assert held.value(DualPoint(np.array([x]), np.array([-1.0, 0.0]))) <= 0.0
+        for y in ([0.0, 0.0], [-1.0, 0.0]):
+            at = DualPoint(np.array([x]), np.array(y))
+            assert held.value(at) <= 0.0
+            assert held._exact_value(at) <= 0.0
 
 
 def test_indefinite_by_a_rounding_error_is_no_proof() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..algorithms.least_squares.active_set import active_set_steps
 from ..algorithms.least_squares.faces import DenseFaces, Faces, SparseFaces
+from ..algorithms.least_squares.interior_steps import interior_steps
+from ..algorithms.least_squares.normal_equations import compiled_point, interior_points_of_gram
 from ..algorithms.least_squares.point import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
@@ -21,12 +23,11 @@ from ..checks import FloatVector, read_only, restored
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..deadline import time_limit
 from ..errors import NotConverged
+from ..matrix.factors import LARGEST_DENSE
 from ..peers.alone import Peers
 from ..policy.pacing import Progress
-from ..problem.lcp import LCP
 from ..problem.least_squares import LeastSquares, UnitLeastSquares
 from ..settings import Settings, Status
-from .driver import solve
 from .state import Clock
 
 DENSE_PATIENCE = 0.1  # steps by which an orthogonal factor of A is paid, ÷ its smaller dimension
@@ -206,6 +207,7 @@ class _Run:
         self.best: Point | None = None  # by what its own products say, `judged` by the caller's data
         self.best_size, self.aim, self.iteration = np.inf, settings.tolerance, 0
         self.judged: Optimality | None = None
+        self.faces: Faces | None = None
         self.progress = Progress(problem.shape[1], settings.max_iterations)
 
     @cached_property
@@ -224,6 +226,8 @@ class _Run:
             for k, point in enumerate(stage):
                 self.iteration += k > 0
                 if (reason := self._reason_to_end(point)) is not None:
+                    if reason is Status.SOLVED:
+                        self._refine(point)
                     return reason
             if self._is_at_floor():
                 return Status.PRECISION_LIMIT
@@ -231,22 +235,35 @@ class _Run:
 
     def _stages(self) -> Iterator[Iterator[Point]]:
         """Yield what is tried in turn, each from the best point so far."""
-        problem, unit = self.problem, self.unit
-        rows, columns = problem.shape
-        if not problem.has_entries:
-            yield projected_steps(self._incumbent())
-            return
-        is_small = columns <= (COMPILED_SPARSE_UP_TO if problem.is_sparse else COMPILED_UP_TO)
-        if not is_small:
-            patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(rows, columns))
-            yield islice(projected_steps(self._incumbent()), patience)
-        faces: Faces | None = (SparseFaces if problem.is_sparse and not is_small else DenseFaces).of(unit)
-        if faces is not None:
-            start = self._incumbent()
-            if is_small and isinstance(faces, DenseFaces) and rows >= columns:
-                start = _compiled(faces, start)
-            yield active_set_steps(start, faces)
+        problem = self.problem
+        if problem.has_entries:
+            columns, is_small = problem.shape[1], self._is_small
+            if not is_small:
+                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
+                yield islice(projected_steps(self._incumbent()), patience)
+            if problem.is_dense or is_small:
+                if columns <= LARGEST_DENSE and (dense := DenseFaces.of(self.unit)) is not None:
+                    yield from self._by_orthogonal_factors(dense)
+            elif (sparse := SparseFaces.of(self.unit)) is not None:
+                self.faces = sparse
+                yield _in_turn(self._incumbent(), interior_points_of_gram, sparse)
         yield projected_steps(self._incumbent())
+
+    def _by_orthogonal_factors(self, faces: DenseFaces) -> Iterator[Iterator[Point]]:
+        self.faces = faces
+        if self._is_small and (start := compiled_point(self._incumbent(), faces)) is not None:
+            yield active_set_steps(start, faces)
+        yield _in_turn(self._incumbent(), lambda start: interior_steps(start, faces), faces)
+
+    @property
+    def _is_small(self) -> bool:
+        return self.problem.shape[1] <= (COMPILED_SPARSE_UP_TO if self.problem.is_sparse else COMPILED_UP_TO)
+
+    def _refine(self, point: Point) -> None:
+        """Solve on the face of the answer once more where there is a factor for it; what is better is kept."""
+        if self.faces is not None:
+            for refined in islice(active_set_steps(point, self.faces), 1, 2):
+                self._is_solved_by(self.unit.to_caller(refined.x))
 
     def _incumbent(self) -> Point:
         """Return the best point so far, its residual computed afresh."""
@@ -313,9 +330,9 @@ class _Run:
         )
 
 
-def _compiled(faces: DenseFaces, start: Point) -> Point:
-    """Return what the compiled methods make of RᵀR: of squared condition, but near enough to begin with."""
-    unit, triangle = start.problem, faces.matrix
-    small = LCP(triangle.T @ triangle, -triangle.T @ faces.right, lower=unit.lower, upper=unit.upper)
-    found = solve(small, z0=start.x, max_iterations=COMPILED_UP_TO).z
-    return Point(unit, np.clip(found, unit.lower, unit.upper))
+def _in_turn(start: Point, first: Callable[[Point], Iterator[Point]], faces: Faces) -> Iterator[Point]:
+    """Yield what the first steps yield, then active sets from where those end."""
+    point = start
+    for point in first(start):
+        yield point
+    yield from active_set_steps(point, faces)

@@ -91,7 +91,7 @@ class SparseFaces:
         m, columns = self._entries.shape[0], np.flatnonzero(free)
         block, ridge = self._entries[:, columns], self.problem.ridge[columns]
         right = np.concatenate([np.zeros(m), -point.gradient[columns]])
-        for shift in (0.0, EPSILON * m):
+        for shift in (EPSILON**2, EPSILON * m):  # none of them 0, which would have to be matched with other rows first
             factor = factorise(_augmented(block, ridge + shift), is_symmetric=True)
             found = None if factor is None else factor.solve(right)[m:]
             if found is not None and np.isfinite(found).all():

@@ -178,8 +178,16 @@ def _typical_rounding(problem: LeastSquares, x: FloatVector, residual: FloatVect
     return 4.0 * EPSILON * (units * size)
 
 
-def duality_gap(problem: LeastSquares, x: FloatVector) -> float:
-    """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator."""
+def duality_gap(problem: LeastSquares, x: FloatVector, nearer: FloatVector | None = None) -> float:
+    """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    x : array, shape (n,)
+    nearer : array, shape (n,), optional
+        A point nearer to the answer, wherever it comes from: y is its residual, and the bound is sharper.
+    """
     enclosures = Enclosures(problem)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         residual = enclosures.residual(x)
@@ -187,7 +195,8 @@ def duality_gap(problem: LeastSquares, x: FloatVector) -> float:
         slope = enclosures.gradient(x, residual)
         found.append(_gap(problem, x, residual, residual[0], slope, problem.ridge))
         if not found[-1] < np.inf:
-            found.append(_repaired_gap(enclosures, x, residual, slope))
+            y = problem.product(x if nearer is None else nearer) - problem.b
+            found.append(_repaired_gap(enclosures, x, residual, y))
         if not found[-1] < np.inf:
             found.append(_gap_of_definite(problem, x, residual, slope))
     return min(gap for gap in found if not np.isnan(gap))
@@ -219,12 +228,12 @@ def _times(slope: FloatVector, room: FloatVector) -> FloatVector:
     return np.where(slope > 0.0, slope * np.where(slope > 0.0, room, 0.0) + np.where(room > 0.0, TINY, 0.0), 0.0)
 
 
-def _repaired_gap(enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball) -> float:
-    """Return the bound for y = r + δp."""
-    problem = enclosures.problem
+def _repaired_gap(enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector) -> float:
+    """Return the bound for y + δp."""
+    problem, exactly = enclosures.problem, np.zeros(y.size)
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
-    push = _pushing(problem, wanted)
-    pushed, slip = enclosures.transposed(push, np.zeros(push.size))
+    push, slope = _pushing(problem, wanted), enclosures.gradient(x, (y, exactly))
+    pushed, slip = enclosures.transposed(push, exactly)
     missing = np.maximum(slope[1] - wanted * slope[0], 0.0)
     least = wanted * pushed - slip
     lacking = (wanted != 0.0) & (missing > 0.0)
@@ -233,8 +242,8 @@ def _repaired_gap(enclosures: Enclosures, x: FloatVector, residual: Ball, slope:
     share = float(np.max(missing[lacking] / least[lacking], initial=0.0))
     for _ in range(PUSHES):
         share *= 1.0 + 2.0**-10
-        y = residual[0] + share * push
-        gap = _gap(problem, x, residual, y, enclosures.gradient(x, (y, np.zeros(y.size))), 0.0)
+        repaired = y + share * push
+        gap = _gap(problem, x, residual, repaired, enclosures.gradient(x, (repaired, exactly)), problem.ridge)
         if gap < np.inf:
             return gap
         share *= 2.0
@@ -255,7 +264,8 @@ def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
         if not 0.0 < curvature < np.inf:
             break
         push = push + (size / curvature) * product
-        left = np.where(is_wanted, left - (size / curvature) * (problem.transposed(problem.weighted(product)) / units), 0.0)
+        back = problem.transposed(problem.weighted(product)) / units
+        left = np.where(is_wanted, left - (size / curvature) * back, 0.0)
         before, size = size, float(left @ left)
         direction = left + (size / before) * direction
     return push

@@ -63,7 +63,7 @@ class LeastSquares:
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():
             i = int(np.flatnonzero(self.weights < 0.0)[0])
-            raise InvalidProblem(f"weights must not be negative, but weights[{i}] = {self.weights[i]}; 0 leaves a row out")
+            raise InvalidProblem(f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out")
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
@@ -168,7 +168,7 @@ class UnitLeastSquares:
         self._root, self.columns = problem.root_weights, problem.column_units
         with np.errstate(over="ignore"):
             sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
-        self.size = float(power_of_two(np.array([max((float(np.abs(v).max()) for v in sizes if v.size), default=0.0)]))[0])
+        self.size = float(power_of_two(np.array([max(float(np.abs(v).max(initial=0.0)) for v in sizes)]))[0])
         with np.errstate(over="ignore", under="ignore"):
             self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
             self.b = self._root * problem.b / self.size
@@ -219,7 +219,8 @@ def _checked(A: Any) -> tuple[Any, bool]:
         return _checked_operator(A, need), False
     dense = real_array(A, need)
     if dense.ndim != 2:
-        raise InvalidProblem(f"{need}, got shape {dense.shape}" + ("; write a single row as [[…]]" if dense.ndim == 1 else ""))
+        hint = "; write a single row as [[…]]" if dense.ndim == 1 else ""
+        raise InvalidProblem(f"{need}, got shape {dense.shape}{hint}")
     for begin in range(0, dense.shape[0], ROWS_AT_ONCE):
         wrong = ~np.isfinite(dense[begin : begin + ROWS_AT_ONCE])
         if wrong.any():
@@ -250,11 +251,12 @@ def _vector(values: Any) -> FloatVector:
 
 def _largest(block: Any, root: FloatVector) -> FloatVector:
     """Return the largest entry of each column of √weights A."""
+    largest = np.zeros(block.shape[1])
     if sp.issparse(block):
-        largest = np.zeros(block.shape[1])
         np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
-        return largest
-    return np.abs(block * root[:, None]).max(axis=0)
+    else:
+        np.abs(block * root[:, None]).max(axis=0, out=largest)
+    return largest
 
 
 def _squares(block: Any, root: FloatVector, unit: FloatVector) -> FloatVector:
@@ -262,6 +264,6 @@ def _squares(block: Any, root: FloatVector, unit: FloatVector) -> FloatVector:
     with np.errstate(under="ignore"):
         if sp.issparse(block):
             entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
-            return np.bincount(block.indices, entries * entries, minlength=block.shape[1])
+            return np.bincount(block.indices, entries * entries, minlength=block.shape[1]).astype(np.float64)
         entries = block * root[:, None] / unit
-        return np.einsum("ij,ij->j", entries, entries)
+        return np.asarray(np.einsum("ij,ij->j", entries, entries))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -32,6 +32,7 @@ from .state import Clock
 
 DENSE_PATIENCE = 0.1  # steps by which an orthogonal factor of A is paid, ÷ its smaller dimension
 SPARSE_PATIENCE = 300  # steps by which a sparse one is, where its fill is bounded
+MOST_STEPS_FOR_GAP = 300
 NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance
 
 
@@ -59,7 +60,7 @@ class LeastSquaresResult:
     nit : int
         Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor.
     seconds : float
-        Of the run.
+        Wall-clock seconds of the run.
     tolerance : float
         As given.
     is_proved : bool
@@ -85,8 +86,17 @@ class LeastSquaresResult:
 
     @cached_property
     def gap(self) -> float:
-        """An upper bound of cost − min cost, at most cost; computed when looked at, for about what the run cost."""
-        return duality_gap(self.problem, self.x)
+        """An upper bound of cost − min cost, at most cost; computed when looked at, for about what the run cost.
+
+        It is no more than cost where A is not proved to have full rank and some column without a bound on one side
+        (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").
+        """
+        unit = UnitLeastSquares(self.problem)
+        with np.errstate(all="ignore"):
+            start = Point(unit, np.clip(unit.from_caller(self.x), unit.lower, unit.upper))
+            steps = islice(projected_steps(start), min(max(self.nit, 1), MOST_STEPS_FOR_GAP))
+            nearer = min(steps, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0)))
+            return duality_gap(self.problem, self.x, unit.to_caller(nearer.x))
 
     @property
     def is_solved(self) -> bool:
@@ -246,18 +256,19 @@ class _Run:
                     yield from self._by_orthogonal_factors(dense)
             elif (sparse := SparseFaces.of(self.unit)) is not None:
                 self.faces = sparse
-                yield _in_turn(self._incumbent(), interior_points_of_gram, sparse)
+                yield _in_turn(interior_points_of_gram(self._incumbent(), sparse), sparse)
         yield projected_steps(self._incumbent())
 
     def _by_orthogonal_factors(self, faces: DenseFaces) -> Iterator[Iterator[Point]]:
         self.faces = faces
         if self._is_small and (start := compiled_point(self._incumbent(), faces)) is not None:
             yield active_set_steps(start, faces)
-        yield _in_turn(self._incumbent(), lambda start: interior_steps(start, faces), faces)
+        yield _in_turn(interior_steps(self._incumbent(), faces), faces)
 
     @property
     def _is_small(self) -> bool:
-        return self.problem.shape[1] <= (COMPILED_SPARSE_UP_TO if self.problem.is_sparse else COMPILED_UP_TO)
+        largest = COMPILED_SPARSE_UP_TO if self.problem.is_sparse else COMPILED_UP_TO
+        return bool(self.problem.shape[1] <= largest)
 
     def _refine(self, point: Point) -> None:
         """Solve on the face of the answer once more where there is a factor for it; what is better is kept."""
@@ -304,7 +315,7 @@ class _Run:
         judged = Optimality.of(self.enclosures, x)
         if self.judged is None or judged.value < self.judged.value:
             self.judged = judged
-        return judged.value <= self.settings.tolerance
+        return bool(judged.value <= self.settings.tolerance)
 
     def _is_at_floor(self) -> bool:
         """Return whether the best point is as good as rounding allows."""
@@ -330,9 +341,10 @@ class _Run:
         )
 
 
-def _in_turn(start: Point, first: Callable[[Point], Iterator[Point]], faces: Faces) -> Iterator[Point]:
-    """Yield what the first steps yield, then active sets from where those end."""
-    point = start
-    for point in first(start):
+def _in_turn(steps: Iterator[Point], faces: Faces) -> Iterator[Point]:
+    """Yield these points, then active sets from where they end."""
+    point: Point | None = None
+    for point in steps:
         yield point
-    yield from active_set_steps(point, faces)
+    if point is not None:
+        yield from active_set_steps(point, faces)

@@ -31,9 +31,10 @@ def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
         length = point.farthest(correction)
         after = _moved(point, correction, length)
         if length == 0.0 and np.array_equal(after.x, point.x):
-            free = _without(point, free, correction)
-            if free is None:
+            fewer = _without(point, free, correction)
+            if fewer is None:
                 return
+            free = fewer
             continue
         point = after
         yield point

@@ -1,6 +1,7 @@
-"""Least squares on the free columns by a factor: orthogonal where A is dense, of the augmented system where sparse.
+"""Least squares on the free columns by a factor: orthogonal where A is dense, of AᵀA where A is sparse.
 
-Neither squares the condition of A. Both give a *correction* d of x, so that the next one refines it.
+Both give a *correction* d of x, so that the next one refines it. The factor of AᵀA, whose condition is squared, is only
+a preconditioner.
 """
 
 from __future__ import annotations
@@ -16,6 +17,12 @@ from ...kernels.floats import EPSILON
 from ...matrix.factors import factor_fits, factorise
 from ...problem.least_squares import UnitLeastSquares
 from .point import Point
+
+LOOKED_AT = 100  # columns of AᵀA, which tell how many entries it has
+LARGER = 3.0  # entries of AᵀA by those of A: one that is symmetric could be kept in half of them
+SHIFT = 8.0 * EPSILON  # of columns of unit length, so that the factor of a singular AᵀA is one
+MOST_STEPS = 30
+GOAL = 1e-24  # of the energy of the error: what is left is for the next correction
 
 
 class Faces(Protocol):
@@ -70,40 +77,58 @@ class DenseFaces:
 
 
 class SparseFaces:
-    """Faces of a sparse A, by the factor of (I, A_F; A_Fᵀ, −ridge) that SuperLU finds with little fill.
+    """Faces of a sparse A whose AᵀA is no larger than A: conjugate gradients with the factor of AᵀA for preconditioner.
 
     Parameters
     ----------
     problem : UnitLeastSquares
+    gram : CSR array, shape (n, n)
+        AᵀA + ridge.
     """
 
-    def __init__(self, problem: UnitLeastSquares) -> None:
-        self.problem, self._entries = problem, problem.entries()
+    def __init__(self, problem: UnitLeastSquares, gram: sp.csr_array) -> None:
+        self.problem, self.gram = problem, gram
 
     @classmethod
     def of(cls, problem: UnitLeastSquares) -> SparseFaces | None:
-        """Return the faces, or None where a factor might fill in too much."""
-        faces = cls(problem)
-        return faces if factor_fits(_augmented(faces._entries, problem.ridge)) else None
+        """Return the faces, or None where AᵀA or its factor would be too large."""
+        entries = problem.entries()
+        if _gram_size(entries) > LARGER * entries.nnz + entries.shape[1]:
+            return None
+        gram = sp.csr_array(entries.T @ entries + sp.diags_array(problem.ridge))
+        return cls(problem, gram) if np.isfinite(gram.data).all() and factor_fits(gram) else None
 
     def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
-        """Return the correction that minimises; where A_F is rank-deficient, one in units of rounding."""
-        m, columns = self._entries.shape[0], np.flatnonzero(free)
-        block, ridge = self._entries[:, columns], self.problem.ridge[columns]
-        right = np.concatenate([np.zeros(m), -point.gradient[columns]])
-        for shift in (EPSILON**2, EPSILON * m):  # none of them 0, which would have to be matched with other rows first
-            factor = factorise(_augmented(block, ridge + shift), is_symmetric=True)
-            found = None if factor is None else factor.solve(right)[m:]
-            if found is not None and np.isfinite(found).all():
-                correction = np.zeros(free.size)
-                correction[columns] = -found
-                return correction
-        return None
+        """Return the correction that minimises, in a few steps as the factor is one of AᵀA up to rounding."""
+        columns, correction = np.flatnonzero(free), np.zeros(free.size)
+        block = self.gram[columns][:, columns] + sp.diags_array(np.full(columns.size, SHIFT))
+        factor = factorise(sp.csr_array(block), is_symmetric=True) if columns.size else None
+        if factor is None:
+            return None if columns.size else correction
+        left, direction, goal = -point.gradient[columns], np.zeros(free.size), 0.0
+        size = 0.0
+        for _ in range(MOST_STEPS):
+            solved = factor.solve(left)
+            before, size = size, float(left @ solved)
+            goal = goal or GOAL * size
+            if not goal < size < np.inf:
+                break
+            direction[columns] = solved + (size / before if before > 0.0 else 0.0) * direction[columns]
+            product = self.problem.product(direction)
+            curvature = point.curvature(direction, product)
+            if not curvature > 0.0:
+                break
+            correction += (size / curvature) * direction
+            gradient = self.problem.transposed(product) + self.problem.ridge * direction
+            left = left - (size / curvature) * gradient[columns]
+        return correction if np.isfinite(correction).all() else None
 
 
-def _augmented(block: Any, ridge: FloatVector) -> sp.csr_array:
-    m = block.shape[0]
-    return sp.csr_array(sp.block_array([[sp.eye_array(m), block], [block.T, -sp.diags_array(ridge)]]))
+def _gram_size(entries: Any) -> float:
+    """Return about how many entries AᵀA has."""
+    n = entries.shape[1]
+    looked_at = np.unique(np.linspace(0, n - 1, min(n, LOOKED_AT)).astype(np.intp))
+    return float((entries.T @ entries[:, looked_at]).nnz * n / max(looked_at.size, 1))
 
 
 def _whole(problem: UnitLeastSquares, rows: slice = slice(None)) -> FloatVector:

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...checks import FloatVector
 from ...errors import LCPError
@@ -17,13 +16,11 @@ from ...problem.lcp import LCP
 from ...problem.least_squares import UnitLeastSquares
 from ..interior_points.interior_point import InteriorPoint
 from ..short_road import ShortRoad
-from .faces import DenseFaces
+from .faces import DenseFaces, SparseFaces
 from .point import Point
 
 GOAL = 1e-8  # more than M tells at the condition from which on its answer is only a start
 COMPILED_STEPS = 1000
-LOOKED_AT = 100  # columns of AᵀA, which tell how many entries it has
-LARGER = 2.0  # entries of a symmetric AᵀA by those of A
 
 
 def compiled_point(start: Point, faces: DenseFaces) -> Point | None:
@@ -36,15 +33,11 @@ def compiled_point(start: Point, faces: DenseFaces) -> Point | None:
     return None if sprint is None else _point(start.problem, sprint.z)
 
 
-def interior_points_of_gram(start: Point) -> Iterator[Point]:
-    """Yield the points of the interior point method on AᵀA of a sparse A; none where that is larger than A."""
+def interior_points_of_gram(start: Point, faces: SparseFaces) -> Iterator[Point]:
+    """Yield the points of the interior point method on AᵀA."""
     problem = start.problem
-    entries = problem.entries()
-    if _gram_size(entries) > LARGER * entries.nnz + problem.lower.size:
-        return
-    M = sp.csr_array(entries.T @ entries + sp.diags_array(problem.ridge))
     try:
-        for step in InteriorPoint().iterates(_lcp(problem, M, -problem.transposed(problem.b)), start.x):
+        for step in InteriorPoint().iterates(_lcp(problem, faces.gram, -problem.transposed(problem.b)), start.x):
             yield _point(problem, step.z)
     except LCPError:  # it has no way with this matrix
         return
@@ -57,9 +50,3 @@ def _lcp(problem: UnitLeastSquares, M: Any, q: FloatVector) -> LCP:
 def _point(problem: UnitLeastSquares, z: FloatVector) -> Point:
     return Point(problem, np.clip(z, problem.lower, problem.upper))
 
-
-def _gram_size(entries: Any) -> float:
-    """Return about how many entries AᵀA has."""
-    n = entries.shape[1]
-    looked_at = np.unique(np.linspace(0, n - 1, min(n, LOOKED_AT)).astype(np.intp))
-    return float((entries.T @ entries[:, looked_at]).nnz) * n / max(looked_at.size, 1)

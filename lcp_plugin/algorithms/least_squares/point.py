@@ -51,12 +51,13 @@ class Point:
     def pull(self) -> FloatVector:
         """The gradient where it pulls a column away from its bound into the box, 0 elsewhere."""
         may_rise, may_fall = self.x < self.problem.upper, self.x > self.problem.lower
-        inward = np.where(may_rise, np.minimum(self.gradient, 0.0), np.where(may_fall, np.maximum(self.gradient, 0.0), 0.0))
+        rising, falling = np.minimum(self.gradient, 0.0), np.maximum(self.gradient, 0.0)
+        inward = np.where(may_rise, rising, np.where(may_fall, falling, 0.0))
         return np.where(self.is_free, 0.0, inward)
 
     @cached_property
     def natural_residual(self) -> FloatVector:
-        """x − mid(lower, upper, x − gradient): 0 exactly at the minimum."""
+        """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return np.clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
     def curvature(self, direction: FloatVector, product: FloatVector) -> float:

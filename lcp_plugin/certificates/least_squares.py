@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..exact.rounding import gamma
+from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
 from ..problem.least_squares import LeastSquares, UnitLeastSquares
@@ -33,6 +33,8 @@ Ball = tuple[FloatVector, FloatVector]
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 REPAIR_STEPS = 300  # of conjugate gradients for a p; more than A of condition 100 needs
 ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
+IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
+COPIED_UP_TO = 10**6  # entries; copies of so small an A cost little
 PUSHES = 4  # times that δ may be doubled
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
@@ -43,6 +45,9 @@ class Enclosures:
     Parameters
     ----------
     problem : LeastSquares
+    is_sharp : bool
+        Whether sums are compensated, so that nothing but the last rounding is left, and nothing at all where they are
+        exact. That costs two copies of A.
 
     Attributes
     ----------
@@ -51,12 +56,14 @@ class Enclosures:
         gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
     """
 
-    def __init__(self, problem: LeastSquares) -> None:
-        self.problem = problem
+    def __init__(self, problem: LeastSquares, *, is_sharp: bool = False) -> None:
+        self.problem, self.is_sharp = problem, is_sharp
 
     def residual(self, x: FloatVector) -> Ball:
         """Return A x − b."""
         problem = self.problem
+        if self.is_sharp:
+            return compensated_product(self._rows, x, -problem.b)
         value, radius = problem.product(x) - problem.b, np.zeros(problem.shape[0])
         terms = self._terms_of_a_row
         for rows, block in problem.blocks() if problem.has_entries else ():
@@ -77,6 +84,11 @@ class Enclosures:
         """Return AᵀWy for a y known up to slip."""
         problem = self.problem
         weighted, slip = problem.weighted(y), problem.weighted(slip)
+        if self.is_sharp:
+            if problem.weights is not None:
+                slip = OUTWARD * (slip + EPSILON * np.abs(weighted) + TINY * (weighted != 0.0))
+            value, radius = compensated_product(self._columns, weighted)
+            return value, OUTWARD * (radius + abs(self._columns) @ slip)
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
         value, size, spread, is_some = np.zeros((4, problem.shape[1]))
@@ -103,6 +115,14 @@ class Enclosures:
         yield self.transposed(self.problem.b, np.zeros(self.problem.shape[0]))
         start = self.problem.nearest_to_zero
         yield self.gradient(start, self.residual(start))
+
+    @cached_property
+    def _rows(self) -> Any:
+        return sp.csr_array(self.problem.A)
+
+    @cached_property
+    def _columns(self) -> Any:
+        return sp.csr_array(self.problem.A.T)
 
     @cached_property
     def _terms_of_a_row(self) -> int:
@@ -191,14 +211,18 @@ def duality_gap(problem: LeastSquares, x: FloatVector, nearer: FloatVector | Non
     enclosures = Enclosures(problem)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         residual = enclosures.residual(x)
-        found = [_cost_above(problem, x, residual)]
-        slope = enclosures.gradient(x, residual)
-        found.append(_gap(problem, x, residual, residual[0], slope, problem.ridge))
-        if not found[-1] < np.inf:
-            y = problem.product(x if nearer is None else nearer) - problem.b
-            found.append(_repaired_gap(enclosures, x, residual, y))
-        if not found[-1] < np.inf:
-            found.append(_gap_of_definite(problem, x, residual, slope))
+        at_x = enclosures.gradient(x, residual)
+        y = residual[0] if nearer is None else problem.product(nearer) - problem.b
+        slope = enclosures.gradient(x, (y, np.zeros(y.size)))
+        found = [
+            _cost_above(problem, x, residual),
+            _gap(problem, x, residual, residual[0], at_x, problem.ridge),
+            _gap(problem, x, residual, y, slope, problem.ridge),
+        ]
+        if not np.fmin(found[1], found[2]) < np.inf:
+            found.append(_repaired_gap(enclosures, x, residual, y, slope))
+            if not found[-1] < np.inf:
+                found.append(_gap_of_definite(problem, x, residual, at_x))
     return min(gap for gap in found if not np.isnan(gap))
 
 
@@ -228,14 +252,31 @@ def _times(slope: FloatVector, room: FloatVector) -> FloatVector:
     return np.where(slope > 0.0, slope * np.where(slope > 0.0, room, 0.0) + np.where(room > 0.0, TINY, 0.0), 0.0)
 
 
-def _repaired_gap(enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector) -> float:
-    """Return the bound for y + δp."""
-    problem, exactly = enclosures.problem, np.zeros(y.size)
+def _repaired_gap(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
+) -> float:
+    """Return the bound for y + δp; p is to push the columns whose sign is in doubt, or else all of them."""
+    problem = enclosures.problem
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
-    push, slope = _pushing(problem, wanted), enclosures.gradient(x, (y, exactly))
-    pushed, slip = enclosures.transposed(push, exactly)
+    wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
+    sizes = wanted * slope[0] / problem.column_units
+    in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
+    for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
+        gap = _pushed_gap(enclosures, x, residual, y, slope, wanted, _pushing(problem, pushed))
+        if gap < np.inf:
+            return gap
+    return np.inf
+
+
+def _pushed_gap(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball, wanted: FloatVector,
+    push: FloatVector,
+) -> float:
+    """Return the bound for the y + δp with the least δ that gives all columns the sign that they need."""
+    problem, exactly = enclosures.problem, np.zeros(y.size)
+    moved, slip = enclosures.transposed(push, exactly)
     missing = np.maximum(slope[1] - wanted * slope[0], 0.0)
-    least = wanted * pushed - slip
+    least = wanted * moved - slip
     lacking = (wanted != 0.0) & (missing > 0.0)
     if not (least[lacking] > 0.0).all():
         return np.inf
@@ -251,31 +292,46 @@ def _repaired_gap(enclosures: Enclosures, x: FloatVector, residual: Ball, y: Flo
 
 
 def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
-    """Return p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0, by CG on AᵀWA."""
-    units, is_wanted = problem.column_units, wanted != 0.0
-    push = np.zeros(problem.shape[0])
-    left = wanted * (~_is_empty(problem))
+    """Return p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0."""
+    push, is_near = _pushing_by_steps(problem, wanted)
+    m, n = problem.shape
+    return push if is_near or not problem.has_entries or m * n > COPIED_UP_TO else _pushing_by_factor(problem, wanted)
+
+
+def _pushing_by_steps(problem: LeastSquares, wanted: FloatVector) -> tuple[FloatVector, bool]:
+    """Return what conjugate gradients on AᵀWA arrive at, and whether that is near enough."""
+    units, push = problem.column_units, np.zeros(problem.shape[0])
+    left = wanted
     direction, size = left.copy(), float(left @ left)
     for _ in range(min(REPAIR_STEPS, 2 * wanted.size + 1)):
         if np.max(np.abs(left), initial=0.0) <= ENOUGH:
-            break
+            return push, True
         product = problem.product(direction / units)
         curvature = float(problem.weighted(product) @ product)
         if not 0.0 < curvature < np.inf:
             break
         push = push + (size / curvature) * product
         back = problem.transposed(problem.weighted(product)) / units
-        left = np.where(is_wanted, left - (size / curvature) * back, 0.0)
+        left = np.where(wanted != 0.0, left - (size / curvature) * back, 0.0)
         before, size = size, float(left @ left)
         direction = left + (size / before) * direction
+    return push, False
+
+
+def _pushing_by_factor(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
+    """Return the shortest such p, however ill-conditioned A is; the signs are looked at where it is used."""
+    from scipy.linalg import LinAlgError, lstsq
+
+    columns, root = np.flatnonzero(wanted), problem.root_weights
+    entries: Any = UnitLeastSquares(problem).entries()
+    dense = entries.toarray() if sp.issparse(entries) else entries
+    push = np.zeros(root.size)
+    try:
+        found = lstsq(dense[:, columns].T, wanted[columns], lapack_driver="gelsy", check_finite=False)[0]
+    except (LinAlgError, ValueError):
+        return push
+    np.divide(found, root, out=push, where=root > 0.0)
     return push
-
-
-def _is_empty(problem: LeastSquares) -> Any:
-    if not problem.has_entries:
-        return np.zeros(problem.shape[1], dtype=np.bool_)
-    ones = np.ones(problem.shape[0])
-    return sum((abs(block).T @ ones[rows] for rows, block in problem.blocks()), np.zeros(problem.shape[1])) == 0.0
 
 
 def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:

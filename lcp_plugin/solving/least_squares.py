@@ -18,7 +18,7 @@ from ..algorithms.least_squares.interior_steps import interior_steps
 from ..algorithms.least_squares.normal_equations import compiled_point, interior_points_of_gram
 from ..algorithms.least_squares.point import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
-from ..certificates.least_squares import Enclosures, Optimality, duality_gap
+from ..certificates.least_squares import COPIED_UP_TO, Enclosures, Optimality, duality_gap
 from ..checks import FloatVector, read_only, restored
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..deadline import time_limit
@@ -33,6 +33,7 @@ from .state import Clock
 DENSE_PATIENCE = 0.1  # steps by which an orthogonal factor of A is paid, ÷ its smaller dimension
 SPARSE_PATIENCE = 300  # steps by which a sparse one is, where its fill is bounded
 MOST_STEPS_FOR_GAP = 300
+FINE = 1e-3  # of the tolerance: a point on a face that is solved, not one on the way
 NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance
 
 
@@ -225,12 +226,19 @@ class _Run:
         """The problem in the units of the methods."""
         return UnitLeastSquares(self.problem)
 
+    @cached_property
+    def sharp(self) -> Enclosures | None:
+        """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
+        A = self.problem.A
+        is_cheap = self.problem.has_entries and (A.nnz if self.problem.is_sparse else A.size) <= COPIED_UP_TO
+        return Enclosures(self.problem, is_sharp=True) if is_cheap else None
+
     def drive(self) -> Status:
         """Go through the stages; return why the run ended."""
         if max(self.enclosures.reference) == 0.0:
             self.start = self.problem.nearest_to_zero
-        if self._is_solved_by(self.start):
-            return Status.SOLVED
+            if self._is_solved_by(self.start):
+                return Status.SOLVED
         for stage in self._stages():
             self.progress.restart(self.iteration, self.best_size)
             for k, point in enumerate(stage):
@@ -272,7 +280,8 @@ class _Run:
 
     def _refine(self, point: Point) -> None:
         """Solve on the face of the answer once more where there is a factor for it; what is better is kept."""
-        if self.faces is not None:
+        is_fine = self.judged is not None and self.judged.value <= FINE * self.settings.tolerance
+        if self.faces is not None and not is_fine:
             for refined in islice(active_set_steps(point, self.faces), 1, 2):
                 self._is_solved_by(self.unit.to_caller(refined.x))
 
@@ -313,6 +322,9 @@ class _Run:
     def _is_solved_by(self, x: FloatVector) -> bool:
         """Judge x on the caller's data, keep the better judgement; return whether x is what was asked for."""
         judged = Optimality.of(self.enclosures, x)
+        if judged.value > self.settings.tolerance and judged.is_at_rounding_level and self.sharp is not None:
+            sharply = Optimality.of(self.sharp, x)
+            judged = sharply if sharply.value < judged.value else judged
         if self.judged is None or judged.value < self.judged.value:
             self.judged = judged
         return bool(judged.value <= self.settings.tolerance)
@@ -326,7 +338,8 @@ class _Run:
     def result(self, reason: Status) -> LeastSquaresResult:
         """Return the result: the judgement names the status."""
         problem, tolerance = self.problem, self.settings.tolerance
-        self._is_solved_by(self.start if self.best is None else self.unit.to_caller(self.best.x))
+        if self.judged is None or self.judged.value > tolerance:
+            self._is_solved_by(self.start if self.best is None else self.unit.to_caller(self.best.x))
         judged = cast(Optimality, self.judged)
         if judged.value <= tolerance:
             reason = Status.SOLVED

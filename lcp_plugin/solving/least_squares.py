@@ -95,7 +95,7 @@ class LeastSquaresResult:
         unit = UnitLeastSquares(self.problem)
         with np.errstate(all="ignore"):
             start = Point(unit, np.clip(unit.from_caller(self.x), unit.lower, unit.upper))
-            steps = islice(projected_steps(start), min(max(self.nit, 1), MOST_STEPS_FOR_GAP))
+            steps = islice(projected_steps(start), min(2 * self.nit + 1, MOST_STEPS_FOR_GAP))
             nearer = min(steps, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0)))
             return duality_gap(self.problem, self.x, unit.to_caller(nearer.x))
 

@@ -8,6 +8,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does, and ``"lcp_plugin.policy.direct_methods"``
 - ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
+- ``help("lcp_plugin.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages
 - ``help("lcp_plugin.peers")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from .solving.batch import prepare as prepare
     from .solving.batch import solve_batch as solve_batch
     from .solving.batch import solve_many as solve_many
+    from .solving.batch_derivative import BatchDerivative as BatchDerivative
+    from .solving.batch_derivative import BatchGradient as BatchGradient
     from .solving.batch_result import BatchResult as BatchResult
     from .solving.derivative import Derivative as Derivative
     from .solving.derivative import Gradient as Gradient
@@ -72,6 +75,8 @@ _HOME = {
     "derivative": "solving.derivative",
     "Derivative": "solving.derivative",
     "Gradient": "solving.derivative",
+    "BatchDerivative": "solving.batch_derivative",
+    "BatchGradient": "solving.batch_derivative",
     "prepare": "solving.batch",
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_result",

@@ -21,7 +21,7 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
 }
 FLOORS = 14
-HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2")
+HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax")
 FRONT_DOORS = ("__init__", "__main__")
 
 
@@ -174,6 +174,19 @@ def test_star_import_needs_no_hypothesis() -> None:
     solved, *asked = printed_by(code).splitlines()
     assert solved == "SOLVED"
     assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
+
+
+def test_layers_ask_for_their_frameworks() -> None:
+    """The help of ``lcp_plugin.learn`` needs none of them; each layer says in words what to install."""
+    code = (
+        "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
+        "import lcp_plugin.learn\n"
+        "for name in ('torch', 'jax'):\n"
+        "    try:\n        importlib.import_module(f'lcp_plugin.learn.{name}')\n"
+        "    except ImportError as error:\n        print(error)"
+    )
+    needed = "lcp_plugin.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
 
 
 def table_rows() -> dict[str, list[str]]:

@@ -14,7 +14,7 @@ from lcp_plugin.kernels.compilation import cache_folder
 
 COUNT_COMPILED = """
 import sys
-from lcp_plugin import error_bound, solve
+from lcp_plugin import derivative, error_bound, solve, solve_batch
 from lcp_plugin.evidence import gallery
 from numba.core.dispatcher import Dispatcher
 
@@ -24,6 +24,8 @@ for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:
         result = solve(problem, algorithm)
         if name.startswith("half"):
             error_bound(problem, result.z)
+found = derivative(solve_batch([[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]))
+found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
 kernels = [
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
     for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path

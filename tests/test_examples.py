@@ -29,9 +29,15 @@ CHECKS = [
     ("add_an_algorithm", f"the largest error on random problems with exact answers is {NUMBER}", 1e-6),
     ("parameter_study", f"the first torque differs from the elastic one by {NUMBER}, ", 0.005),
     ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),
+    ("option_greeks", f"delta differs from the tree's by {NUMBER}, ", 1e-4),
+    ("option_greeks", f"vega by {NUMBER}, ", 1e-4),
+    ("option_greeks", f"rho by {NUMBER}, relatively", 1e-4),
+    ("designed_contact", f"in a random direction the gradient differs from a difference by {NUMBER}, ", 1e-6),
+    ("learn_friction", f"without noise the coefficients differ from the planted ones by {NUMBER}, ", 1e-9),
+    ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {12: "Twelve", 13: "Thirteen", 14: "Fourteen"}
+NUMBERS = {12: "Twelve", 13: "Thirteen", 14: "Fourteen", 15: "Fifteen"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

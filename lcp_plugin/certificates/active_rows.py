@@ -66,8 +66,8 @@ def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
     settled = _settled(problem, z) if problem.peers.is_alone else None
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
-    at, system = settled
-    return _judged(problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system)
+    at, system, left = settled
+    return _judged(problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left)
 
 
 @np.errstate(all="ignore")
@@ -86,28 +86,38 @@ def proven_rows(problem: LCP, bound: ErrorBound) -> tuple[BoolVector, BoolVector
 
 
 @np.errstate(all="ignore")
-def _settled(problem: LCP, z: FloatVector) -> tuple[RowInequality, FreeSystem] | None:
-    """Return a point whose rows solve their own equations, with that system; None where steps do not get there."""
+def _settled(problem: LCP, z: FloatVector) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
+    """Return a point whose rows solve their own equations, with that system and about how far the solution may be.
+
+    None where steps do not get there. Rows that are exactly degenerate may change sides for ever, by the rounding of
+    others; the point stands still then, whichever side they are on.
+    """
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL)
-    at = RowInequality.at(problem, z)
+    at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
     for _ in range(STEPS):
         following = steps.next_point(at)
         if following is None:
             return None
-        change, at = np.abs(following.high - at.high).max(initial=0.0), following
-        if steps.is_settled(at) and GOAL * change <= EXACT * np.abs(at.high).max(initial=0.0):
-            return at, steps.system
-    return None
+        change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
+        allowed = EXACT * np.abs(at.high).max(initial=0.0)
+        if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
+            return at, steps.system, GOAL * change
+    return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
 
 
 @np.errstate(all="ignore")
 def _judged(
-    problem: LCP, z: FloatVector, w: FloatVector, above: FloatVector, below: FloatVector, system: FreeSystem | None
+    problem: LCP, z: FloatVector, w: FloatVector, above: FloatVector, below: FloatVector, system: FreeSystem | None,
+    left: FloatVector | None = None,
 ) -> ActiveRows:
-    scale, floor = problem.residual_scale, ROUNDING * Certificate.of(problem, z).rounding_floor
+    """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
+    scale, floor = problem.residual_scale, Certificate.of(problem, z).rounding_floor
+    near, slight = floor, floor
+    if left is not None:
+        near, slight = floor + left, floor + abs(problem.matrix.array) @ left / scale
     is_fixed = problem.lower == problem.upper
     step = w / scale
-    is_small = (np.minimum(above, below) <= floor) & (np.abs(step) <= floor)
+    is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
     degenerate = is_small & ~is_fixed
     is_upper = np.where(is_fixed, w < 0.0, below < above)
     reaches = np.where(is_upper, below <= -step, above <= step)

@@ -99,8 +99,13 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     absolute = absolute_transpose(problem.matrix)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
+    return norm_bound(sum_above(size, 4.0 * TINY), eigenvalue)  # products above may have underflowed
+
+
+def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound) -> FloatVector:
+    """Return c_i ‖C s‖₂/λ, rounded up, shape (n,): |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ."""
     scale = eigenvalue.scale
-    norm = _norm_above(product_above(scale, sum_above(size, 4.0 * TINY)))  # products above may have underflowed
+    norm = _norm_above(product_above(scale, size))
     bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 

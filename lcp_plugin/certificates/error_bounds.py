@@ -281,7 +281,7 @@ class _Found:
         infinity, size, residual = problem.peers.all_largest(*sizes)
         return _counted(
             problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
-            relative=_relative(infinity, size), kind=kind, method=self.method, residual=residual,
+            relative=relative_to(infinity, size), kind=kind, method=self.method, residual=residual,
             near=NearPoint(self.near.high, self.near.low, self.near_y),
         )
 
@@ -339,7 +339,8 @@ def _residuals(at: RowInequality) -> FloatVector:
     return scaled_residual(at.problem, at.high, 0.5 * (at.slack - at.negative_slack))
 
 
-def _relative(infinity: float, size: float) -> float:
+def relative_to(infinity: float, size: float) -> float:
+    """Return infinity/size, rounded up: 0 for 0/0, else ∞ where the size is 0."""
     if infinity == 0.0:
         return 0.0
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf

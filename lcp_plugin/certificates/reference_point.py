@@ -74,6 +74,6 @@ class ActiveSetSteps:
     def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
         """Return w, the rows that it holds at their lower bounds, and those that are free."""
         w = 0.5 * (at.slack - at.negative_slack)
-        target = at.high - self.scale * w
-        on_lower = target <= self.problem.lower
-        return w, on_lower, ~(on_lower | (target >= self.problem.upper))
+        step = self.scale * w  # beside a large z its own digits would be lost
+        on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)
+        return w, on_lower, ~(on_lower | (at.below <= -step))

@@ -168,8 +168,9 @@ def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> Floa
 
 def _slack_of_pair(problem: LCP, high: FloatVector, low: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return upper bounds of w and −w at high + low; w is small beside its parts."""
-    first, rest, radius = compensated_pair(problem.csr, high, problem.q)
-    second, second_radius = compensated_product(problem.csr, low)
+    matrix = problem.matrix
+    first, rest, radius = compensated_pair(matrix.csr_rows, matrix.whole(high), problem.q)
+    second, second_radius = compensated_product(matrix.csr_rows, matrix.whole(low))
     total_radius = sum_above(radius, second_radius)
 
     def end(sign: float) -> FloatVector:

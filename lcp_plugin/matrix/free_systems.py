@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
 from ..crossovers import DIRECT_UP_TO
+from .equilibration import evened
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .matrix import Matrix
 from .structure import bandwidth
@@ -20,6 +21,7 @@ KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as mu
 KRYLOV_STEPS = 60
 CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge
 SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+EVENED_BY = (0.5, 0.5, 0.5, 0.5, 1.0)  # passes that bring a block's entries near 1, as `evened` takes them
 
 
 class FreeSystem:
@@ -54,6 +56,11 @@ class FreeSystem:
         if rows.size == self.matrix.n:
             return M
         return M[rows][:, rows] if sp.issparse(M) else M[np.ix_(rows, rows)]
+
+    @cached_property
+    def principal(self) -> Matrix:
+        """M_FF as a matrix with facts of its own."""
+        return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
 
     def solve(self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL) -> FloatVector | None:
         """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None where none is to be had.
@@ -106,10 +113,20 @@ class FreeSystem:
         return None if factor is None or self._cancels(factor) else factor
 
     def _cancels(self, factor: Factor) -> bool:
-        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block."""
+        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
+
+        Units of the unknowns that lie far apart can make a regular block look so, but not once they are evened out.
+        """
         scale = self.matrix.residual_scale[self.rows]
+        if not self._cancels_beside(scale, factor):
+            return False
+        rows = evened(sp.csr_array(self.block), EVENED_BY).row
+        return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
+
+    def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
+        """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
         with np.errstate(all="ignore"):
-            x = factor.solve(np.random.default_rng(0).choice([-1.0, 1.0], size=scale.size) * scale)
+            x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)  # in no range by chance
             return not bool((abs(self.block) @ np.abs(x) <= SINGULAR * scale).all())
 
     @np.errstate(all="ignore")

@@ -21,6 +21,30 @@ def row_numbers(M: Any) -> IntVector:
     return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
 
 
+def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
+    """Return left_i right_j in the places of M's entries; on ranks those of the own rows, columns of all.
+
+    Parameters
+    ----------
+    left, right : array, shape (own,)
+
+    Examples
+    --------
+    >>> outer_on_pattern(Matrix([[4.0, 1.0], [0.0, 4.0]]), np.array([2.0, 3.0]), np.array([1.0, 5.0])).toarray()
+    array([[ 2., 10.],
+           [ 0., 15.]])
+    """
+    rows, peers = matrix.csr_rows, matrix.peers
+    with np.errstate(over="ignore"):
+        data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
+    if peers.is_alone:
+        return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    columns = np.concatenate([np.arange(peers.first, peers.first + matrix.own), peers.ghosts])
+    outer = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
+    outer.sort_indices()
+    return outer
+
+
 def strong_blocks(M: Any) -> tuple[int, IntVector]:
     """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
     return _connected(M, "strong")

@@ -44,4 +44,30 @@ unbounded, without which neither is said. A contradiction is a ``SolverError`` t
 derives for its own variables are not used. All this is in units of the program's data, never relative to x: row i's
 violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
 what is called optimal (1e-7 by default).
+
+**Derivatives.** After ``problem.solve(method="LCP", requires_grad=True)``, of models and of programs alike,
+``problem.backward()`` sets ``parameter.gradient`` from ``variable.gradient`` (ones by default), and
+``problem.derivative()`` sets ``variable.delta`` from ``parameter.delta`` (zeros by default), as cvxpy documents them.
+
+>>> x, rate, load = cp.Variable(2), cp.Parameter(value=2.0), cp.Parameter(2, value=[6.0, -1.0])
+>>> pair = complements(x >= 0, rate**2 * x - load >= 0)
+>>> problem = ComplementarityProblem([pair])
+>>> _ = problem.solve(requires_grad=True)
+>>> problem.backward()  # x = (load / rate², 0)
+>>> load.gradient, float(rate.gradient)
+(array([0.25, 0.  ]), -1.5)
+>>> rate.delta = 0.01
+>>> problem.derivative()
+>>> x.delta.round(12), pair.dual_variables[0].delta.round(12)
+(array([-0.015,  0.   ]), array([0., 0.]))
+
+- In a model parameters may stand in M, q, bounds and definitions, and need not enter affinely; a program must follow
+  cvxpy's DPP rules. Integer, Boolean, symmetric, PSD, diagonal, sparse and complex parameters are refused.
+- Dual values take part: ``constraint.dual_variables[0]`` has a ``gradient``, none by default, and gets a ``delta``. For
+  a function of them alone set the gradients of the variables to zeros.
+- Derivatives are at the values of the solve: a parameter that has changed since counts from the next solve on. A solve
+  without ``requires_grad=True``, or by another solver, leaves none behind.
+- Where an entry is at a bound and its w is zero, ``derivative`` gives the one-sided change, and ``backward`` the
+  gradient of one of the pieces that meet there (an element of the B-subdifferential). Whether a model's solution is
+  such a place, ``lcp_plugin.derivative(problem.solver_stats.extra_stats).is_unique`` says.
 """

@@ -1,7 +1,14 @@
-"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense."""
+"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense.
+
+Who answers for the derivatives of a problem is decided here, too. cvxpy looks for what diffcp left in a private cache;
+nothing is put there. Problem.backward and Problem.derivative are wrapped instead, and ask us where the solution that
+the problem has is one of ours: any later solve gives it another, and cvxpy answers as if we were not there.
+"""
 
 from __future__ import annotations
 
+import weakref
+from functools import wraps
 from importlib import import_module
 from typing import Any
 
@@ -36,8 +43,9 @@ MATRIX_PRODUCT = _atoms("binary_operators.MulExpression")
 ENTRY_SUM = _atoms("sum.Sum")
 BROADCAST = _atoms("promote.Promote", "broadcast_to.broadcast_to")
 TRANSPOSE = _atoms("transpose.transpose")
+HORIZONTAL = _atoms("hstack.Hstack")
 STACKS: dict[Any, Any] = {
-    **dict.fromkeys(_atoms("hstack.Hstack"), sp.hstack),
+    **dict.fromkeys(HORIZONTAL, sp.hstack),
     **dict.fromkeys(_atoms("vstack.Vstack"), sp.vstack),
 }
 KRONECKER = _atoms("kron.kron")
@@ -154,6 +162,18 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
     return lower, upper
 
 
+def attribute_expressions(variable: Any) -> tuple[Any, Any] | None:
+    """Return the bounds of a variable as its attribute states them where a parameter is in them, else None."""
+    attributes = variable.attributes
+    given = attributes.get("bounds")
+    if given is None or not any(isinstance(bound, cp.Expression) for bound in given):
+        return None
+    lower, upper = given
+    lower = cp.maximum(0.0, lower) if attributes.get("nonneg") or attributes.get("pos") else lower
+    upper = cp.minimum(0.0, upper) if attributes.get("nonpos") or attributes.get("neg") else upper
+    return lower, upper
+
+
 def bound_value(bound: Any, owner: Any) -> Any:
     """Return a bound that a user gave as an array of doubles; raise where it is none."""
     if bound is None:
@@ -169,3 +189,53 @@ def bound_value(bound: Any, owner: Any) -> Any:
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
         raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
     return array.astype(np.float64)
+
+
+DERIVATIVES = ("backward", "derivative")
+#: By the problem: its solution as one of our solves left it, and who answers for its derivatives, None for nobody.
+_answering: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def set_answering(problem: Any, answering: Any) -> None:
+    """Let an object with the methods `backward(problem)` and `derivative(problem)` answer for the present solution."""
+    _answering[problem] = (problem.solution, answering)
+
+
+def clear_answering(problem: Any) -> None:
+    """Forget who answers, before a solve."""
+    _answering.pop(problem, None)
+
+
+def refuse_without_derivatives() -> None:
+    """Raise where this release of cvxpy has no derivatives that could be answered for."""
+    missing = [name for name in (*DERIVATIVES, "solution") if not hasattr(cp.Problem, name)]
+    if missing:
+        raise UnsupportedModel(
+            f"cvxpy {cp.__version__} has no Problem.{missing[0]}, and requires_grad=True needs it; use a release from "
+            "1.6 to 1.9, or lcp_plugin.derivative on problem.solver_stats.extra_stats"
+        )
+
+
+def answer_derivatives() -> None:
+    """Wrap cvxpy's methods; once, however often this is called."""
+    for name in DERIVATIVES:
+        own = getattr(cp.Problem, name, None)
+        if own is not None and not hasattr(own, "asks_lcp_plugin"):
+            setattr(cp.Problem, name, _asking(name, own))
+
+
+def _asking(name: str, own: Any) -> Any:
+    @wraps(own)
+    def method(self: Any, *args: Any, **kwargs: Any) -> Any:
+        solution, answering = _answering.get(self, (None, None))
+        if solution is None or solution is not self.solution:
+            return own(self, *args, **kwargs)
+        if answering is None:
+            raise UnsupportedModel(
+                f'{name} needs a solve with requires_grad=True, and the last one was without; write '
+                'problem.solve(method="LCP", requires_grad=True)'
+            )
+        return getattr(answering, name)(self)
+
+    method.asks_lcp_plugin = True  # type: ignore[attr-defined]
+    return method

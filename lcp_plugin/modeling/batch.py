@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.batch import solve_batch
 from ..solving.batch_result import BatchResult
-from .builder import Model
+from .model import Model
 
 
 class ModelBatch:

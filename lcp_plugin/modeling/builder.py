@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
-from ._compat import attribute_bounds
+from ._compat import attribute_bounds, attribute_expressions
 from .equations import Affine, Elimination, KnownRanges, eliminate_definitions, is_definition, matched_for_monotony
 from .extract import AffineMap, affine_map
+from .model import BoundSource, Model, Report, Sources
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side
@@ -25,59 +26,11 @@ Single = tuple[NDArray[np.int64], FloatVector]
 PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
 
 
-@dataclass(eq=False)
-class Report:
-    """What to write back into a constraint's dual variable: scale · (w or z)[columns] + shift."""
-
-    constraint: Any
-    columns: NDArray[np.int64]
-    shape: tuple[int, ...]
-    is_slack: bool
-    scale: Any = 1.0
-    shift: Any = 0.0
-
-    def value(self, z: FloatVector, w: FloatVector) -> NDArray[np.float64]:
-        """Return the dual value in the constraint's own shape."""
-        values: FloatVector = self.scale * (w if self.is_slack else z)[self.columns] + self.shift
-        return values.reshape(self.shape, order="F")
-
-
-@dataclass(eq=False)
-class Model:
-    """An LCP together with the way back to the cvxpy variables and constraints."""
-
-    problem: LCP
-    variables: list[Any]
-    offsets: dict[int, int]
-    reports: list[Report] = field(repr=False)
-    elimination: Elimination = field(repr=False)
-
-    def values(self, z: FloatVector) -> dict[int, Any]:
-        """Return the value of each variable by its id, in its own shape."""
-        z = self.elimination.expand(z)
-        places = [(variable, self.offsets[variable.id]) for variable in self.variables]
-        return {v.id: z[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
-
-    def duals(self, z: FloatVector, w: FloatVector) -> list[tuple[Any, Any]]:
-        """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""
-        z, w = self.elimination.expand(z), self.elimination.expand_slack(w)
-        return [(report.constraint, report.value(z, w)) for report in self.reports]
-
-    def start(self) -> FloatVector | None:
-        """Return the present values of all variables as one vector; None where one has no value."""
-        if any(variable.value is None for variable in self.variables):
-            return None
-        z = np.zeros(self.elimination.offset.size)
-        for variable in self.variables:
-            first = self.offsets[variable.id]
-            z[first : first + variable.size] = np.ravel(variable.value, order="F")
-        return z[self.elimination.kept]
-
-
 @dataclass(frozen=True, eq=False)
 class _Function:
     """Rows matrix · unknowns + offset; an equation of this constraint, of a pair where it is None."""
 
+    expression: Any
     matrix: sp.csr_array
     offset: FloatVector
     constraint: Any = None
@@ -112,6 +65,11 @@ class Builder:
         self.pairs: list[tuple[NDArray[np.int64], _Function, FloatVector]] = []
         self.equations: list[_Function] = []
         self.reports: list[Report] = []
+        self.bounds: list[BoundSource] = []
+        for variable in self.variables:
+            if (stated := attribute_expressions(variable)) is not None:
+                columns = self.offsets[variable.id] + np.arange(variable.size)
+                self.bounds.append(BoundSource(columns, np.ones(variable.size), variable, *stated))
         #: Variables that are paired as if they had bounds, and have none.
         self.unbounded: list[Side] = []
 
@@ -119,14 +77,15 @@ class Builder:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
         function = affine_map(constraint.expr, memo=self.memo)
-        self.equations.append(_Function(self._matrix(function), function.offset, constraint, function.shape))
+        matrix, shape = self._matrix(function), function.shape
+        self.equations.append(_Function(constraint.expr, matrix, function.offset, constraint, shape))
         for variable, block in function.blocks.items():
             if is_definition(block):
                 self.is_defined[self.offsets[variable] + block.indices] = True
 
     def _function(self, side: Side) -> _Function:
         function = affine_map(side.expression, memo=self.memo)
-        return _Function(self._matrix(function), function.offset)
+        return _Function(side.expression, self._matrix(function), function.offset)
 
     def _matrix(self, function: AffineMap) -> sp.csr_array:
         """Return the rows of an affine map over the unknowns that variables are."""
@@ -182,6 +141,8 @@ class Builder:
             low, high = (low - own.offset) / weights, (high - own.offset) / weights
             low, high = np.where(positive, low, high), np.where(positive, high, low)
             self._tighten(side, columns, low, high)
+            stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
+            self.bounds.append(BoundSource(columns, weights, side.expression, *stated))
         low, high = self.lower[columns], self.upper[columns]
         sign = np.where(positive, 1.0, -1.0)
         if other.kind == "nonnegative" and side.kind != "nonnegative":
@@ -194,19 +155,19 @@ class Builder:
         is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
         if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
             self.unbounded.append(side)
-        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset))
+        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset, side.expression))
 
     def _keep_pair(
         self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: _Function,
-        sign: FloatVector, value: tuple[Any, Any] = (1.0, 0.0),
+        sign: FloatVector, value: tuple[Any, Any, Any] = (1.0, 0.0, None),
     ) -> None:
         """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
         self.pairs.append((columns, function, sign))
         shape = pair.first.expression.shape
         for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
             if constraint is not None:
-                scale, shift = (sign, 0.0) if is_slack else value
-                self.reports.append(Report(constraint, columns, shape, is_slack, scale, shift))
+                how = (sign, 0.0, None) if is_slack else value
+                self.reports.append(Report(constraint, columns, shape, is_slack, *how))
 
     @staticmethod
     def _sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
@@ -237,7 +198,8 @@ class Builder:
         size = first.offset.size
         columns = np.arange(self.count, self.count + size)
         minus = sp.csr_array((np.full(size, -1.0), (np.arange(size), columns)), shape=(size, self.count + size))
-        self.equations.append(_Function(sp.csr_array(first.over(self.count + size) + minus), first.offset))
+        matrix = sp.csr_array(first.over(self.count + size) + minus)
+        self.equations.append(_Function(first.expression, matrix, first.offset))
         self.count += size
         self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
@@ -245,8 +207,10 @@ class Builder:
 
     def finished(self) -> Model:
         """Put definitions in, match the equations left with the unknowns left, and put everything in its place."""
-        pairs = self._affine([function for _, function, _ in self.pairs])
+        functions = [*(function for _, function, _ in self.pairs), *self.equations]
+        pairs = self._affine(functions[: len(self.pairs)])
         equations = self._affine(self.equations)
+        before = (pairs.matrix, equations.matrix)
         free = np.flatnonzero(~self.is_paired)
         self._check_square(free, equations.offset.size)
         self._drop_implied_bounds(free, equations)
@@ -268,11 +232,13 @@ class Builder:
         M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
         if (sign != 1.0).any():
             M, q = sp.csr_array(sp.diags_array(sign) @ M), sign * q
+        place = np.argsort(columns, kind="stable")
         if not np.array_equal(columns, np.arange(kept.size)):
-            order = np.argsort(columns, kind="stable")
-            M, q = sp.csr_array(M[order]), q[order]
+            M, q = sp.csr_array(M[place]), q[place]
         problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
-        return Model(problem, self.variables, self.offsets, self.reports, elimination)
+        expressions = [function.expression for function in functions]
+        sources = Sources(expressions, before, place, sign[place], self.bounds)
+        return Model(problem, self.variables, self.offsets, self.reports, elimination, sources)
 
     def _variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""

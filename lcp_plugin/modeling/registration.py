@@ -22,13 +22,18 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result
+from ._compat import answer_derivatives, clear_answering, refuse_without_derivatives, set_answering
 from .batch import ModelBatch, solve_for
-from .builder import Builder, Model
+from .builder import Builder
 from .constraint import Complements, box, complements
+from .gradients import Differentiable, differentiable_parameters, values_of_parameters
+from .model import Model
+from .model_derivative import ModelDerivative
+from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
 
-CVXPY_FLAGS = ("gp", "qcp", "nlp", "requires_grad", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
+CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 CVXPY_STATUS = {
     Status.SOLVED: settings.OPTIMAL,
     Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
@@ -45,6 +50,7 @@ def register() -> None:
     """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name."""
     for name in METHODS:
         cp.Problem.register_solve(name, solve_model)
+    answer_derivatives()
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -212,7 +218,7 @@ def stated_in_cvxpy(problem: LCP) -> Any:
 
 def solve_model(
     problem: Any, algorithm: Any = "auto", *, warm_start: bool = True, verbose: bool = False, solver: Any = None,
-    **options: Any,
+    requires_grad: bool = False, **options: Any,
 ) -> Any:
     """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
 
@@ -227,6 +233,8 @@ def solve_model(
         Tell the story of the run through cvxpy's logger.
     solver : None
         There because cvxpy passes it; there is no other solver to choose.
+    requires_grad : bool
+        Let ``problem.backward()`` and ``problem.derivative()`` differentiate this solution afterwards.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 
@@ -244,13 +252,19 @@ def solve_model(
     """
     if solver is not None:
         raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
+    clear_answering(problem)
+    if requires_grad:
+        refuse_without_derivatives()
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
-        return cp.Problem._solve(
-            problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, algorithm=algorithm, **options
-        )
-    foreign = [name for name in CVXPY_FLAGS if name in options]
-    if foreign:
-        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
+        options["algorithm"] = algorithm
+        if requires_grad:
+            return _differentiable_program(problem, warm_start, verbose, options)
+        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+        set_answering(problem, None)
+        return value
+    _refuse_flags(options)
+    parameters = differentiable_parameters(problem) if requires_grad else []
+    known = values_of_parameters(parameters)
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if start is not None and np.isfinite(start).all():
@@ -259,7 +273,33 @@ def solve_model(
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
+    answering = None
+    if requires_grad:
+        constraints = [report.constraint for report in model.reports]
+        answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
+    set_answering(problem, answering)
     return problem.value
+
+
+def _differentiable_program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+    """Solve a quadratic program by cvxpy's three public steps, and keep what its derivatives need."""
+    _refuse_flags(options)
+    parameters = differentiable_parameters(problem)
+    known = values_of_parameters(parameters)
+    data, chain, inverse_data = problem.get_problem_data(QPSolver, verbose=verbose)
+    refuse_undisciplined(chain)
+    answer = chain.solve_via_data(problem, data, warm_start, verbose, options)
+    solution = ProgramDerivative(problem, data, chain, inverse_data, answer, known)
+    problem.unpack_results(answer, chain, inverse_data)
+    solution.confirm(problem)
+    set_answering(problem, Differentiable(solution, parameters, solution.constraints))
+    return problem.value
+
+
+def _refuse_flags(options: Mapping[str, Any]) -> None:
+    foreign = [name for name in CVXPY_FLAGS if name in options]
+    if foreign:
+        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
 
 
 def write_back(problem: Any, model: Model, result: Result) -> None:

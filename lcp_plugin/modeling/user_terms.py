@@ -33,7 +33,7 @@ from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, attribute_bounds, leaf_value, name_of
+from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of
 from .extract import postorder
 
 Values = dict[int, Any]
@@ -298,6 +298,7 @@ def accompany(solver_class: type) -> None:
 
     @wraps(compiled)
     def get_problem_data(self: Any, solver: Any, *args: Any, **kwargs: Any) -> Any:
+        clear_answering(self)
         if isinstance(solver, str) and solver in METHODS:
             raise SolverError(
                 f"solver={solver!r}: cvxpy looks for names among its own solvers only; write "

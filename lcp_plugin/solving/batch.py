@@ -18,7 +18,8 @@ from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
 from .batch_items import Items, Listed, Stacked
 from .batch_result import BatchResult
-from .batch_run import BatchRun, checked_threads
+from .batch_run import BatchRun
+from .chunks import checked_threads
 from .result import Result
 
 

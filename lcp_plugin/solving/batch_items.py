@@ -10,10 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms.short_road import as_dense
+from ..algorithms.short_road import as_dense, is_short
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.structure import outer_on_pattern
 from ..policy.choice import takes_the_short_road
 from ..problem.lcp import LCP, checked_start
 
@@ -59,13 +60,22 @@ class Items:
         """Return its z0, or None."""
         raise NotImplementedError
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         raise NotImplementedError
 
     def slack(self, k: int, z: Any) -> Any:
         """Return w = M z + q of problem k."""
         return self.problem(k).slack(z)
+
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return left_i right_j of each problem's rows where M has entries, in the form in which M was given.
+
+        Parameters
+        ----------
+        left, right : arrays, shape (B, n), or lists of arrays
+        """
+        raise NotImplementedError
 
     def projected_start(self, k: int) -> Any:
         """Return where problem k begins."""
@@ -102,11 +112,16 @@ class Listed(Items):
         """Return its z0, or None."""
         return None if self._starts is None else self._starts[k]
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
-        for n in sorted(self.sizes if self._starts is None else ()):
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return a list of CSR arrays, on the pattern of each M; None where no z was found."""
+        triples = zip(self._problems, left, right, strict=True)
+        return [outer_on_pattern(one.matrix, a, b) if one and a.size == one.n else None for one, a, b in triples]
+
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
+        for n in sorted(self.sizes if every or self._starts is None else ()):
             same = [(k, one) for k, one in enumerate(self._problems) if one is not None and one.n == n]
-            items = [k for k, one in same if takes_the_short_road(one)]
+            items = [k for k, one in same if (is_short if every else takes_the_short_road)(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue
@@ -131,7 +146,7 @@ class Stacked(Items):
         if q is None:
             raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none")
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
-        self._vectors = {name: _rows(values, name, n) for name, values in named.items()}
+        self._vectors = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
         counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
         counts |= {} if self._shared else {"M": self._M.shape[0]}
         if len(set(counts.values())) > 1:
@@ -171,6 +186,17 @@ class Stacked(Items):
             return self.problem(k).slack(z)
         return self._M[k] @ z + self._row("q", k)
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products of shape (B, n, n), or their sum where one M stands for all, on its pattern if sparse."""
+        if not self._shared:
+            return left[:, :, np.newaxis] * right[:, np.newaxis, :]
+        if self._base is None or not sp.issparse(self._M):
+            return left.T @ right
+        total = outer_on_pattern(self._base.matrix, *np.zeros((2, left.shape[1])))
+        for a, b in zip(left, right, strict=True):
+            total.data += outer_on_pattern(self._base.matrix, a, b).data
+        return total
+
     def projected_start(self, k: int) -> Any:
         """Return where problem k begins."""
         start = self._row("z0", k) if "z0" in self._vectors else 0.0
@@ -180,17 +206,17 @@ class Stacked(Items):
         """Return its z0, or None."""
         return self._row("z0", k) if "z0" in self._vectors else None
 
-    def groups(self) -> Iterator[Group]:
-        """Yield those that are small enough for a compiled call, without errors."""
+    def groups(self, *, every: bool = False) -> Iterator[Group]:
+        """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         n = self._M.shape[-1]
         is_here = np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         if self._base is not None:
-            is_here &= takes_the_short_road(self._base)
+            is_here &= (is_short if every else takes_the_short_road)(self._base)
         elif n > COMPILED_SPARSE_UP_TO:
             is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
             is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)
-        elif n > 2:
+        elif n > 2 and not every:
             is_here[_tridiagonal(self._M)] = False  # solve knows better
         items = np.flatnonzero(is_here)
         if n == 0 or items.size == 0:
@@ -211,9 +237,9 @@ def _tridiagonal(M: Any) -> list[int]:
     return [k for k in suspects if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n]
 
 
-def _rows(values: ArrayLike, name: str, n: int) -> Any:
+def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
     """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
-    is_bound = name in ("lower", "upper")
+    is_bound = name in ("lower", "upper", "dlower", "dupper")
     need = f"{name} must have shape (B, n) or (n,), n = {n}{', or be a number' if is_bound else ''}"
     array = real_array(values, need)
     if array.ndim == 0 and is_bound:

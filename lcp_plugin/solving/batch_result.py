@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import LCPError
 from ..settings import Status
+from .batch_items import Items
 from .result import Result, Results
 
 
@@ -28,10 +29,12 @@ class BatchResult(Results):
     iterations : array of int, shape (B,)
     seconds : float
         Seconds of the whole batch, compilation excluded.
-    errors : dict
-        What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
-    result_of, slack : callable
-        Give ``batch[k]``, for k ≥ 0 without error, and M z + q of problem k for z.
+    items : Items
+        The problems.
+    result_of : callable
+        Gives ``batch[k]``, for k ≥ 0 without error.
+    threads : int
+        How many took part, and will in its derivative.
 
     Notes
     -----
@@ -40,17 +43,21 @@ class BatchResult(Results):
     """
 
     def __init__(
-        self, z: Any, status: Any, relative_residual: Any, iterations: Any, seconds: float,
-        errors: dict[int, LCPError], result_of: Callable[[int], Result], slack: Callable[[int, Any], Any],
+        self, z: Any, status: Any, relative_residual: Any, iterations: Any, seconds: float, items: Items,
+        result_of: Callable[[int], Result], threads: int,
     ) -> None:
-        self._slack = slack
         self.z, self.status, self.relative_residual, self.iterations = z, status, relative_residual, iterations
-        self.seconds, self.errors, self.result_of = seconds, errors, result_of
+        self.seconds, self.items, self.result_of, self.threads = seconds, items, result_of, threads
+
+    @property
+    def errors(self) -> dict[int, LCPError]:
+        """What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it."""
+        return self.items.errors
 
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; computed when it is looked at."""
-        rows = [np.full(len(z), np.nan) if k in self.errors else self._slack(k, z) for k, z in enumerate(self.z)]
+        rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
 
     @property

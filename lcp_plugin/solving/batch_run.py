@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from typing import Any
 
@@ -20,28 +18,11 @@ from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
 from .batch_items import Group, Items
 from .batch_result import BatchResult
+from .chunks import in_chunks
 from .driver import solve
 from .result import Result
 from .sprint import arrival, is_unwatched
 from .state import Clock
-
-LARGEST_CHUNK = 256  # problems between two looks at the clock
-CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
-
-
-def checked_threads(threads: Any) -> int:
-    """Return how many threads take part; all that the process may use for None.
-
-    Raises
-    ------
-    InvalidOption
-        Where it is no whole number ≥ 1.
-    """
-    if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
-        raise InvalidOption(f"threads must be a whole number ≥ 1, or None for all that may be used, got {threads!r}")
-    return int(threads)
 
 
 class BatchRun:
@@ -105,27 +86,16 @@ class BatchRun:
     def _run_compiled(self, group: Group, plan: Plan) -> None:
         from ..kernels.small_problems import run_all
 
-        count, n = group.items.size, group.M.shape[1]
-        answers, size = Answers(count, n), int(np.clip(count // (CHUNKS_A_THREAD * self.threads), 1, LARGEST_CHUNK))
+        answers = Answers(group.items.size, group.M.shape[1])
         arrays = group.M, group.q, group.lower, group.upper, group.starts
         limits = self.settings.tolerance, self.settings.max_iterations
 
-        def solve_chunk(first: int) -> None:
-            if self.clock.read() < self.limit and not self.is_interrupted:
-                run_all(*arrays, *plan, *limits, first, min(first + size, count), *answers.arrays)
+        def solve_chunk(first: int, end: int) -> None:
+            if self.clock.read() < self.limit:
+                run_all(*arrays, *plan, *limits, first, end, *answers.arrays)
 
-        chunks = range(0, count, size)
         try:
-            if self.threads == 1 or len(chunks) == 1:
-                for first in chunks:
-                    solve_chunk(first)
-            else:
-                with ThreadPoolExecutor(self.threads) as pool:
-                    try:
-                        list(pool.map(solve_chunk, chunks))
-                    except KeyboardInterrupt:
-                        self.is_interrupted = True  # the chunks that wait end at once
-                        raise
+            in_chunks(solve_chunk, group.items.size, self.threads)
         finally:
             arrived = np.flatnonzero(answers.has_arrived)
             self.place[0, group.items[arrived]], self.place[1, group.items[arrived]] = len(self.compiled), arrived
@@ -192,5 +162,4 @@ class BatchRun:
                 z[k], status[k] = self.items.projected_start(k), self._reason
         for array in (z, status, residual, iterations) if is_even else (status, residual, iterations):
             array.flags.writeable = False
-        errors, slack = self.items.errors, self.items.slack
-        return BatchResult(z, status, residual, iterations, self.seconds, errors, self.result_of, slack)
+        return BatchResult(z, status, residual, iterations, self.seconds, self.items, self.result_of, self.threads)

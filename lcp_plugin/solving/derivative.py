@@ -17,19 +17,24 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..certificates.active_rows import ActiveRows, proven_rows, settled_rows
-from ..certificates.error_bounds import ErrorBound, error_bound
+from ..certificates.error_bounds import ErrorBound, error_bound, relative_to
+from ..certificates.linear_bounds import block_error_bound
+from ..certificates.row_inequality import distance_above
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem
-from ..matrix.structure import row_numbers
+from ..matrix.structure import outer_on_pattern
+from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
+from .batch_derivative import BatchDerivative
+from .batch_result import BatchResult
 from .driver import solve
 from .result import Result
 
@@ -43,7 +48,7 @@ class Gradient(NamedTuple):
         By the entries of q and of the bounds; 0 for a bound that does not hold. Where lower = upper, the gradient
         belongs to the bound that the sign of w asks for; where both move together their sum counts.
     M : csr_array, shape (n, n)
-        By the entries that M has, in their places.
+        By the entries that M has, in their places; on ranks the own rows, shape (own, n).
     """
 
     q: FloatVector
@@ -52,25 +57,29 @@ class Gradient(NamedTuple):
     M: sp.csr_array
 
 
-def derivative(result: Result) -> Derivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds.
+@overload
+def derivative(result: Result) -> Derivative: ...
+@overload
+def derivative(result: BatchResult) -> BatchDerivative: ...
+def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
+    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch.
 
     Parameters
     ----------
-    result : Result
+    result : Result or BatchResult
         SOLVED. What its run has built (the hierarchy of M) serves again.
 
     Returns
     -------
-    Derivative
-        Nothing is computed before it is asked for.
+    Derivative or BatchDerivative
+        Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
 
     Raises
     ------
     UnsuitableProblem
-        Where the result is not SOLVED.
+        Where a Result is not SOLVED.
     InvalidOption
-        Where it is no Result.
+        Where it is neither.
 
     Examples
     --------
@@ -82,9 +91,11 @@ def derivative(result: Result) -> Derivative:
     >>> gradient.q, gradient.lower
     (array([-0.5,  0. ]), array([0. , 0.5]))
     >>> gradient.M.toarray()
-    array([[-1.25, -0.  ],
-           [-0.  , -0.  ]])
+    array([[-1.25,  0.  ],
+           [ 0.  ,  0.  ]])
     """
+    if isinstance(result, BatchResult):
+        return BatchDerivative(result, derivative)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
@@ -109,6 +120,9 @@ class Derivative:
     -----
     The solution is solved for once more on its free rows, with w in twice the working precision, so that rows are
     told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
+
+    On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.
+    There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
 
     def __init__(self, problem: LCP, z: FloatVector, w: FloatVector) -> None:
@@ -135,6 +149,10 @@ class Derivative:
         return np.flatnonzero(self._rows.degenerate)
 
     @cached_property
+    def _is_degenerate(self) -> bool:
+        return self._somewhere(bool(self._rows.degenerate.any()))
+
+    @cached_property
     def bound(self) -> ErrorBound | None:
         """The error bound of z, None where M allows none."""
         try:
@@ -149,13 +167,14 @@ class Derivative:
         True where a rigorous error bound proves of every row that it is strictly between its bounds, or at one with
         w ≠ 0. False where rows are degenerate, None where neither is known.
         """
-        if self._rows.degenerate.any():
+        if self._is_degenerate:
             return False
         bound = self.bound
         if bound is None or bound.kind != "rigorous":
             return None
         held, between = proven_rows(self.problem, bound)
-        return True if self.problem.peers.everywhere(bool((held | between).all())) else None
+        is_proven = np.where(self._rows.free, between, held)
+        return True if self.problem.peers.everywhere(bool(is_proven.all())) else None
 
     @cached_property
     def _system(self) -> FreeSystem:
@@ -201,21 +220,63 @@ class Derivative:
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h, dlower, dupper = self._change(dM, dq), self._moved(dlower, "dlower"), self._moved(dupper, "dupper")
-        rows = self._rows
-        if rows.degenerate.any():
-            return _one_sided(self.problem, rows, h, dlower, dupper)
-        dz = np.where(rows.at_lower, dlower, np.where(rows.at_upper, dupper, 0.0))
-        matrix = self.problem.matrix
+        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
+        rows, matrix = self._rows, self.problem.matrix
+        if self._is_degenerate:
+            return _one_sided(self.problem, rows, h, moved)
+        dz = np.where(rows.free, 0.0, moved)
         right = -h
-        if dz.any():
+        if self._somewhere(bool(dz.any())):
             right -= matrix.rows @ matrix.whole(dz)
         return dz + _solution(self._system, right)
+
+    def jvp_bound(
+        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+    ) -> float:
+        """Return a bound of ‖dz − dz*‖∞/‖dz‖∞, dz* the derivative in exact arithmetic at the exact solution.
+
+        Rigorous for the stored doubles, rounding and the error of z included: a dz of `jvp` has some ε κ(M_FF).
+
+        Parameters
+        ----------
+        dz : array, shape (n,)
+            Any, such as what `jvp` returns for the same changes.
+        dM, dq, dlower, dupper
+            As for `jvp`.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where `is_unique` is not True.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, solve
+        >>> found = derivative(solve(LCP([[3, 1], [1, 3]], [-5, 3])))
+        >>> dz = found.jvp(dq=[1, 0])
+        >>> found.jvp_bound(dz, dq=[1, 0]) < 1e-15, 0.9e-3 < found.jvp_bound(1.001 * dz, dq=[1, 0]) < 2e-3
+        (True, True)
+        """
+        bound = self.bound
+        if not self.is_unique or bound is None or bound.near is None:
+            raise UnsuitableProblem(
+                f"an error bound needs a derivative that is proven to exist, and is_unique is {self.is_unique}: M must "
+                "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
+            )
+        free = self._rows.free
+        dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
+        y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
+        error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
+        sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
+        return relative_to(*self.problem.peers.all_largest(*sizes))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
         matrix = self.problem.matrix
-        product: FloatVector = matrix.rows @ matrix.whole(finite_vector(dz, "dz", self.problem.own))
+        product: FloatVector = matrix.rows @ matrix.whole(self._own_part(dz, "dz"))
         return product + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -239,38 +300,57 @@ class Derivative:
             Where the block of M on the free rows is singular.
         """
         problem = self.problem
-        g = finite_vector(g, "g", problem.own)
-        by_w = np.zeros(problem.own) if gw is None else finite_vector(gw, "gw", problem.own)
-        if by_w.any():
-            g = g + self._transposed_product(by_w)
+        if not (problem.peers.is_alone or has_symmetric_entries(problem.matrix)):
+            problem.matrix.require_all_rows()
+        g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
+        by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
+        if self._somewhere(bool(by_w.any())):
+            g = g + self._transposed_product(by_w)
         multiplier = by_w - _solution(self._system, g, transposed=True)
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
-            _on_pattern(problem, multiplier, self.z),
+            outer_on_pattern(problem.matrix, multiplier, self.z),
         )
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""
-        n = self.problem.own
-        h = np.zeros(n) if dq is None else finite_vector(dq, "dq", n).copy()
-        if dM is not None:
-            self.problem.matrix.require_all_rows()
-            h += rectangular_matrix(dM, "dM", n, n) @ self.z
-        return h
+        h = self._optional(dq, "dq")
+        change = self._matrix_change(dM)
+        return h if change is None else h + change @ self.z
 
-    def _moved(self, change: ArrayLike | None, name: str) -> FloatVector:
-        if change is None or np.ndim(change) == 0:
-            change = np.full(self.problem.own, 0.0 if change is None else change)
-        return finite_vector(change, name, self.problem.own)
+    def _matrix_change(self, dM: Any) -> Any:
+        """Return dM as an array, None where none is given."""
+        if not self._somewhere(dM is not None):
+            return None
+        self.problem.matrix.require_all_rows()
+        return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)
+
+    def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
+        """Return the change of the bound at which a row is, or would be."""
+        dlower = self._optional(dlower, "dlower", may_be_number=True)
+        dupper = self._optional(dupper, "dupper", may_be_number=True)
+        return np.where(self._rows.is_upper, dupper, dlower)
+
+    def _optional(self, values: ArrayLike | None, name: str, *, may_be_number: bool = False) -> FloatVector:
+        """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
+        if values is None or (may_be_number and np.ndim(values) == 0):
+            values = np.full(self.problem.own, 0.0 if values is None else values)
+        return self._own_part(values, name)
+
+    def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
+        """Return a finite vector; on ranks all of them refuse what one of them refuses."""
+        return self.problem.peers.together(lambda: finite_vector(values, name, self.problem.own))
+
+    def _somewhere(self, is_so: bool) -> bool:
+        """Return whether it is so on any rank."""
+        return not self.problem.peers.everywhere(not is_so)
 
     def _transposed_product(self, x: FloatVector) -> FloatVector:
-        """Return Mᵀx."""
+        """Return Mᵀx; on several ranks M is symmetric."""
         matrix = self.problem.matrix
-        if not x.any():
-            return np.zeros(x.size)
-        product: FloatVector = matrix.array.T @ x
+        product: FloatVector = matrix.array.T @ x if matrix.peers.is_alone else matrix.rows @ matrix.whole(x)
         return product
 
 
@@ -284,22 +364,13 @@ def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = Fals
     return x
 
 
-def _on_pattern(problem: LCP, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries."""
-    rows, matrix = problem.matrix.csr_rows, problem.matrix
-    data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-
-
-def _one_sided(
-    problem: LCP, rows: ActiveRows, h: FloatVector, dlower: FloatVector, dupper: FloatVector
-) -> FloatVector:
+def _one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
     """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
 
-    d = db on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its lower bound d ≥ db,
-    (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
+    d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
+    lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
     """
-    moved = np.where(rows.is_upper, dupper, dlower)
+    problem.matrix.require_all_rows()
     lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
     upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)
     part = np.flatnonzero(rows.free | rows.degenerate)

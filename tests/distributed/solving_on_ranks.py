@@ -21,6 +21,7 @@ from lcp_plugin import (
     all_solutions,
     analyze,
     convergence_guarantee,
+    derivative,
     error_bound,
     prepare,
     solve,
@@ -373,6 +374,73 @@ def the_unit_of_a_row_changes_nothing(comm: Any) -> None:
     assert other.is_solved
     assert other.iterations <= one.iterations + 5
     np.testing.assert_allclose(other.z, one.z, rtol=1e-9, atol=1e-12)
+
+
+@check(1, 2, 3)
+def derivatives_are_those_of_one_process(comm: Any) -> None:
+    """Own parts in and out: jvp by q and the bounds, dw and vjp of a membrane; its gradient by M on the own rows."""
+    whole = gallery.build("obstacle_2d", size=40).problem
+    one, n = derivative(solve(whole, tolerance=1e-12)), whole.n
+    problem = LCP.from_problem(whole, comm)
+    own = slice(problem.first, problem.last)
+    found = derivative(solve(problem, tolerance=1e-12))
+    dq, dlower, g, gw = np.random.default_rng(0).normal(size=(4, n))
+
+    def near(part: Any, truth: Any) -> None:
+        assert part.shape == truth[own].shape
+        assert np.abs(part - truth[own]).max(initial=0.0) <= 1e-9 * np.abs(truth).max()
+
+    assert np.array_equal(found.free, one.free[own])
+    assert found.degenerate.size == 0
+    assert found.is_unique is one.is_unique is True
+    near(found.jvp(dq=dq[own]), one.jvp(dq=dq))
+    true = one.jvp(dq=dq, dlower=dlower, dupper=1.0)
+    dz = found.jvp(dq=dq[own], dlower=dlower[own], dupper=1.0)
+    near(dz, true)
+    near(found.dw(dz, dq=dq[own]), one.dw(true, dq=dq))
+    if found.is_unique:
+        bounds = comm.allgather(found.jvp_bound(dz, dq=dq[own], dlower=dlower[own], dupper=1.0))
+        assert len(set(bounds)) == 1
+        assert 0.0 < bounds[0] <= 1e-8
+    only_here = np.where(np.arange(n) < 5, 1.0, 0.0)  # the first rank alone has anything to say
+    near(found.jvp(dlower=only_here[own]), one.jvp(dlower=only_here))
+    for arguments in ((g,), (g, gw), (0.0 * g, only_here)):
+        gradient, truth = found.vjp(*(vector[own] for vector in arguments)), one.vjp(*arguments)
+        for name in ("q", "lower", "upper"):
+            near(getattr(gradient, name), getattr(truth, name))
+        rows = truth.M[own]
+        assert gradient.M.shape == rows.shape
+        assert np.array_equal(gradient.M.indices, rows.indices)
+        assert np.abs(gradient.M.data - rows.data).max(initial=0.0) <= 1e-9 * np.abs(truth.M.data).max()
+
+
+@check(2, 3)
+def derivatives_that_need_all_rows_are_refused_everywhere(comm: Any) -> None:
+    """A change of M, the adjoint of a nonsymmetric M, a side of a kink; also where one rank alone asks or is kinked."""
+    whole = gallery.build("obstacle_2d", size=9).problem
+    problem = LCP.from_problem(whole, comm)
+    found, own, is_last = derivative(solve(problem)), problem.last - problem.first, comm.rank == comm.size - 1
+    words = "rows of M are spread over"
+    with pytest.raises(UnsuitableProblem, match=words):
+        found.jvp(dM=np.eye(whole.n) if is_last else None)
+    with pytest.raises(UnsuitableProblem, match=words):
+        found.dw(np.zeros(own), dM=np.eye(whole.n))
+    drift = derivative(solve(LCP.from_problem(scene("convection_diffusion")[0], comm), tolerance=1e-10))
+    z = drift.z
+    assert np.isfinite(drift.jvp(dq=np.ones(z.size))).all()
+    with pytest.raises(UnsuitableProblem, match=words):
+        drift.vjp(np.ones(z.size))
+    q = np.full(whole.n, -1.0)
+    q[-1] = 1.0  # the neighbour's z is 1
+    M = sp.csr_array(sp.diags_array([np.r_[np.zeros(whole.n - 2), -1.0], np.ones(whole.n)], offsets=[-1, 0]))
+    kink = derivative(solve(LCP.from_problem(LCP(M, q), comm)))
+    assert kink.is_unique is False
+    assert kink.degenerate.size == is_last
+    with pytest.raises(UnsuitableProblem, match=words):
+        kink.jvp(dq=np.ones(kink.z.size))
+    for wrong in (found.vjp, found.dw, lambda part: found.jvp(dq=part), lambda part: found.jvp(dlower=part)):
+        with pytest.raises(LCPError, match="must be a finite vector of length"):
+            wrong(np.full(own, np.nan if is_last else 1.0))
 
 
 @check(2, 3)

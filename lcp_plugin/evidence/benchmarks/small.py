@@ -17,6 +17,8 @@ from ...errors import LCPError
 from ...problem.lcp import LCP
 from ...settings import Status
 from ...solving.batch import solve_batch
+from ...solving.batch_result import BatchResult
+from ...solving.derivative import derivative
 from ...solving.driver import solve
 from ..gallery import build
 from .rivals import ONE_THREAD, RIVALS, SEED, Case, Solver, contact, obstacle, spectrum
@@ -209,10 +211,23 @@ def _batches(repeats: int, rivals: dict[str, Solver], count: int) -> Iterator[st
         }
         if "compiled Lemke" in rivals:
             calls["rival"] = partial(_asked, COMPILED_LEMKE, cases)
-        unsolved = sum(status is not Status.SOLVED for status in solve_batch(M, q).status)
+        batch = solve_batch(M, q, threads=1)
+        unsolved = sum(status is not Status.SOLVED for status in batch.status)
+        if name.startswith("SPD"):  # others have rows at a kink, or no solution
+            calls["gradients"] = partial(_gradients, batch)
+            calls["matrices too"] = partial(_gradients, batch, of_matrices=True)
         seconds = medians(calls, max(repeats // 3, 1))
         told = f"÷ compiled Lemke {seconds['one'] / seconds['rival']:.2f}, " if "rival" in seconds else ""
         yield (
             f"batch of {len(cases)} {name}: {1e6 * seconds['one'] / len(cases):.2f} µs a problem, {told}"
             f"two threads {seconds['one'] / seconds['two']:.2f} × faster, {unsolved} unsolved"
         )
+        if "gradients" in seconds:
+            ratio, with_M = (seconds[name] / seconds["one"] for name in ("gradients", "matrices too"))
+            yield f"their gradients by q and the bounds ÷ solving: {ratio:.2f}, by M too {with_M:.2f}   target ≤ 1 ×"
+
+
+def _gradients(batch: BatchResult, *, of_matrices: bool = False) -> None:
+    gradient = derivative(batch).vjp(np.ones(batch.z.shape))
+    if of_matrices:
+        gradient.M  # noqa: B018 - computed when it is looked at

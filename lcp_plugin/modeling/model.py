@@ -1,0 +1,113 @@
+"""The LCP that a model became, the way back to its variables and constraints, and where its data come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..checks import FloatVector
+from ..problem.lcp import LCP
+from .equations import Elimination
+
+
+@dataclass(eq=False)
+class Report:
+    """What to write back into a constraint's dual variable: scale · (w or z)[columns] + shift."""
+
+    constraint: Any
+    columns: NDArray[np.int64]
+    shape: tuple[int, ...]
+    is_slack: bool
+    scale: Any = 1.0
+    shift: Any = 0.0
+    expression: Any = None  # whose parameters move scale and shift
+
+    def value(self, z: FloatVector, w: FloatVector) -> NDArray[np.float64]:
+        """Return the dual value in the constraint's own shape."""
+        values: FloatVector = self.scale * (w if self.is_slack else z)[self.columns] + self.shift
+        return values.reshape(self.shape, order="F")
+
+
+@dataclass(eq=False)
+class Model:
+    """An LCP together with the way back to the cvxpy variables and constraints."""
+
+    problem: LCP
+    variables: list[Any]
+    offsets: dict[int, int]
+    reports: list[Report] = field(repr=False)
+    elimination: Elimination = field(repr=False)
+    sources: Sources = field(repr=False)
+
+    def values(self, z: FloatVector) -> dict[int, Any]:
+        """Return the value of each variable by its id, in its own shape."""
+        return self.split(self.elimination.expand(z))
+
+    def split(self, unknowns: FloatVector) -> dict[int, Any]:
+        """Return what belongs to each variable, by its id and in its shape."""
+        places = [(variable, self.offsets[variable.id]) for variable in self.variables]
+        return {v.id: unknowns[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
+
+    def duals(self, z: FloatVector, w: FloatVector) -> list[tuple[Any, Any]]:
+        """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""
+        z, w = self.elimination.expand(z), self.elimination.expand_slack(w)
+        return [(report.constraint, report.value(z, w)) for report in self.reports]
+
+    def start(self) -> FloatVector | None:
+        """Return the present values of all variables as one vector; None where one has no value."""
+        if any(variable.value is None for variable in self.variables):
+            return None
+        z = np.zeros(self.elimination.offset.size)
+        for variable in self.variables:
+            first = self.offsets[variable.id]
+            z[first : first + variable.size] = np.ravel(variable.value, order="F")
+        return z[self.elimination.kept]
+
+
+@dataclass(frozen=True, eq=False)
+class BoundSource:
+    """Bounds of some unknowns: lower ≤ expression ≤ upper, where the expression is weights · unknowns + constants.
+
+    Attributes
+    ----------
+    columns : ndarray of int
+        The unknowns.
+    weights : ndarray
+        None of them zero.
+    expression : cvxpy expression
+    lower, upper : number, array or cvxpy expression
+    """
+
+    columns: NDArray[np.int64]
+    weights: FloatVector
+    expression: Any
+    lower: Any
+    upper: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Where the data of an LCP come from: the expressions of a model, before definitions were put in.
+
+    Attributes
+    ----------
+    functions : list of cvxpy expression
+        Those of the pairs, then those of the equations.
+    matrices : csr_array, csr_array
+        The entries of the pairs and of the equations, over all unknowns.
+    places : ndarray of int, shape (n,)
+        Which row is each row of the LCP, up to `signs`: of the pairs, then of the equations that define nothing.
+    signs : ndarray, shape (n,)
+    bounds : list of BoundSource
+        What holds of an unknown is what comes last.
+    """
+
+    functions: list[Any]
+    matrices: tuple[sp.csr_array, sp.csr_array]
+    places: NDArray[np.int64]
+    signs: FloatVector
+    bounds: list[BoundSource]

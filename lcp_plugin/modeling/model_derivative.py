@@ -1,0 +1,201 @@
+"""The derivative of a model's solution by its parameters: the LCP's own, at the solution, and that of its data.
+
+With z held, all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the
+gradient by q, dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of
+their own: D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ..checks import FloatVector
+from ..solving.result import Result
+from .model import BoundSource, Model
+from .parametric import ParametricExpression
+
+if TYPE_CHECKING:
+    from ..solving.derivative import Derivative
+
+Changes = dict[int, Any]
+
+
+class ModelDerivative:
+    """The derivative at the solution of a model of complementarities.
+
+    Parameters
+    ----------
+    model : Model
+    result : Result
+    known : dict
+        From the id of a parameter to the value with which the model was solved.
+    """
+
+    def __init__(self, model: Model, result: Result, known: Changes) -> None:
+        self._model, self._result, self._known = model, result, known
+        self._expressions: dict[int, ParametricExpression] = {}
+
+    def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
+        """Return the change of each variable, by its id, and of each dual value, with its constraint.
+
+        Parameters
+        ----------
+        changes : dict
+            From the id of a parameter to its change.
+        """
+        model, at = self._model, self._at
+        rows = np.concatenate([*(one.forward(changes) for one in self._functions), np.zeros(0)])
+        moved = np.zeros(model.elimination.offset.size)
+        pairs, equations = self._split(rows)
+        if (solved := self._definitions) is not None:
+            moved[model.elimination.columns] = -solved(equations[model.elimination.rows], "N")
+            pairs, equations = (
+                part + matrix @ moved for part, matrix in zip((pairs, equations), model.sources.matrices, strict=True)
+            )
+        undefined = np.delete(equations, model.elimination.rows)
+        h = model.sources.signs * np.concatenate([pairs, undefined])[model.sources.places]
+        dlower, dupper = self._moved_bounds(changes)
+        dz = at.jvp(dq=h, dlower=dlower, dupper=dupper)
+        dw = model.elimination.expand_slack(at.dw(dz, dq=h))
+        du = moved + dz if model.elimination.expansion is None else moved + model.elimination.expansion @ dz
+        duals = []
+        for report in model.reports:
+            change = report.scale * (dw if report.is_slack else du)[report.columns]
+            if report.expression is not None:
+                change = change + self._of(report.expression).forward(changes)
+            duals.append((report.constraint, change.reshape(report.shape, order="F")))
+        return model.split(du), duals
+
+    def pulled(self, by_variable: Changes, by_dual: Changes) -> Changes:
+        """Return the gradients by the parameters, by their ids, of a function of variables and dual values.
+
+        Parameters
+        ----------
+        by_variable, by_dual : dict
+            From the id of a variable, or of a constraint, to the gradient in its shape.
+        """
+        model, total = self._model, _Total()
+        by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
+        for variable in model.variables:
+            first = model.offsets[variable.id]
+            by_unknown[first : first + variable.size] = np.ravel(by_variable[variable.id], order="F")
+        for report in model.reports:
+            if (own := by_dual.get(report.constraint.id)) is not None:
+                own = np.ravel(own, order="F")
+                np.add.at(by_slack if report.is_slack else by_unknown, report.columns, report.scale * own)
+                if report.expression is not None:
+                    total.add(self._of(report.expression).backward(own))
+        kept, expansion = model.elimination.kept, model.elimination.expansion
+        g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
+        gradient = self._at.vjp(g, by_slack[kept])
+        rows = self._row_multipliers(gradient.q, by_unknown)
+        for one, part in zip(self._functions, self._parts(rows), strict=True):
+            total.add(one.backward(part))
+        by_lower, by_upper = np.zeros((2, by_unknown.size))
+        by_lower[kept], by_upper[kept] = gradient.lower, gradient.upper
+        for source, is_last in self._bounds():
+            self._pull_bound(source, by_lower[source.columns] * is_last, by_upper[source.columns] * is_last, total)
+        return total.by_id
+
+    @cached_property
+    def _at(self) -> Derivative:
+        from ..solving.derivative import derivative  # with compiled kernels, which a model alone does not need
+
+        return derivative(self._result)
+
+    @cached_property
+    def _leaves(self) -> Changes:
+        """The values of parameters and variables at the solution."""
+        return {**self._known, **self._model.values(self._at.z)}
+
+    def _of(self, expression: Any) -> ParametricExpression:
+        if id(expression) not in self._expressions:
+            self._expressions[id(expression)] = ParametricExpression(expression, self._leaves)
+        return self._expressions[id(expression)]
+
+    @property
+    def _functions(self) -> list[ParametricExpression]:
+        return [self._of(expression) for expression in self._model.sources.functions]
+
+    def _parts(self, rows: FloatVector) -> list[FloatVector]:
+        """Return the rows of each function."""
+        ends = np.cumsum([one.root.size for one in self._functions])
+        return np.split(rows, ends[:-1]) if ends.size else []
+
+    def _split(self, rows: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the rows of the pairs and those of the equations."""
+        count = self._model.sources.matrices[0].shape[0]
+        return rows[:count], rows[count:]
+
+    @cached_property
+    def _definitions(self) -> Callable[[FloatVector, str], FloatVector] | None:
+        """Solutions with the matrix of the defined unknowns in the rows that define them, and with its transpose."""
+        elimination = self._model.elimination
+        if elimination.expansion is None:
+            return None
+        matrix = self._model.sources.matrices[1][elimination.rows][:, elimination.columns]
+        solution: Callable[[FloatVector, str], FloatVector] = splu(sp.csc_array(matrix)).solve
+        return solution
+
+    def _row_multipliers(self, multipliers: FloatVector, by_unknown: FloatVector) -> FloatVector:
+        """Return the gradient by each row of the model from that by the rows of the LCP."""
+        model, sources = self._model, self._model.sources
+        first, second = sources.matrices
+        undefined = np.delete(np.arange(second.shape[0]), model.elimination.rows)
+        rows = np.zeros(first.shape[0] + second.shape[0])
+        places = np.append(np.arange(first.shape[0]), first.shape[0] + undefined)
+        rows[places[sources.places]] = sources.signs * multipliers
+        if (solved := self._definitions) is not None:
+            pairs, equations = self._split(rows)
+            by_defined = (by_unknown + first.T @ pairs + second.T @ equations)[model.elimination.columns]
+            rows[first.shape[0] + model.elimination.rows] = -solved(by_defined, "T")
+        return rows
+
+    def _bounds(self) -> Iterator[tuple[BoundSource, Any]]:
+        """Yield where bounds come from, and for which of its unknowns nothing comes later."""
+        last = np.zeros(self._model.elimination.offset.size, dtype=np.int64)
+        for k, source in enumerate(self._model.sources.bounds):
+            last[source.columns] = k
+        for k, source in enumerate(self._model.sources.bounds):
+            yield source, last[source.columns] == k
+
+    def _moved_bounds(self, changes: Changes) -> tuple[FloatVector, FloatVector]:
+        lower, upper = np.zeros((2, self._model.elimination.offset.size))
+        for source, _ in self._bounds():
+            own = self._of(source.expression).forward(changes)
+            low, high = (
+                (self._of(bound).forward(changes) if isinstance(bound, cp.Expression) else 0.0) - own
+                for bound in (source.lower, source.upper)
+            )
+            positive = source.weights > 0.0
+            lower[source.columns] = np.where(positive, low, high) / source.weights
+            upper[source.columns] = np.where(positive, high, low) / source.weights
+        return lower[self._model.elimination.kept], upper[self._model.elimination.kept]
+
+    def _pull_bound(self, source: BoundSource, by_lower: FloatVector, by_upper: FloatVector, total: _Total) -> None:
+        positive = source.weights > 0.0
+        low = np.where(positive, by_lower, by_upper) / source.weights
+        high = np.where(positive, by_upper, by_lower) / source.weights
+        total.add(self._of(source.expression).backward(-(low + high)))
+        for bound, gradient in ((source.lower, low), (source.upper, high)):
+            if isinstance(bound, cp.Expression):
+                whole = gradient.sum() if bound.size == 1 else gradient
+                total.add(self._of(bound).backward(whole))
+
+
+class _Total:
+    """Gradients by parameters, added up."""
+
+    def __init__(self) -> None:
+        self.by_id: Changes = {}
+
+    def add(self, gradients: Changes) -> None:
+        for key, gradient in gradients.items():
+            self.by_id[key] = self.by_id.get(key, 0.0) + gradient

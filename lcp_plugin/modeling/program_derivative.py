@@ -1,0 +1,276 @@
+"""The derivative of a quadratic program's solution by its parameters, through its optimality conditions as an LCP.
+
+z = (x, multipliers), M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b). Where a problem follows the DPP rules,
+the program that cvxpy compiles is affine in the parameters: P, c and [A b] are tensors times (parameters, 1). With z
+held they make one sparse Jacobian of M z + q by the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+from cvxpy import settings
+from cvxpy.reductions.solution import Solution
+from numpy.typing import NDArray
+
+from ..checks import FloatVector
+from ..conversions.qp_solution import QPSolution
+from ..errors import UnsuitableProblem, UnsupportedModel
+from ..problem.lcp import LCP
+from ._compat import dense, leaf_value
+from .model_derivative import Changes
+from .qp_solver import SAME, Answer
+
+if TYPE_CHECKING:
+    from ..solving.derivative import Derivative
+
+
+ROUNDING = 1e-9  # of the terms of a residual that is computed in two ways
+
+NOT_UNIQUE = (
+    "the minimum of the program, or its multipliers, are not determined by the active constraints alone: these are "
+    "linearly dependent, or the objective is flat between them; drop redundant constraints, or make the objective "
+    "strictly convex"
+)
+
+
+class Entries(NamedTuple):
+    """Which unknown each entry of a variable or dual value is, up to a sign; 0 for an entry that is always zero."""
+
+    places: NDArray[np.int64]
+    signs: FloatVector
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, numbers: Any, first: int, shape: tuple[int, ...]) -> Entries:
+        """Return the entries from numbers that count the unknowns from 1; `first` is the place of the first."""
+        flat = np.rint(np.ravel(dense(numbers), order="F"))
+        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), shape)
+
+    def taken(self, unknowns: FloatVector) -> Any:
+        """Return the variable's entries."""
+        return (self.signs * unknowns[self.places]).reshape(self.shape, order="F")
+
+    def add_to(self, total: FloatVector, gradient: Any) -> None:
+        """Add what a gradient by the entries is by the unknowns."""
+        np.add.at(total, self.places, self.signs * np.ravel(gradient, order="F"))
+
+
+@contextmanager
+def _in_words_of_programs() -> Iterator[None]:
+    try:
+        yield
+    except UnsuitableProblem as error:
+        raise UnsuitableProblem(NOT_UNIQUE) from error
+
+
+def refuse_undisciplined(chain: Any) -> None:
+    """Raise where cvxpy compiled a program without its parameters, because they break the DPP rules."""
+    if any(type(reduction).__name__ == "EvalParams" for reduction in chain.reductions):
+        raise UnsupportedModel(
+            "gradients of a quadratic program need the DPP rules, by which every number of the program is affine in "
+            "the parameters; make the offending expression a parameter of its own, or state the optimality conditions "
+            "with complements, where parameters may stand anywhere"
+        )
+
+
+class ProgramDerivative:
+    """The derivative at the solution of a quadratic program that cvxpy compiled.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        Nothing of it is kept but its constraints.
+    data, chain, inverse_data
+        What ``problem.get_problem_data`` returned.
+    answer : Answer
+        What the solver said of it.
+    known : dict
+        From the id of a parameter to the value with which the program was solved.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where a variable is not found again in the compiled program.
+    """
+
+    def __init__(
+        self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: Answer, known: Changes
+    ) -> None:
+        self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
+        self._equations = int(data["n_eq"])
+        self._variables = {
+            variable.id: self._entries_of(variable, chain, inverse_data) for variable in problem.variables()
+        }
+        numbers = 1.0 + np.arange(self._multipliers.size)
+        inequality, equality = np.split(numbers, [numbers.size - self._equations])
+        zero = np.zeros(answer.solution.x.size)
+        counted = QPSolution(answer.solution.program, zero, inequality, equality, zero, zero)
+        inverted = chain.invert(Answer(answer.result, counted, settings.OPTIMAL, answer.goal), inverse_data)
+        self._duals = [
+            (constraint, Entries.of(inverted.dual_vars[constraint.id], zero.size, constraint.dual_variables[0].shape))
+            for constraint in problem.constraints if constraint.id in (inverted.dual_vars or {})
+        ]
+
+    def confirm(self, problem: Any) -> None:
+        """Raise where the compiled program, as it is read here, is not the one that was solved and unpacked.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+            With the values of the solve.
+        """
+        if self._answer.status != settings.OPTIMAL:
+            return
+        z, point = self._z, self._by_column(self._known)
+        point[-1] = 1.0
+        found = [(self._variables[variable.id].taken(z), leaf_value(variable)) for variable in problem.variables()]
+        found += [(entries.taken(z), constraint.dual_value) for constraint, entries in self._duals]
+        residual = self._residual(z)
+        error = np.abs(residual @ point - (self._conditions.M @ z + self._conditions.q))
+        is_same = (error <= ROUNDING * (1.0 + abs(residual) @ np.abs(point))).all()
+        goal = SAME * self._answer.goal  # cvxpy projects values on the attributes of their variables
+        if not is_same or not all(_agree(own, dense(theirs), goal) for own, theirs in found):
+            raise UnsupportedModel(
+                f"cvxpy {cp.__version__} compiled this program to a layout that is not known here, so that its "
+                "gradients would be wrong; leave requires_grad out, or use a release from 1.6 to 1.9"
+            )
+
+    @property
+    def constraints(self) -> list[Any]:
+        """Those that have dual values."""
+        return [constraint for constraint, _ in self._duals]
+
+    def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
+        """Return the change of each variable, by its id, and of each dual value, with its constraint."""
+        self._refuse_unsolved()
+        with _in_words_of_programs():
+            dz = self._at.jvp(dq=self._jacobian @ self._by_column(changes)[:-1])
+        variables = {key: entries.taken(dz) for key, entries in self._variables.items()}
+        return variables, [(constraint, entries.taken(dz)) for constraint, entries in self._duals]
+
+    def pulled(self, by_variable: Changes, by_dual: Changes) -> Changes:
+        """Return the gradients by the parameters, by their ids."""
+        self._refuse_unsolved()
+        g = np.zeros(self._jacobian.shape[0])
+        for key, entries in self._variables.items():
+            entries.add_to(g, by_variable[key])
+        for constraint, entries in self._duals:
+            if constraint.id in by_dual:
+                entries.add_to(g, by_dual[constraint.id])
+        with _in_words_of_programs():
+            by_column = self._jacobian.T @ self._at.vjp(g).q
+        parameters = {parameter.id: parameter for parameter in self._program.parameters}
+        return {
+            key: by_column[first : first + parameters[key].size].reshape(parameters[key].shape, order="F")
+            for key, first in self._columns.items()
+        }
+
+    @property
+    def _columns(self) -> dict[int, int]:
+        """The first column of each parameter by its id; the constants have a negative id, and the last column."""
+        known = {parameter.id for parameter in self._program.parameters}
+        return {key: column for key, column in self._program.param_id_to_col.items() if key in known}
+
+    def _by_column(self, values: Changes) -> FloatVector:
+        """Return values of the parameters in their columns, and 0 in the last one."""
+        whole = np.zeros(self._program.q.shape[1])
+        for key, column in self._columns.items():
+            part = np.ravel(dense(values[key]), order="F")
+            whole[column : column + part.size] = part
+        return whole
+
+    @property
+    def _multipliers(self) -> FloatVector:
+        solution = self._answer.solution
+        return np.concatenate([solution.inequality, solution.equality])
+
+    def _entries_of(self, variable: Any, chain: Any, inverse_data: Any) -> Entries:
+        """Return which of the compiled program's unknowns are the entries of a user's variable."""
+        numbers, leaf = None, variable
+        for reduction, data in zip(chain.reductions, inverse_data, strict=False):
+            if isinstance(data, tuple) and data and isinstance(data[0], dict) and variable.id in data[0]:
+                leaf = data[0][variable.id]  # CvxAttr2Constr's, in the place of the variable
+                if leaf.size != variable.size:
+                    counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
+                    numbers = reduction.invert(Solution(settings.OPTIMAL, 0.0, counted, {}, {}), data)
+                    numbers = numbers.primal_vars[variable.id]
+        if numbers is None:
+            numbers = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F")
+        if leaf.id not in self._program.var_id_to_col and variable.size:
+            raise UnsupportedModel(
+                f"variable {variable.name()} is not among those of the program that cvxpy made; leave requires_grad "
+                "out, or use a plain variable"
+            )
+        return Entries.of(numbers, self._program.var_id_to_col.get(leaf.id, 0), variable.shape)
+
+    def _refuse_unsolved(self) -> None:
+        if self._answer.status != settings.OPTIMAL:
+            raise UnsuitableProblem(
+                f"only a solution has a derivative, and this run ended {self._answer.status}: "
+                f"{self._answer.result.advice}"
+            )
+
+    @property
+    def _z(self) -> FloatVector:
+        return np.concatenate([self._answer.solution.x, self._multipliers])
+
+    @cached_property
+    def _conditions(self) -> LCP:
+        """The optimality conditions; rows without a limit have no multiplier."""
+        program = self._answer.solution.program
+        rows = sp.csr_array(sp.vstack([program.G, program.A]))
+        M = sp.block_array([[program.P, rows.T], [-rows, None]], format="csr")
+        limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
+        is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
+        lower = np.concatenate([-free, np.zeros(program.h.size), -none])
+        upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
+        return LCP(M, np.concatenate([program.c, np.where(is_limit, limits, 0.0)]), lower=lower, upper=upper)
+
+    @cached_property
+    def _at(self) -> Derivative:
+        from ..solving.derivative import Derivative  # with compiled kernels, which a program alone does not need
+
+        problem, z = self._conditions, self._z
+        return Derivative(problem, z, problem.M @ z + problem.q)
+
+    @cached_property
+    def _jacobian(self) -> sp.csr_array:
+        """The derivative of M z + q by the columns of the parameters, z held."""
+        return sp.csr_array(self._residual(self._at.z)[:, :-1])
+
+    def _residual(self, z: FloatVector) -> sp.csr_array:
+        """Return the matrix that makes M z + q of (parameters, 1), z held.
+
+        cvxpy's rows are A x + b = 0 first, then A x + b ≥ 0; entry (i, j) of [A b] is row i + j·rows of the tensor.
+        """
+        program = self._program
+        n = program.x.size
+        x, y, equality = np.split(z, [n, z.size - self._equations])
+        multipliers = np.append(equality, -y)
+        place = n + np.append(y.size + np.arange(equality.size), np.arange(y.size))
+        sign = np.append(np.full(equality.size, -1.0), np.ones(y.size))
+        A, c = sp.coo_array(program.A), sp.coo_array(program.q)
+        data = np.where(np.isfinite(A.data), A.data, 0.0)  # rows without a limit
+        j, i = np.divmod(A.row, max(multipliers.size, 1))
+        of_x, of_c = j < n, c.row < n  # the others are b, and the constant of the objective
+        parts = [
+            (c.row[of_c], c.col[of_c], c.data[of_c]),
+            (j[of_x], A.col[of_x], (multipliers[i] * data)[of_x]),
+            (place[i], A.col, sign[i] * np.append(x, 1.0)[j] * data),
+        ]
+        if program.P is not None:
+            P = sp.coo_array(program.P)
+            parts.append((P.row % n, P.col, P.data * x[P.row // n]))
+        row, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return sp.csr_array(sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1])))
+
+
+def _agree(own: Any, theirs: Any, tolerance: float) -> bool:
+    return bool((np.abs(own - theirs) <= tolerance * (1.0 + np.abs(own).max(initial=0.0))).all())

@@ -1,0 +1,178 @@
+"""The layer for PyTorch: its gradients are those of differences, and what it cannot do it says."""
+
+from __future__ import annotations
+
+import doctest
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from planted import planted
+
+torch = pytest.importorskip("torch")
+
+import lcp_plugin.learn.torch as layers  # noqa: E402
+from lcp_plugin import LCP, InvalidProblem, NotConverged, UnsuitableProblem, derivative, gallery, solve  # noqa: E402
+from lcp_plugin.learn.torch import lcp_layer  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore:Sparse (CSR|invariant):UserWarning")  # PyTorch, of each CSR tensor
+INF = np.inf
+
+
+def leaves(*arrays: Any) -> list[Any]:
+    """Tensors that want a gradient."""
+    return [torch.tensor(array, dtype=torch.float64, requires_grad=True) for array in arrays]
+
+
+def test_examples_of_its_help() -> None:
+    """The doctests of the module, which others leave out."""
+    assert doctest.testmod(layers).failed == 0
+    assert doctest.testmod(layers).attempted > 3
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
+    """torch.autograd.gradcheck in M, q, lower and upper, with boxes, half-lines and free rows."""
+    data = leaves(*planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0))
+    assert torch.autograd.gradcheck(lcp_layer, data)
+
+
+def test_gradients_of_equal_bounds_move_together() -> None:
+    """Rows with lower = upper: what moves both has the gradient of differences."""
+    M, q, lower, _ = planted(3, 4, 2)
+    M, q, lower = leaves(M, q, np.where(lower > -INF, lower, 0.0))
+    assert torch.autograd.gradcheck(lambda M, q, both: lcp_layer(M, q, both, both), (M, q, lower))
+
+
+def test_gradients_are_those_of_each_problem() -> None:
+    """What one Result's own derivative says, for a single problem without axes in front."""
+    M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
+    tensors = leaves(M, q, lower, upper)
+    lcp_layer(*tensors).sum().backward()
+    own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
+    for tensor, gradient in zip(tensors, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
+        assert np.allclose(tensor.grad.numpy(), gradient, rtol=1e-12, atol=1e-13)
+
+
+def test_axes_in_front_broadcast() -> None:
+    """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
+    M, q, _, _ = planted(4, 6, 4)
+    M, q, lower = leaves(M[:3, None], q, np.zeros(6))
+    z = lcp_layer(M, q, lower, 2.0)
+    assert z.shape == (3, 4, 6)
+    one_by_one = torch.stack([torch.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)])
+    assert torch.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
+    assert torch.autograd.gradcheck(lambda *data: lcp_layer(*data, 2.0), (M, q, lower))
+    assert lcp_layer(M[:0], q).shape == (0, 4, 6)
+
+
+def test_a_sparse_matrix() -> None:
+    """A CSR tensor has a gradient by its values, on its pattern, explicit zeros too; a scipy array is a constant."""
+    scene = gallery.obstacle_2d(size=5).problem
+    pattern = [torch.tensor(array) for array in (scene.M.indptr.astype(np.int64), scene.M.indices.astype(np.int64))]
+    values, q = leaves(scene.M.data, np.stack([scene.q, scene.q - 0.3]))
+    with torch.no_grad():
+        values[1] = 0.0
+    lower = torch.tensor(scene.lower)
+
+    def layer(values: Any, q: Any) -> Any:
+        return lcp_layer(torch.sparse_csr_tensor(*pattern, values, scene.M.shape), q, lower)
+
+    assert torch.autograd.gradcheck(layer, (values, q))
+    assert torch.equal(lcp_layer(scene.M, q[0], lower), lcp_layer(scene.M, q, lower)[0])
+    assert torch.autograd.gradcheck(lambda q: lcp_layer(scene.M, q, lower), (q,))
+
+
+def test_many_unknowns() -> None:
+    """An obstacle problem with 10 000 unknowns, differentiated by its load and its obstacle."""
+    scene = gallery.obstacle_2d(size=100).problem
+    q, lower = leaves(scene.q, scene.lower)
+    lcp_layer(scene.M, q, lower).sum().backward()
+    own = derivative(solve(scene)).vjp(np.ones(scene.n))
+    assert np.allclose(q.grad, own.q, rtol=1e-8, atol=1e-8 * np.abs(own.q).max())
+    assert np.allclose(lower.grad, own.lower, rtol=1e-8, atol=1e-8)
+
+
+def test_the_answer_is_exact_whatever_the_tolerance() -> None:
+    """The answer is solved for once more: at a tolerance of 1e-2 it is the same to rounding."""
+    M, q, lower, upper = (torch.tensor(array) for array in planted(5, 8, 5))
+    rough = lcp_layer(M, q, lower, upper, algorithm="psor", tolerance=1e-3)
+    assert torch.allclose(rough, lcp_layer(M, q, lower, upper, tolerance=1e-12), rtol=1e-13, atol=1e-14)
+    assert not rough.requires_grad
+
+
+def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
+    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
+    q = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    lcp_layer(torch.tensor([[2.0]], dtype=torch.float64), q).sum().backward()
+    assert q.grad.item() in (0.0, -0.5)
+
+
+def test_what_is_not_solved_is_named() -> None:
+    """A batch with problems that have no solution raises, and says which; so does one with NaN."""
+    q = torch.zeros((2, 3, 2), dtype=torch.float64)
+    M = torch.eye(2, dtype=torch.float64).repeat(2, 3, 1, 1)
+    M[0, 1] = M[1, 2] = -M[0, 1]
+    with pytest.raises(NotConverged, match=r"problem \(0, 1\) of the batch .* \(nor do \(1, 2\)\).*INFEASIBLE|NO_SOL"):
+        lcp_layer(M, q - 1.0)
+    q[1, 0, 0] = np.nan
+    with pytest.raises(InvalidProblem, match=r"problem \(1, 0\) of the batch.*q\[0\] = nan"):
+        lcp_layer(torch.eye(2, dtype=torch.float64), q)
+    with pytest.raises(NotConverged, match=r"^the problem gives the layer no solution.*MAX_ITERATIONS"):
+        lcp_layer(2.0 * torch.eye(2, dtype=torch.float64), q[0, 0] - 1.0, algorithm="psor", max_iterations=0)
+
+
+def test_a_singular_block_is_told_in_the_backward_pass() -> None:
+    """No gradient exists there; the forward pass has an answer all the same."""
+    M, q = leaves(np.zeros((1, 1)), np.zeros(1))
+    z = lcp_layer(M, q, -INF)
+    with pytest.raises(UnsuitableProblem, match="singular"):
+        z.sum().backward()
+
+
+def test_what_autograd_must_not_do() -> None:
+    """A second derivative, and a matrix changed between the passes, are refused."""
+    M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
+    (first,) = torch.autograd.grad(lcp_layer(M, q).square().sum(), q, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        first.sum().backward()
+    z = lcp_layer(M, q)
+    with torch.no_grad():
+        M += 1.0
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        z.sum().backward()
+
+
+EYE, ONES = np.eye(2), np.ones(2)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda t: lcp_layer(t(EYE), t(ONES).float()), r"q must be a tensor of float64, got torch.float32; write q.d"),
+        (lambda t: lcp_layer(t(EYE).int(), t(ONES)), r"M must be a tensor of float64, got torch.int32; write M.double"),
+        (lambda t: lcp_layer(t(EYE).to_sparse(), t(ONES)), r"M must be dense, or one CSR tensor.*M.to_sparse_csr\(\)"),
+        (lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()), r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)"),
+        (lambda t: lcp_layer(t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
+        (lambda t: lcp_layer(t(EYE), t(1.0)), "q must have shape"),
+        (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
+        (lambda t: lcp_layer(t(ONES), t(ONES)), "M must have shape"),
+        (lambda t: lcp_layer(t(np.ones((2, 3))), t(ONES)), "M must have shape"),
+        (lambda t: lcp_layer(t(np.eye(3)), t(ONES)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),
+        (lambda t: lcp_layer(t(EYE), t(ONES), t(np.zeros(3))), "lower must be a number or have the length of q, 2"),
+    ],
+)
+def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
+    """Other types, places, layouts and shapes, in words that name the argument and what to write."""
+    with pytest.raises(InvalidProblem, match=said):
+        call(lambda array: torch.tensor(array, dtype=torch.float64))
+
+
+def test_constants_may_be_arrays_and_numbers() -> None:
+    """What is no tensor is a constant: numpy arrays, lists, sparse arrays, numbers."""
+    q = torch.tensor([-5.0, 1.0], dtype=torch.float64, requires_grad=True)
+    answers = [lcp_layer(M, q, [0, 0], np.inf) for M in ([[2, 1], [1, 2]], sp.csr_array([[2.0, 1.0], [1.0, 2.0]]))]
+    assert [z.tolist() for z in answers] == [[2.5, 0.0]] * 2

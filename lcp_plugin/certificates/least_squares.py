@@ -34,7 +34,6 @@ OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of on
 REPAIR_STEPS = 300  # of conjugate gradients for a p; more than A of condition 100 needs
 ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
-COPIED_UP_TO = 10**6  # entries; copies of so small an A cost little
 PUSHES = 4  # times that δ may be doubled
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
@@ -294,8 +293,7 @@ def _pushed_gap(
 def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
     """Return p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0."""
     push, is_near = _pushing_by_steps(problem, wanted)
-    m, n = problem.shape
-    return push if is_near or not problem.has_entries or m * n > COPIED_UP_TO else _pushing_by_factor(problem, wanted)
+    return push if is_near or not problem.is_cheap_to_copy else _pushing_by_factor(problem, wanted)
 
 
 def _pushing_by_steps(problem: LeastSquares, wanted: FloatVector) -> tuple[FloatVector, bool]:

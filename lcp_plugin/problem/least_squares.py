@@ -23,6 +23,7 @@ from ..checks import (
 )
 from ..errors import InvalidOption, InvalidProblem
 
+COPIED_UP_TO = 10**6  # places of A
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -77,6 +78,11 @@ class LeastSquares:
     def is_dense(self) -> bool:
         """Whether A is an ndarray."""
         return self.has_entries and not self.is_sparse
+
+    @property
+    def is_cheap_to_copy(self) -> bool:
+        """Whether A has entries, and so few places for them that dense copies cost little."""
+        return self.has_entries and self.shape[0] * self.shape[1] <= COPIED_UP_TO
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:

@@ -18,7 +18,9 @@ from ..algorithms.least_squares.interior_steps import interior_steps
 from ..algorithms.least_squares.normal_equations import compiled_point, interior_points_of_gram
 from ..algorithms.least_squares.point import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
-from ..certificates.least_squares import COPIED_UP_TO, Enclosures, Optimality, duality_gap
+from ..algorithms.rehearsal import rehearse
+from ..algorithms.short_road import ShortRoad
+from ..certificates.least_squares import Enclosures, Optimality, duality_gap
 from ..checks import FloatVector, read_only, restored
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..deadline import time_limit
@@ -26,6 +28,7 @@ from ..errors import NotConverged
 from ..matrix.factors import LARGEST_DENSE
 from ..peers.alone import Peers
 from ..policy.pacing import Progress
+from ..problem.lcp import LCP
 from ..problem.least_squares import LeastSquares, UnitLeastSquares
 from ..settings import Settings, Status
 from .state import Clock
@@ -213,6 +216,10 @@ class _Run:
     """One run: stages yield points, and the first reason to end ends it."""
 
     def __init__(self, problem: LeastSquares, settings: Settings, start: FloatVector) -> None:
+        largest = COMPILED_SPARSE_UP_TO if problem.is_sparse else COMPILED_UP_TO
+        self._is_small = problem.is_cheap_to_copy and problem.shape[1] <= largest
+        if self._is_small:
+            rehearse(ShortRoad(), LCP([[1.0]], [-1.0]))  # compiled before the clock runs
         self.problem, self.settings, self.clock = problem, settings, Clock(Peers())
         self.enclosures, self.start = Enclosures(problem), start
         self.best: Point | None = None  # by what its own products say, `judged` by the caller's data
@@ -229,9 +236,7 @@ class _Run:
     @cached_property
     def sharp(self) -> Enclosures | None:
         """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
-        A = self.problem.A
-        is_cheap = self.problem.has_entries and (A.nnz if self.problem.is_sparse else A.size) <= COPIED_UP_TO
-        return Enclosures(self.problem, is_sharp=True) if is_cheap else None
+        return Enclosures(self.problem, is_sharp=True) if self.problem.is_cheap_to_copy else None
 
     def drive(self) -> Status:
         """Go through the stages; return why the run ended."""
@@ -255,12 +260,11 @@ class _Run:
         """Yield what is tried in turn, each from the best point so far."""
         problem = self.problem
         if problem.has_entries:
-            columns, is_small = problem.shape[1], self._is_small
-            if not is_small:
+            if not self._is_small:
                 patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
                 yield islice(projected_steps(self._incumbent()), patience)
-            if problem.is_dense or is_small:
-                if columns <= LARGEST_DENSE and (dense := DenseFaces.of(self.unit)) is not None:
+            if problem.is_dense or problem.is_cheap_to_copy:
+                if problem.shape[1] <= LARGEST_DENSE and (dense := DenseFaces.of(self.unit)) is not None:
                     yield from self._by_orthogonal_factors(dense)
             elif (sparse := SparseFaces.of(self.unit)) is not None:
                 self.faces = sparse
@@ -272,11 +276,6 @@ class _Run:
         if self._is_small and (start := compiled_point(self._incumbent(), faces)) is not None:
             yield active_set_steps(start, faces)
         yield _in_turn(interior_steps(self._incumbent(), faces), faces)
-
-    @property
-    def _is_small(self) -> bool:
-        largest = COMPILED_SPARSE_UP_TO if self.problem.is_sparse else COMPILED_UP_TO
-        return bool(self.problem.shape[1] <= largest)
 
     def _refine(self, point: Point) -> None:
         """Solve on the face of the answer once more where there is a factor for it; what is better is kept."""

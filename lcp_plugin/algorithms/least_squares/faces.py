@@ -18,6 +18,7 @@ from ...matrix.factors import factor_fits, factorise
 from ...problem.least_squares import UnitLeastSquares
 from .point import Point
 
+RANK = 4.0 * EPSILON  # times the larger dimension: singular values below this share of the largest are 0
 LOOKED_AT = 100  # columns of AᵀA, which tell how many entries it has
 LARGER = 3.0  # entries of AᵀA by those of A: one that is symmetric could be kept in half of them
 SHIFT = 8.0 * EPSILON  # of columns of unit length, so that the factor of a singular AᵀA is one
@@ -70,7 +71,8 @@ class DenseFaces:
         correction = np.zeros(free.size)
         residual = self.matrix @ point.x - self.right
         try:
-            correction[free] = lstsq(self.matrix[:, free], -residual, lapack_driver="gelsy", check_finite=False)[0]
+            block, rank_below = self.matrix[:, free], RANK * max(self.matrix.shape)
+            correction[free] = lstsq(block, -residual, rank_below, lapack_driver="gelsy", check_finite=False)[0]
         except (LinAlgError, ValueError):
             return None
         return correction

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...checks import FloatVector
 from ...kernels.floats import EPSILON
-from .faces import DenseFaces
+from .faces import RANK, DenseFaces
 from .point import Point
 
 START = 0.1  # first distances from the bounds and first multipliers, ÷ the largest x and gradient
@@ -83,7 +83,7 @@ class _Interior:
         from scipy.linalg import qr
 
         bend = (self.multipliers / self.distances).sum(axis=0)[self.columns]
-        root = np.sqrt(np.maximum(bend, EPSILON**2))
+        root = np.maximum(np.sqrt(bend), RANK * max(self.matrix.shape))  # of columns that nothing else holds
         matrix = np.vstack([self.matrix[:, self.columns], np.diag(root)])
         if not np.isfinite(matrix).all():
             return None

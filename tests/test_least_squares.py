@@ -93,6 +93,18 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     assert result.gap <= 1e-8 * result.cost
 
 
+@pytest.mark.parametrize("lower", [0.0, -INF])
+@pytest.mark.parametrize(("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)])
+def test_rank_deficient_problems_have_an_answer_of_moderate_size(m: int, n: int, rank: int, lower: float) -> None:
+    """x is not unique: one that is optimal is found, and not far away where rounding has left singular values."""
+    rng = np.random.default_rng(m + n)
+    A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
+    for given_A in (A, sp.csr_array(A)):
+        result = bounded_least_squares(given_A, b, lower).require_solved()
+        assert own_optimality(A, b, result.x, lower) <= 1e-8
+        assert np.abs(result.x).max() <= 1e6
+
+
 @pytest.mark.parametrize("n", [100, 3000])
 def test_chains_are_solved_by_factors(n: int) -> None:
     """Differences of neighbours, κ ~ n: SOLVED, where conjugate gradients would need n steps and more."""

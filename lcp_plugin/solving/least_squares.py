@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..algorithms.least_squares.active_set import active_set_steps
 from ..algorithms.least_squares.faces import DenseFaces, Faces, SparseFaces
 from ..algorithms.least_squares.interior_steps import interior_steps
-from ..algorithms.least_squares.normal_equations import compiled_point, interior_points_of_gram
+from ..algorithms.least_squares.normal_equations import compiled_face, interior_points_of_gram
 from ..algorithms.least_squares.point import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..algorithms.rehearsal import rehearse
@@ -273,8 +273,9 @@ class _Run:
 
     def _by_orthogonal_factors(self, faces: DenseFaces) -> Iterator[Iterator[Point]]:
         self.faces = faces
-        if self._is_small and (start := compiled_point(self._incumbent(), faces)) is not None:
-            yield active_set_steps(start, faces)
+        if self._is_small and (found := compiled_face(self._incumbent(), faces)) is not None:
+            start, free = found
+            yield active_set_steps(start, faces, free)
         yield _in_turn(interior_steps(self._incumbent(), faces), faces)
 
     def _refine(self, point: Point) -> None:

@@ -23,10 +23,13 @@ ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be: less is no p
 REFINED = 0.5  # what a correction on the same face has to leave at the most to be followed by another
 
 
-def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
-    """Yield points from the start on; ends at the answer up to rounding, or where no set gains any more."""
+def active_set_steps(start: Point, faces: Faces, free: BoolVector | None = None) -> Iterator[Point]:
+    """Yield points from the start on; ends at the answer up to rounding, or where no set gains any more.
+
+    The first set is that of the columns strictly between their bounds, or `free`.
+    """
     yield start
-    point, free, size = start, start.is_free, np.inf
+    point, free, size = start, start.is_free if free is None else free, np.inf
     while (correction := faces.correction(point, free)) is not None:
         length = point.farthest(correction)
         after = _moved(point, correction, length)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...checks import FloatVector
 from ...kernels.floats import EPSILON
-from .faces import RANK, DenseFaces
+from .faces import DenseFaces
 from .point import Point
 
 START = 0.1  # first distances from the bounds and first multipliers, ÷ the largest x and gradient
@@ -22,6 +22,7 @@ TO_THE_BOUND = 0.995  # of the way
 SMALLEST_STEP = 1e-8  # a shorter one leads nowhere
 PRECISION = EPSILON**2  # complementarity, ÷ that of the start, from which on rounding decides
 STEPS = 100
+DAMPING = 1e-11  # a singular value of 1e-10 is not hidden, and one that is rounding (1e-16) moves x by 1e6 at the most
 SIGNS = np.array([[1.0], [-1.0]])  # of a step of x in the distances from its lower and upper bound
 
 
@@ -83,7 +84,7 @@ class _Interior:
         from scipy.linalg import qr
 
         bend = (self.multipliers / self.distances).sum(axis=0)[self.columns]
-        root = np.maximum(np.sqrt(bend), RANK * max(self.matrix.shape))  # of columns that nothing else holds
+        root = np.maximum(np.sqrt(bend), DAMPING)
         matrix = np.vstack([self.matrix[:, self.columns], np.diag(root)])
         if not np.isfinite(matrix).all():
             return None

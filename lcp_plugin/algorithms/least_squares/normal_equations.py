@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...errors import LCPError
 from ...problem.lcp import LCP
 from ...problem.least_squares import UnitLeastSquares
@@ -23,14 +23,22 @@ GOAL = 1e-8  # more than M tells at the condition from which on its answer is on
 COMPILED_STEPS = 1000
 
 
-def compiled_point(start: Point, faces: DenseFaces) -> Point | None:
-    """Return where the compiled methods for small problems arrive, None where they do not."""
+def compiled_face(start: Point, faces: DenseFaces) -> tuple[Point, BoolVector] | None:
+    """Return the face where the compiled methods for small problems arrive, None where they do not.
+
+    It is a point with columns at their bounds, and which others are free: these are as near to 0 as may be, since where
+    A is rank-deficient the x of AᵀA may be of any size.
+    """
+    problem = start.problem
     M, q = faces.matrix.T @ faces.matrix, -(faces.matrix.T @ faces.right)
     try:
-        sprint = ShortRoad().sprint(_lcp(start.problem, M, q), start.x, GOAL, COMPILED_STEPS)
+        sprint = ShortRoad().sprint(_lcp(problem, M, q), start.x, GOAL, COMPILED_STEPS)
     except LCPError:  # AᵀA is not finite
         return None
-    return None if sprint is None else _point(start.problem, sprint.z)
+    if sprint is None:
+        return None
+    free = (sprint.z > problem.lower) & (sprint.z < problem.upper)
+    return _point(problem, np.where(free, 0.0, sprint.z)), free
 
 
 def interior_points_of_gram(start: Point, faces: SparseFaces) -> Iterator[Point]:

@@ -96,7 +96,7 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
 @pytest.mark.parametrize("lower", [0.0, -INF])
 @pytest.mark.parametrize(("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)])
 def test_rank_deficient_problems_have_an_answer_of_moderate_size(m: int, n: int, rank: int, lower: float) -> None:
-    """x is not unique: one that is optimal is found, and not far away where rounding has left singular values."""
+    """Where x is not unique an optimal one is found, not far away along what rounding leaves of singular values."""
     rng = np.random.default_rng(m + n)
     A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
     for given_A in (A, sp.csr_array(A)):

@@ -36,7 +36,7 @@ from .state import Clock
 DENSE_PATIENCE = 0.1  # steps by which an orthogonal factor of A is paid, ÷ its smaller dimension
 SPARSE_PATIENCE = 300  # steps by which a sparse one is, where its fill is bounded
 MOST_STEPS_FOR_GAP = 300
-FINE = 1e-3  # of the tolerance: a point on a face that is solved, not one on the way
+ROUNDS = 20  # of active sets for a small problem before an interior point is asked, or to refine an answer
 NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance
 
 
@@ -273,17 +273,19 @@ class _Run:
 
     def _by_orthogonal_factors(self, faces: DenseFaces) -> Iterator[Iterator[Point]]:
         self.faces = faces
-        if self._is_small and (found := compiled_face(self._incumbent(), faces)) is not None:
-            start, free = found
-            yield active_set_steps(start, faces, free)
+        if self._is_small:
+            start, free = compiled_face(self._incumbent(), faces) or (self._incumbent(), None)
+            yield islice(active_set_steps(start, faces, free), ROUNDS)
         yield _in_turn(interior_steps(self._incumbent(), faces), faces)
 
     def _refine(self, point: Point) -> None:
-        """Solve on the face of the answer once more where there is a factor for it; what is better is kept."""
-        is_fine = self.judged is not None and self.judged.value <= FINE * self.settings.tolerance
-        if self.faces is not None and not is_fine:
-            for refined in islice(active_set_steps(point, self.faces), 1, 2):
-                self._is_solved_by(self.unit.to_caller(refined.x))
+        """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
+        if self.faces is None:
+            return
+        *_, refined = islice(active_set_steps(point, self.faces), ROUNDS)
+        judged = Optimality.of(self.enclosures, self.unit.to_caller(refined.x))
+        if judged.value <= self.settings.tolerance:
+            self.judged = judged
 
     def _incumbent(self) -> Point:
         """Return the best point so far, its residual computed afresh."""

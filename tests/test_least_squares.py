@@ -233,10 +233,17 @@ def exact_cost(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x:
     return (sum(int(w) * r * r for w, r in zip(weights, rests, strict=True)) + ridge * sum(v * v for v in values)) / 2
 
 
+def exact_gradient(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x: list[float]) -> list[Fraction]:
+    values = [Fraction(v) for v in x]
+    rests = [sum(int(a) * v for a, v in zip(row, values, strict=True)) - int(c) for row, c in zip(A, b, strict=True)]
+    return [sum(int(w) * int(a) * r for w, a, r in zip(weights, A[:, j], rests, strict=True)) + ridge * values[j]
+            for j in range(A.shape[1])]
+
+
 @settings(max_examples=80, deadline=None)
 @given(st.integers(1, 5), st.integers(1, 4), st.integers(0, 10**6), st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]))
 def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
-    """In rational arithmetic, whatever the tolerance, rank, weights and ridge: cost − min cost ≤ gap."""
+    """In rational arithmetic, whatever the tolerance, rank, weights, ridge: cost − min ≤ gap; SOLVED is true."""
     rng = np.random.default_rng(seed)
     A, b, weights = rng.integers(-4, 5, (m, n)), rng.integers(-6, 7, m), rng.integers(0, 3, m)
     upper = [None if rng.random() < 0.6 else int(rng.integers(0, 3)) for _ in range(n)]
@@ -249,6 +256,12 @@ def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, toleranc
     true_gap = exact_cost(A, b, weights, ridge, x) - exact_minimum(A, b, weights, ridge, upper)
     assert result.is_proved
     assert 0 <= true_gap <= Fraction(result.gap)
+    if result.is_solved:
+        gradient = exact_gradient(A, b, weights, ridge, x)
+        reference = max(abs(g) for g in exact_gradient(A, b, weights, 0, [0.0] * n))
+        rooms = zip(gradient, x, [Fraction(v) if v is not None else None for v in upper], strict=True)
+        largest = max(abs(min(max(g, Fraction(v) - u) if u is not None else g, Fraction(v))) for g, v, u in rooms)
+        assert largest <= Fraction(result.optimality) * reference <= Fraction(tolerance) * reference
 
 
 def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:

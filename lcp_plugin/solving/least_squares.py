@@ -163,8 +163,9 @@ def bounded_least_squares(
     Parameters
     ----------
     A : array, sparse array or scipy LinearOperator, shape (m, n)
-        Real, finite, of any shape and rank; never copied where it holds doubles, and AᵀA is never formed where it is
-        larger than A. A LinearOperator needs rmatvec.
+        Real, finite, of any shape and rank; not copied where it holds doubles, unless it has fewer than 10⁶ places.
+        AᵀA is formed for at most 256 columns, or where A is sparse and AᵀA has at most three times as many entries. A
+        LinearOperator needs rmatvec.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
         Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
@@ -192,8 +193,11 @@ def bounded_least_squares(
 
     Notes
     -----
-    Projected gradient and conjugate gradient steps, preceded by the compiled methods for small dense problems and
-    followed by active sets with an orthogonal or a sparse factor as soon as steps have cost as much as that would.
+    Small problems: the compiled methods for LCPs guess the face, least squares on it are the answer. Others: projected
+    gradient and conjugate gradient steps, about a product with A and one with Aᵀ each, until they have cost about as
+    much as a factor would. Then interior points and active sets with an orthogonal factor (dense A of up to 3000
+    columns), or with one of AᵀA (sparse A). Where neither can be had, and for a LinearOperator, the steps go on; an
+    ill-conditioned problem may end STALLED there.
 
     Examples
     --------

@@ -90,7 +90,7 @@ class LeastSquaresResult:
 
     @cached_property
     def gap(self) -> float:
-        """An upper bound of cost − min cost, at most cost; computed when looked at, for about what the run cost.
+        """An upper bound of cost − min cost, at most cost but for rounding; the first look computes it, as a run does.
 
         It is no more than cost where A is not proved to have full rank and some column without a bound on one side
         (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").

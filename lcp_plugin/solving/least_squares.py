@@ -33,8 +33,8 @@ from ..problem.least_squares import LeastSquares, UnitLeastSquares
 from ..settings import Settings, Status
 from .state import Clock
 
-DENSE_PATIENCE = 0.1  # steps by which an orthogonal factor of A is paid, ÷ its smaller dimension
-SPARSE_PATIENCE = 300  # steps by which a sparse one is, where its fill is bounded
+DENSE_PATIENCE = 0.2  # steps that an orthogonal factor of A costs, ÷ its smaller dimension: .15 – .3 measured
+SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
 MOST_STEPS_FOR_GAP = 300
 ROUNDS = 20  # of active sets for a small problem before an interior point is asked, or to refine an answer
 NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance

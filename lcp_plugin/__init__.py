@@ -54,6 +54,8 @@ if TYPE_CHECKING:
     from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
+    from .solving.least_squares import bounded_least_squares as bounded_least_squares
     from .solving.march import march as march
     from .solving.program_proofs import Certification as Certification
     from .solving.result import Result as Result
@@ -84,6 +86,8 @@ _HOME = {
     "BatchResult": "solving.batch_result",
     "solve_many": "solving.batch",
     "march": "solving.march",
+    "bounded_least_squares": "solving.least_squares",
+    "LeastSquaresResult": "solving.least_squares",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

@@ -48,12 +48,16 @@ if TYPE_CHECKING:
     from .solving.batch_derivative import BatchDerivative as BatchDerivative
     from .solving.batch_derivative import BatchGradient as BatchGradient
     from .solving.batch_result import BatchResult as BatchResult
+    from .solving.certification import certify as certify
     from .solving.derivative import Derivative as Derivative
     from .solving.derivative import Gradient as Gradient
     from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
+    from .solving.least_squares import bounded_least_squares as bounded_least_squares
     from .solving.march import march as march
+    from .solving.program_proofs import Certification as Certification
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -70,6 +74,8 @@ _HOME = {
     "Sample": "solving.result",
     "Status": "settings",
     "solve": "solving.driver",
+    "certify": "solving.certification",
+    "Certification": "solving.program_proofs",
     "derivative": "solving.derivative",
     "Derivative": "solving.derivative",
     "Gradient": "solving.derivative",
@@ -80,6 +86,8 @@ _HOME = {
     "BatchResult": "solving.batch_result",
     "solve_many": "solving.batch",
     "march": "solving.march",
+    "bounded_least_squares": "solving.least_squares",
+    "LeastSquaresResult": "solving.least_squares",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

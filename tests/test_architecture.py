@@ -19,6 +19,7 @@ DOORS = {  # they open upwards when called
     ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.registration"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files"),
     ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
+    ("lcp_plugin.solving.certification", "lcp_plugin.modeling.certified_problem"),
 }
 FLOORS = 14
 HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax")

@@ -52,10 +52,10 @@ def test_norms_are_not_below_the_exact_ones(power) -> None:
     for n in (1, 2, 3, 50):
         x = np.ldexp(np.abs(rng.standard_normal(n)), power)
         exact = sum(Fraction(float(entry)) ** 2 for entry in x)
-        bound = Fraction(float(definite_bounds._norm_above(x)))
+        bound = Fraction(float(definite_bounds.norm_above(x)))
         assert exact <= bound**2 <= exact * (1 + Fraction(2, 10**10))
-    assert definite_bounds._norm_above(np.zeros(3)) == 0.0
-    assert definite_bounds._norm_above(np.array([1.0, np.inf])) == np.inf
+    assert definite_bounds.norm_above(np.zeros(3)) == 0.0
+    assert definite_bounds.norm_above(np.array([1.0, np.inf])) == np.inf
     assert gamma(2 * definite_bounds.SPARSE_UP_TO) + 1.0 < definite_bounds.OUTWARD
 
 

@@ -39,6 +39,17 @@ that too. `solve` analyses nothing that you did not ask for: ``result.guarantee`
 whether a theorem covers what you named, and so does ``explain()`` after a run that failed. Once it is known that none
 does, `solve` warns of it once a matrix (`ConvergenceWarning`).
 
+**Programs.** `certify` says what is proved about anybody's answer to a convex quadratic or linear program: of a cvxpy
+problem that some solver has filled, or of an x for a `QuadraticProgram`. "proved" is a violation and a distance from a
+proved lower bound of at most the tolerance, unless x is proved to be wrong although its objective is not;
+``certify(problem).reason`` tells. ``lcp-plugin certify FILE --solver CLARABEL,OSQP`` judges several solvers.
+
+>>> import lcp_plugin
+>>> program = lcp_plugin.QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+>>> said = lcp_plugin.certify(program, [0.5, 1.5])
+>>> said.verdict, round(said.lower, 9), said.distance < 1e-6
+('proved', -4.5, True)
+
 **No solution.** ``result.infeasibility`` proves it for the stored doubles, and ``verify()`` checks it again. Its
 ``margin`` is the smallest relative residual that it leaves to any z (``measured(measure)`` in the run's measure); with
 ``tolerance_on="error"`` any proof counts, however small that is. Where it is within the tolerance the methods go on; if

@@ -105,12 +105,13 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
 def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound) -> FloatVector:
     """Return c_i ‖C s‖₂/λ, rounded up, shape (n,): |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ."""
     scale = eigenvalue.scale
-    norm = _norm_above(product_above(scale, size))
+    norm = norm_above(product_above(scale, size))
     bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
 
-def _norm_above(x: FloatVector) -> np.float64:
+def norm_above(x: FloatVector) -> np.float64:
+    """Return a double above ‖x‖₂ for x ≥ 0, whatever underflows."""
     largest = np.float64(x.max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
         return largest

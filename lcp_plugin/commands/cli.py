@@ -195,6 +195,26 @@ def check(
     return outcome.agrees
 
 
+@_command(
+    "certify",
+    "0 every answer is proved, 1 one is unproved, refuted or missing, 2 bad input",
+    "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --solver LCP --json",
+)
+def certify(
+    file: Annotated[str, typer.Argument(help="A convex quadratic program: .npz (P, A, q, l, u), .qps or .mps.")],
+    solver: Annotated[str, typer.Option(help="cvxpy's names of solvers, with commas between; LCP is ours.")] = "LCP",
+    tolerance: Annotated[
+        float | None, typer.Option(help="What is to be proved; by default 1e-6, or else 1e-3.")
+    ] = None,
+    max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each proof.")] = 60.0,
+    json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
+) -> bool:
+    """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
+    from . import certifying
+
+    return certifying.run(file, solver, tolerance, max_seconds, as_json=json)
+
+
 @_command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
 def analyze(
     target: Target,

@@ -154,7 +154,7 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
         if any(products(flat, exact)) or not is_recession(program.constraints, rows, exact):
             return None
         if not points:
-            points.append(_feasible_point(program, rows))
+            points.append(feasible_point(program, rows))
         if points[0] is None:
             return None
         proofs = (QPUnboundedness(program, tuple(points[0]), tuple(exact), is_exact) for is_exact in (True, False))
@@ -192,7 +192,7 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     return np.asarray(order[:rank], dtype=np.intp)
 
 
-def _feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector | None:
+def feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector | None:
     """Return a point that satisfies all constraints exactly, as far inside as a linear program finds."""
     constraints, n = program.constraints, program.n
     matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite

@@ -115,6 +115,32 @@ def rounded_down(value: Fraction | None) -> float:
     return near if Fraction(near) <= value else math.nextafter(near, 0.0)
 
 
+def enclosures(values: Sequence[Fraction]) -> tuple[FloatVector, FloatVector]:
+    """Return doubles not above and not below the values, equal where these are doubles; infinite beyond the largest.
+
+    Examples
+    --------
+    >>> low, high = enclosures([Fraction(1, 2), Fraction(1, 3)])
+    >>> (high - low).tolist()
+    [0.0, 5.551115123125783e-17]
+    """
+    ends = [_ends(value) for value in values]
+    low, high = (np.array([end[k] for end in ends], dtype=np.float64) for k in (0, 1))
+    return low, high
+
+
+def _ends(value: Fraction) -> tuple[float, float]:
+    try:
+        near = float(value)
+    except OverflowError:
+        return (sys.float_info.max, math.inf) if value > 0 else (-math.inf, -sys.float_info.max)
+    exact = Fraction(near)
+    return (
+        near if exact <= value else math.nextafter(near, -math.inf),
+        near if exact >= value else math.nextafter(near, math.inf),
+    )
+
+
 def rational(values: Iterable[float]) -> Vector:
     """Return finite doubles as the rationals that they are."""
     return [Fraction(float(value)) for value in values]

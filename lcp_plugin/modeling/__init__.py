@@ -45,6 +45,11 @@ derives for its own variables are not used. All this is in units of the program'
 violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
 what is called optimal (1e-7 by default).
 
+**Whoever solved it**, ``lcp_plugin.certify(problem)`` tells what is proved of the values and the status:
+
+>>> lcp_plugin.certify(problem).verdict
+'proved'
+
 **Derivatives.** After ``problem.solve(method="LCP", requires_grad=True)``, of models and of programs alike,
 ``problem.backward()`` sets ``parameter.gradient`` from ``variable.gradient`` (ones by default), and
 ``problem.derivative()`` sets ``variable.delta`` from ``parameter.delta`` (zeros by default), as cvxpy documents them.

@@ -95,15 +95,15 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
 
 
 def _against_values(problem: Any, claim: Claim) -> str | None:
-    value, claimed = _goal(problem), _sign(problem) * float(claim.solution.opt_val)
+    value, claimed = goal_of(problem), sense_of(problem) * float(claim.solution.opt_val)
     limit = claim.tolerance
-    if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * _size(problem.objective.args[0]):
+    if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * size_of(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
     if (violated := _violated(problem, limit, limit)) is not None:
         return violated
     for variable in problem.variables():
-        entries = _dense(leaf_value(variable))
-        miss = float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
+        entries = dense_value(leaf_value(variable))
+        miss = float(np.abs(nearest(variable, entries) - entries).max(initial=0.0))
         if not miss <= limit * (1.0 + np.abs(entries).max(initial=0.0)):
             return f"its variable {variable.name()} misses its own attributes by {miss:.3g}"
     return None
@@ -111,8 +111,8 @@ def _against_values(problem: Any, claim: Claim) -> str | None:
 
 def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
     """Look for a point where the Lagrangian is below the claimed minimum."""
-    claimed = _sign(problem) * float(claim.solution.opt_val)
-    for value, size in _weighed(problem, claim.solution, values_of(problem), before, _goal):
+    claimed = sense_of(problem) * float(claim.solution.opt_val)
+    for value, size in _weighed(problem, claim.solution, values_of(problem), before, goal_of):
         if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
             return (
                 f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
@@ -145,7 +145,7 @@ def _weighed(
         with valued(problem, values):
             first = goal(problem)
             terms = [np.zeros(0)] + [
-                np.ravel(_dense(duals[constraint.id]), order="F") * np.ravel(_slack(constraint), order="F")
+                np.ravel(dense_value(duals[constraint.id]), order="F") * np.ravel(slack_of(constraint), order="F")
                 for constraint in problem.constraints
             ]
         products = np.concatenate(terms)
@@ -154,11 +154,11 @@ def _weighed(
 
 def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
     """Hold the points of the ray against the constraints and the objective."""
-    sign = _sign(problem)
+    sign = sense_of(problem)
     for point in claim.points:
         with valued(problem, point.primal_vars):
-            goal, claimed = _goal(problem), sign * float(point.opt_val)
-            if goal > claimed and not goal - claimed <= claim.tolerance * _size(problem.objective.args[0]):
+            goal, claimed = goal_of(problem), sign * float(point.opt_val)
+            if goal > claimed and not goal - claimed <= claim.tolerance * size_of(problem.objective.args[0]):
                 return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
             if (violated := _violated(problem, ROUNDING, claim.tolerance)) is not None:
                 return f"{violated} on the ray"
@@ -168,8 +168,8 @@ def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
 def _violated(problem: Any, least: float, tolerance: float) -> str | None:
     """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
     for constraint in problem.constraints:
-        violation = float(_violation(constraint).max(initial=0.0))
-        if not violation <= least and not violation <= tolerance * _size(_expression(constraint)):
+        violation = float(violation_of(constraint).max(initial=0.0))
+        if not violation <= least and not violation <= tolerance * size_of(expression_of(constraint)):
             return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
 
@@ -178,15 +178,15 @@ def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
     """Yield the values from before, where there are some, and points on either side of the base, near and far."""
     variables = problem.variables()
     if all(before.get(v.id) is not None and np.isfinite(before[v.id]).all() for v in variables):
-        yield {v.id: _nearest(v, before[v.id]) for v in variables}
+        yield {v.id: nearest(v, before[v.id]) for v in variables}
     generator = np.random.default_rng(SEED)
     for size in STEPS:
         steps = {v.id: size * (1.0 + np.abs(base[v.id])) * generator.normal(size=v.shape) for v in variables}
         for side in (1.0, -1.0):
-            yield {v.id: _nearest(v, base[v.id] + side * steps[v.id]) for v in variables}
+            yield {v.id: nearest(v, base[v.id] + side * steps[v.id]) for v in variables}
 
 
-def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
     attributes = variable.attributes
     lower, upper = (np.broadcast_to(bound, variable.shape) for bound in attribute_bounds(variable))
@@ -218,43 +218,46 @@ def valued(problem: Any, values: Values) -> Iterator[None]:
 def values_of(problem: Any) -> Values:
     """Return each variable's value by its id, dense, or None."""
     values = {variable.id: leaf_value(variable) for variable in problem.variables()}
-    return {key: None if value is None else _dense(value) for key, value in values.items()}
+    return {key: None if value is None else dense_value(value) for key, value in values.items()}
 
 
-def _sign(problem: Any) -> float:
+def sense_of(problem: Any) -> float:
+    """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
     return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
 
 
-def _goal(problem: Any) -> float:
+def goal_of(problem: Any) -> float:
     """Return the value of what is to be minimised."""
-    return _sign(problem) * float(_dense(problem.objective.args[0].value).ravel()[0])
+    return sense_of(problem) * float(dense_value(problem.objective.args[0].value).ravel()[0])
 
 
-def _expression(constraint: Any) -> Any:
+def expression_of(constraint: Any) -> Any:
+    """Return what has to be zero, or of one sign."""
     return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
 
 
-def _slack(constraint: Any) -> NDArray[np.float64]:
+def slack_of(constraint: Any) -> NDArray[np.float64]:
     """Return what has to be zero, or not positive."""
-    value = _dense(_expression(constraint).value)
+    value = dense_value(expression_of(constraint).value)
     return -value if isinstance(constraint, NonNeg) else value
 
 
-def _violation(constraint: Any) -> NDArray[np.float64]:
+def violation_of(constraint: Any) -> NDArray[np.float64]:
+    """Return by how much each entry of a constraint is violated."""
     if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
-        return np.atleast_1d(_dense(constraint.violation()))
-    slack = _slack(constraint)
+        return np.atleast_1d(dense_value(constraint.violation()))
+    slack = slack_of(constraint)
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
 
 
-def _size(expression: Any) -> float:
+def size_of(expression: Any) -> float:
     """Return 1 + the largest term that the expression's value is made of; looked for only where it matters."""
     size = 0.0
     for node in postorder(expression, ()):
         if not node.args and not isinstance(node, cp.Variable):
             continue
-        parts = [np.abs(_dense(argument.value)) for argument in node.args]
-        own = np.abs(_dense(node.value))
+        parts = [np.abs(dense_value(argument.value)) for argument in node.args]
+        own = np.abs(dense_value(node.value))
         size = max(size, float(own.max(initial=0.0)))
         is_sum = isinstance(node, SUM)
         for part in parts:
@@ -267,7 +270,8 @@ def _size(expression: Any) -> float:
     return 1.0 + size
 
 
-def _dense(value: Any) -> NDArray[np.float64]:
+def dense_value(value: Any) -> NDArray[np.float64]:
+    """Return the real part of a value as a dense array."""
     array = value.toarray() if sp.issparse(value) else np.asarray(value)
     return np.asarray(array.real, dtype=np.float64)
 
@@ -281,7 +285,7 @@ def why_not(problem: Any) -> list[str]:
                 reasons.append(f"variable {variable.name()} is {attribute}")
     for constraint in problem.constraints:
         if isinstance(constraint, INEQUALITIES):
-            if not _expression(constraint).is_pwl():
+            if not expression_of(constraint).is_pwl():
                 reasons.append(f"constraint {name_of(constraint)} is not piecewise linear")
         elif not isinstance(constraint, EQUATIONS):
             reasons.append(f"constraint {name_of(constraint)} is a {type(constraint).__name__}")

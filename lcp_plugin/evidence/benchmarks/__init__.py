@@ -12,6 +12,7 @@ BENCHMARKS = {
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
+    "least-squares": "bounded least squares beside accelerated gradients and scipy, and what a factor costs in steps",
     "derivatives": "a gradient by all data against its solve, up to n = 10⁶, and against cvxpy's own backward",
     "crossovers": "each constant of lcp_plugin.crossovers beside what this machine says of it",
     "modeling": "the cost of stating a problem in cvxpy, against cvxpy's own compilation",

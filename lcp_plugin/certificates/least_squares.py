@@ -1,0 +1,358 @@
+r"""What is proved of an x for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖², lower ≤ x ≤ upper: how optimal, how far above.
+
+Write W = diag(weights), r = A x − b, f for the cost. For any y ∈ ℝᵐ and s = AᵀWy + ridge·x, convexity gives, summed
+without cancellation, for every feasible z
+
+    f(x) − f(z) ≤ ½ (r − y)ᵀW(r − y) + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
+
+and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, no more than s_j²/(2μ) for any column j while y = r. A column
+without a bound on one side needs an s_j of one sign, which rounding and the tolerance deny to y = r: y = r + δp with
+AᵀWp of that sign has it. Where there is none (a free column, A not proved to have full rank) f(x) − f(z) ≤ f(x) is all
+there is to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector
+from ..exact.rounding import compensated_product, gamma
+from ..kernels.floats import EPSILON, TINY
+from ..matrix.matrix import Matrix
+from ..problem.least_squares import LeastSquares, UnitLeastSquares
+from .definite_bounds import smallest_eigenvalue_bound
+
+Ball = tuple[FloatVector, FloatVector]
+"""Value and radius: what is meant lies within."""
+
+OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
+REPAIR_STEPS = 300  # of conjugate gradients for a p; more than A of condition 100 needs
+ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
+IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
+PUSHES = 4  # times that δ may be doubled
+GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
+
+
+class Enclosures:
+    """Residuals and gradients of a problem with bounds of what rounding did; estimates for a LinearOperator.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    is_sharp : bool
+        Whether sums are compensated, so that nothing but the last rounding is left, and nothing at all where they are
+        exact. That costs two copies of A.
+
+    Attributes
+    ----------
+    reference : (float, float)
+        A lower bound of ‖AᵀWb‖∞ in the caller's units, and with columns of about unit length. Where AᵀWb is 0, of the
+        gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
+    """
+
+    def __init__(self, problem: LeastSquares, *, is_sharp: bool = False) -> None:
+        self.problem, self.is_sharp = problem, is_sharp
+
+    def residual(self, x: FloatVector) -> Ball:
+        """Return A x − b."""
+        problem = self.problem
+        if self.is_sharp:
+            return compensated_product(self._rows, x, -problem.b)
+        value, radius = problem.product(x) - problem.b, np.zeros(problem.shape[0])
+        terms = self._terms_of_a_row
+        for rows, block in problem.blocks() if problem.has_entries else ():
+            size, is_some = _magnitudes(block, x)
+            radius[rows] = gamma(2 * terms + 8) * (size + np.abs(problem.b[rows])) + (terms + 1) * TINY * is_some
+        return value, radius
+
+    def gradient(self, x: FloatVector, residual: Ball) -> Ball:
+        """Return AᵀW(A x − b) + ridge x."""
+        value, radius = self.transposed(*residual)
+        if self.problem.ridge == 0.0:
+            return value, radius
+        value = value + self.problem.ridge * x
+        slip = 4.0 * EPSILON * (np.abs(value) + self.problem.ridge * np.abs(x)) + TINY * (x != 0.0)
+        return value, OUTWARD * (radius + slip)
+
+    def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
+        """Return AᵀWy for a y known up to slip."""
+        problem = self.problem
+        weighted, slip = problem.weighted(y), problem.weighted(slip)
+        if self.is_sharp:
+            if problem.weights is not None:
+                slip = OUTWARD * (slip + EPSILON * np.abs(weighted) + TINY * (weighted != 0.0))
+            value, radius = compensated_product(self._columns, weighted)
+            return value, OUTWARD * (radius + abs(self._columns) @ slip)
+        if not problem.has_entries:
+            return problem.transposed(weighted), np.zeros(problem.shape[1])
+        value, size, spread, is_some = np.zeros((4, problem.shape[1]))
+        terms = self._terms_of_a_column
+        for rows, block in problem.blocks():
+            value += block.T @ weighted[rows]
+            parts = _magnitudes(block.T, weighted[rows], slip[rows])
+            size, spread, is_some = size + parts[0], spread + parts[1], is_some + parts[2]
+            terms += 1
+        return value, gamma(2 * terms + 8) * (size + spread) + OUTWARD * spread + (terms + 1) * TINY * (is_some > 0.0)
+
+    @cached_property
+    def reference(self) -> tuple[float, float]:
+        """What residuals are measured against; see the class."""
+        problem = self.problem
+        for ball in self._references():
+            least = np.maximum(np.abs(ball[0]) - ball[1], 0.0)
+            if np.abs(ball[0]).any():
+                scaled = least / problem.column_units
+                return float(least.max(initial=0.0)), float(scaled.max(initial=0.0))
+        return 0.0, 0.0
+
+    def _references(self) -> Any:
+        yield self.transposed(self.problem.b, np.zeros(self.problem.shape[0]))
+        start = self.problem.nearest_to_zero
+        yield self.gradient(start, self.residual(start))
+
+    @cached_property
+    def _rows(self) -> Any:
+        return sp.csr_array(self.problem.A)
+
+    @cached_property
+    def _columns(self) -> Any:
+        return sp.csr_array(self.problem.A.T)
+
+    @cached_property
+    def _terms_of_a_row(self) -> int:
+        problem = self.problem
+        return int(np.diff(problem.A.indptr).max(initial=0)) if problem.is_sparse else problem.shape[1]
+
+    @cached_property
+    def _terms_of_a_column(self) -> int:
+        problem = self.problem
+        if problem.is_sparse:
+            return int(np.bincount(problem.A.indices, minlength=1).max())
+        return max((rows.stop - rows.start for rows, _ in problem.blocks()), default=0)
+
+
+def _magnitudes(block: Any, *vectors: FloatVector) -> Any:
+    """Return |block||v| for each v, and whether any row has a term that is not 0, whatever underflows."""
+    columns = [np.abs(v) for v in vectors]
+    columns.append(np.any([column > 0.0 for column in columns], axis=0).astype(np.float64))
+    sizes = abs(block) @ np.column_stack(columns)
+    return *sizes.T[:-1], sizes.T[-1] > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Optimality:
+    """How optimal an x is.
+
+    Attributes
+    ----------
+    x, residual : ndarray, shape (n,), (m,)
+    value : float
+        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g = AᵀW(A x − b) + ridge x, and the same with columns of
+        about unit length; an upper bound, rounding included, where A has entries.
+    is_at_rounding_level : bool
+        Whether no component is larger than what rounding explains.
+    """
+
+    x: FloatVector
+    residual: FloatVector
+    value: float
+    is_at_rounding_level: bool
+
+    @classmethod
+    def of(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
+        """Return the optimality of x on the caller's own data."""
+        problem = enclosures.problem
+        units = problem.column_units
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = enclosures.residual(x)
+            gradient, radius = enclosures.gradient(x, residual)
+            below, above = x - problem.upper, x - problem.lower
+            plain = np.abs(np.clip(gradient, below, above))
+            scaled = np.abs(np.clip(gradient / units, below * units, above * units))
+            largest = [OUTWARD * (plain + radius), OUTWARD * (scaled + radius / units)]
+            if not problem.has_entries:
+                radius = _typical_rounding(problem, x, residual[0])
+                largest = [plain, scaled]
+            values = [_ratio(sizes, unit) for sizes, unit in zip(largest, enclosures.reference, strict=True)]
+            is_at_floor = bool((np.maximum(plain, scaled * units) <= 2.0 * radius).all())
+        return cls(x, residual[0], max(values), is_at_floor)
+
+
+def _ratio(sizes: FloatVector, unit: float) -> float:
+    size = float(np.max(sizes, initial=0.0))
+    if np.isnan(size):
+        return np.inf
+    return OUTWARD * size / unit if unit > 0.0 else (np.inf if size > 0.0 else 0.0)
+
+
+def _typical_rounding(problem: LeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
+    """Return about what rounding does to a gradient of which no magnitudes are known."""
+    root, units = problem.root_weights, problem.column_units
+    size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(units * x)
+    return 4.0 * EPSILON * (units * size)
+
+
+def duality_gap(problem: LeastSquares, x: FloatVector, nearer: FloatVector | None = None) -> float:
+    """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    x : array, shape (n,)
+    nearer : array, shape (n,), optional
+        A point nearer to the answer, wherever it comes from: y is its residual, and the bound is sharper.
+    """
+    enclosures = Enclosures(problem)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        residual = enclosures.residual(x)
+        at_x = enclosures.gradient(x, residual)
+        y = residual[0] if nearer is None else problem.product(nearer) - problem.b
+        slope = enclosures.gradient(x, (y, np.zeros(y.size)))
+        found = [
+            _cost_above(problem, x, residual),
+            _gap(problem, x, residual, residual[0], at_x, problem.ridge),
+            _gap(problem, x, residual, y, slope, problem.ridge),
+        ]
+        if not np.fmin(found[1], found[2]) < np.inf:
+            found.append(_repaired_gap(enclosures, x, residual, y, slope))
+            if not found[-1] < np.inf:
+                found.append(_gap_of_definite(problem, x, residual, at_x))
+    return min(gap for gap in found if not np.isnan(gap))
+
+
+def _cost_above(problem: LeastSquares, x: FloatVector, residual: Ball) -> float:
+    largest = np.abs(residual[0]) + residual[1]
+    return float(OUTWARD**3 * (problem.cost(x, largest) + TINY))
+
+
+def _gap(
+    problem: LeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball, convexity: FloatVector | float
+) -> float:
+    """Return the bound of the module's docstring for s in `slope`, with s²/(2 convexity) where that is less."""
+    if not (np.isfinite(slope[0]).all() and np.isfinite(slope[1]).all()):
+        return np.inf
+    distance = OUTWARD * (np.abs(residual[0] - y) + residual[1])
+    rising, falling = np.maximum(slope[0] + slope[1], 0.0), np.maximum(slope[1] - slope[0], 0.0)
+    terms = _times(rising, x - problem.lower) + _times(falling, problem.upper - x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steepest = np.maximum(rising, falling)
+        curved = np.where(steepest > 0.0, steepest * steepest / (2.0 * np.asarray(convexity)) + TINY, 0.0)
+    total = 0.5 * float(problem.weighted(distance) @ distance) + float(np.fmin(terms, curved).sum())
+    return OUTWARD**4 * total + x.size * TINY
+
+
+def _times(slope: FloatVector, room: FloatVector) -> FloatVector:
+    """Return slope · room, 0 where the slope is; rounded upwards by what OUTWARD allows but for underflow."""
+    return np.where(slope > 0.0, slope * np.where(slope > 0.0, room, 0.0) + np.where(room > 0.0, TINY, 0.0), 0.0)
+
+
+def _repaired_gap(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
+) -> float:
+    """Return the bound for y + δp; p is to push the columns whose sign is in doubt, or else all of them."""
+    problem = enclosures.problem
+    wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
+    wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
+    sizes = wanted * slope[0] / problem.column_units
+    in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
+    for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
+        gap = _pushed_gap(enclosures, x, residual, y, slope, wanted, _pushing(problem, pushed))
+        if gap < np.inf:
+            return gap
+    return np.inf
+
+
+def _pushed_gap(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball, wanted: FloatVector,
+    push: FloatVector,
+) -> float:
+    """Return the bound for the y + δp with the least δ that gives all columns the sign that they need."""
+    problem, exactly = enclosures.problem, np.zeros(y.size)
+    moved, slip = enclosures.transposed(push, exactly)
+    missing = np.maximum(slope[1] - wanted * slope[0], 0.0)
+    least = wanted * moved - slip
+    lacking = (wanted != 0.0) & (missing > 0.0)
+    if not (least[lacking] > 0.0).all():
+        return np.inf
+    share = float(np.max(missing[lacking] / least[lacking], initial=0.0))
+    for _ in range(PUSHES):
+        share *= 1.0 + 2.0**-10
+        repaired = y + share * push
+        gap = _gap(problem, x, residual, repaired, enclosures.gradient(x, (repaired, exactly)), problem.ridge)
+        if gap < np.inf:
+            return gap
+        share *= 2.0
+    return np.inf
+
+
+def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
+    """Return p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0."""
+    push, is_near = _pushing_by_steps(problem, wanted)
+    return push if is_near or not problem.is_cheap_to_copy else _pushing_by_factor(problem, wanted)
+
+
+def _pushing_by_steps(problem: LeastSquares, wanted: FloatVector) -> tuple[FloatVector, bool]:
+    """Return what conjugate gradients on AᵀWA arrive at, and whether that is near enough."""
+    units, push = problem.column_units, np.zeros(problem.shape[0])
+    left = wanted
+    direction, size = left.copy(), float(left @ left)
+    for _ in range(min(REPAIR_STEPS, 2 * wanted.size + 1)):
+        if np.max(np.abs(left), initial=0.0) <= ENOUGH:
+            return push, True
+        product = problem.product(direction / units)
+        curvature = float(problem.weighted(product) @ product)
+        if not 0.0 < curvature < np.inf:
+            break
+        push = push + (size / curvature) * product
+        back = problem.transposed(problem.weighted(product)) / units
+        left = np.where(wanted != 0.0, left - (size / curvature) * back, 0.0)
+        before, size = size, float(left @ left)
+        direction = left + (size / before) * direction
+    return push, False
+
+
+def _pushing_by_factor(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
+    """Return the shortest such p, however ill-conditioned A is; the signs are looked at where it is used."""
+    from scipy.linalg import LinAlgError, lstsq
+
+    columns, root = np.flatnonzero(wanted), problem.root_weights
+    entries: Any = UnitLeastSquares(problem).entries()
+    dense = entries.toarray() if sp.issparse(entries) else entries
+    push = np.zeros(root.size)
+    try:
+        found = lstsq(dense[:, columns].T, wanted[columns], lapack_driver="gelsy", check_finite=False)[0]
+    except (LinAlgError, ValueError):
+        return push
+    np.divide(found, root, out=push, where=root > 0.0)
+    return push
+
+
+def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:
+    """Return the bound for y = r where AᵀWA is proved to be positive definite."""
+    convexity = _convexity(problem)
+    return np.inf if convexity is None else _gap(problem, x, residual, residual[0], slope, convexity)
+
+
+def _convexity(problem: LeastSquares) -> FloatVector | None:
+    """Return d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
+    n = problem.shape[1]
+    if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
+        return None
+    unit = UnitLeastSquares(problem)
+    gram, terms = np.diag(unit.ridge), problem.shape[0] + 16
+    for rows, _ in problem.blocks():
+        entries: Any = unit.entries(rows)
+        part = entries.T @ entries
+        gram += part.toarray() if sp.issparse(part) else part
+    # Columns are shorter than 2: no entry is wrong by more than 4 γ, nor an eigenvalue by more than n times that.
+    slip = 8.0 * n * (gamma(2 * terms) + EPSILON)
+    bound = smallest_eigenvalue_bound(Matrix(0.5 * (gram + gram.T)))
+    if bound is None or not bound.is_rigorous:
+        return None
+    least = bound.value - slip * float(bound.scale.max()) ** 2
+    return least * (1.0 - 2.0**-40) * (problem.column_units / bound.scale) ** 2 if least > 0.0 else None

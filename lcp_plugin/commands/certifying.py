@@ -1,0 +1,34 @@
+"""What `lcp-plugin certify` does: a program from a file, solvers, and a table of what is proved."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+
+from ..conversions.program_files import load_program
+from ..errors import InvalidOption
+from ..evidence.certified_solvers import HEAD, judged_answers
+
+
+def run(path: str, solvers: str, tolerance: float | None, max_seconds: float | None, *, as_json: bool) -> bool:
+    """Print one line a solver; return whether every answer is proved."""
+    names = list(dict.fromkeys(name.strip() for name in solvers.split(",") if name.strip()))
+    if not names:
+        raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
+    program, offset = load_program(path)
+    if not as_json:
+        typer.echo(f"{path}: {program!r}\n{HEAD}")
+    answers = []
+    for answer in judged_answers(program, names, tolerance=tolerance, max_seconds=max_seconds):
+        answers.append(answer)
+        if not as_json:
+            typer.echo(str(answer))
+    if as_json:
+        content = [
+            {"solver": answer.solver, "status": answer.status, "seconds": answer.seconds, "verdict": answer.verdict,
+             **({} if answer.certification is None else vars(answer.certification) | {"verdict": answer.verdict})}
+            for answer in answers
+        ]
+        typer.echo(json.dumps({"file": path, "offset": offset, "answers": content}, indent=2))
+    return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)

@@ -1,0 +1,294 @@
+"""`certify` for a cvxpy problem that some solver has filled.
+
+What is judged are the user's own terms: the objective, the constraints and the attributes at the values of his
+variables. What is proved is proved of the program that cvxpy makes of the problem for QPSolver; auxiliary variables and
+the multipliers of the bound are those of a solution of ours, since a solver's duals may belong to another program. The
+duals that the problem holds are looked at, too: of the right sign, and such that some multipliers of what cvxpy added
+make the gradient vanish with them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+from cvxpy import settings
+from cvxpy.error import DCPError, SolverError
+from numpy.typing import NDArray
+
+from ..certificates.dual_bounds import DENSE_UP_TO
+from ..checks import FloatVector
+from ..conversions.program import QuadraticProgram, refuse_nonconvex
+from ..conversions.qp_solution import QPSolution
+from ..conversions.substitution import substitute_definitions
+from ..errors import InvalidProblem, UnsupportedModel
+from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved
+from ._compat import leaf_value, name_of
+from .qp_solver import QPSolver, quadratic_program
+from .user_terms import (
+    INEQUALITIES,
+    dense_value,
+    expression_of,
+    goal_of,
+    nearest,
+    sense_of,
+    size_of,
+    violation_of,
+    why_not,
+)
+
+CLAIMED = {
+    settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",
+    settings.UNBOUNDED: "unbounded", settings.UNBOUNDED_INACCURATE: "unbounded",
+}
+EVALUATED = 2.0**-44  # of the terms of an expression: more than rounding makes of its value
+ACTIVE = 1e-5  # of a row's unit: rows that cvxpy added and whose multipliers are free to be anything ≥ 0
+Indices = NDArray[np.intp]
+
+
+def certify_problem(problem: Any, tolerance: float) -> Certification:
+    """Return what is proved about the values and the status of a cvxpy problem."""
+    _check(problem)
+    reduced = ReducedProblem.of(problem)
+    refuse_nonconvex(reduced.program)
+    proofs = ProgramProofs(reduced.program)
+    if problem.status in CLAIMED:
+        found = proofs.of_claim(CLAIMED[problem.status])
+    elif problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
+        found = _neither(proofs)
+    else:
+        found = _of_values(problem, reduced, proofs, tolerance)
+    return reduced.in_the_users_units(found, sense_of(problem))
+
+
+def _check(problem: Any) -> None:
+    """Raise where this is no solved problem that QPSolver could take."""
+    if not isinstance(problem, cp.Problem):
+        raise InvalidProblem(
+            f"certify needs a cvxpy.Problem or a QuadraticProgram, got {type(problem).__name__}; give one of these"
+        )
+    if not problem.is_dcp():
+        raise UnsupportedModel(
+            "certify takes convex problems, and this one does not follow cvxpy's rules of convexity; "
+            "problem.is_dcp() must be True"
+        )
+    if not problem.variables():
+        raise UnsupportedModel("the problem has no variables: there is no answer to certify")
+    if reasons := why_not(problem):
+        raise UnsupportedModel(
+            f"certify takes convex quadratic and linear programs, what cvxpy can write so; here {'; '.join(reasons)}"
+        )
+    if problem.status is None or problem.status == settings.SOLVER_ERROR:
+        raise InvalidProblem(f"nothing to certify: the status is {problem.status}; call problem.solve() first")
+    if problem.status in CLAIMED or problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
+        return
+    for variable in problem.variables():
+        value = leaf_value(variable)
+        if value is None or not np.isfinite(dense_value(value)).all():
+            what = "no value" if value is None else "a value that is not finite"
+            raise InvalidProblem(f"variable {variable.name()} has {what}; solve the problem again, or set it")
+
+
+def _neither(proofs: ProgramProofs) -> Certification:
+    """Return what is proved about "infeasible or unbounded"."""
+    both = [proofs.of_claim(claim) for claim in ("infeasible", "unbounded")]
+    proved = [found for found in both if found.verdict == "proved"]
+    if proved:
+        return proved[0]
+    is_refuted = all(found.verdict == "refuted" for found in both)
+    found = replace(both[1], claim="infeasible or unbounded")
+    return found if is_refuted else replace(found, verdict="unproved")
+
+
+def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:
+    """Return what is proved about the values of the variables."""
+    with np.errstate(all="ignore"):
+        value = goal_of(problem) - reduced.offset
+        rounding = EVALUATED * (size_of(problem.objective.args[0]) + abs(reduced.offset))
+        missed = [_missed(constraint) for constraint in problem.constraints]
+    missed += [(miss, miss) for miss in map(_attribute_error, problem.variables())]
+    violation = (max((low for low, _ in missed), default=0.0), max((high for _, high in missed), default=0.0))
+    x = reduced.values(problem, proofs)
+    found = Proved(
+        (value - rounding, value + rounding), violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
+        tolerance,
+    )
+    complaint = "" if x is None else _dual_error(problem, reduced, x, tolerance)
+    if x is None:  # nothing can be said of an x that the program does not show
+        own = proofs.own_solution
+        blind = np.zeros(reduced.program.n) if own is None else own.x
+        return replace(found.certification(proofs, blind, complaint), distance=None)
+    said = found.certification(proofs, x, complaint, reduced.columns)
+    if said.distance is None:
+        return said
+    return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
+
+
+def _missed(constraint: Any) -> tuple[float, float]:
+    """Return by how much a constraint is violated, less what rounding may be, and as it is."""
+    violation = float(np.nan_to_num(violation_of(constraint), nan=np.inf).max(initial=0.0))
+    return (violation - EVALUATED * size_of(expression_of(constraint)), violation) if violation else (0.0, 0.0)
+
+
+def _attribute_error(variable: Any) -> float:
+    entries = dense_value(leaf_value(variable))
+    return float(np.abs(nearest(variable, entries) - entries).max(initial=0.0))
+
+
+def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance: float) -> str:
+    """Return what is wrong with the duals that the problem holds, or nothing."""
+    duals = {constraint.id: constraint.dual_value for constraint in problem.constraints}
+    if any(dual is None for dual in duals.values()):
+        return ""
+    size = 1.0 + max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
+    for constraint in problem.constraints:
+        least = float(dense_value(duals[constraint.id]).min(initial=0.0))
+        if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
+            return f"the dual value {least:.3g} of {name_of(constraint)} has the wrong sign"
+    left = reduced.gradient_left(duals, x, tolerance)
+    return f"the dual values leave {left:.3g} of the gradient" if left else ""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedProblem:
+    """The program that cvxpy makes of a problem, and where the user's variables are in it.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+    offset : float
+        What the program leaves out of the objective that is to be minimised.
+    places : dict or None
+        Variable id → the column of each entry, −1 for an entry that is always zero. None where an entry is no column.
+    dual_places : dict or None
+        Constraint id → the row of [G; A] of each entry, counted from 1 and negative where the dual has the other sign;
+        0 where it has no row.
+    """
+
+    program: QuadraticProgram
+    offset: float
+    places: dict[int, Indices] | None
+    dual_places: dict[int, Indices] | None
+
+    @classmethod
+    def of(cls, problem: Any) -> ReducedProblem:
+        """Return the program of a problem, which is left as it is."""
+        twin = cp.Problem(problem.objective, problem.constraints)  # what is compiled stays with it
+        try:
+            data, chain, inverse = twin.get_problem_data(QPSolver)
+        except (SolverError, DCPError) as error:
+            raise UnsupportedModel(str(error)) from error
+        program = quadratic_program(data)
+        base, counted = (_inverted(program, chain, inverse, count) for count in (0.0, 1.0))
+        places = _places({variable.id: variable.shape for variable in problem.variables()}, base[0], counted[0])
+        if places is not None and any((place < 0).any() for place in places.values()):
+            places = None
+        columns = None if places is None else {key: place - 1 for key, place in places.items()}
+        kept = [constraint.id for constraint in problem.constraints if constraint.id in counted[1]]
+        duals = {key: np.shape(dense_value(counted[1][key])) for key in kept}
+        return cls(program, float(inverse[-1][settings.OFFSET]), columns, _places(duals, base[1], counted[1]))
+
+    @property
+    def columns(self) -> Indices:
+        """The columns of the user's variables."""
+        return np.unique(self._entries)
+
+    @property
+    def most_copies(self) -> int:
+        """How many entries of the user's variables one column is at most: two in a symmetric matrix."""
+        return int(np.bincount(self._entries, minlength=1).max())
+
+    @property
+    def _entries(self) -> Indices:
+        every = np.concatenate([np.zeros(0, np.intp), *(place.ravel() for place in (self.places or {}).values())])
+        return every[every >= 0]
+
+    def values(self, problem: Any, proofs: ProgramProofs) -> FloatVector | None:
+        """Return the program's x of the user's values; other variables as equations define them, or as we find them."""
+        own = proofs.own_solution
+        if self.places is None or own is None:
+            return None
+        x = np.array(own.x)
+        for variable in problem.variables():
+            place = self.places[variable.id].ravel()
+            x[place[place >= 0]] = dense_value(leaf_value(variable)).ravel()[place >= 0]
+        substitution = substitute_definitions(self.program)
+        if substitution is not None:
+            kept = np.delete(np.arange(self.program.n), substitution.defined)
+            defined = np.setdiff1d(substitution.defined, self.columns)
+            x[defined] = (substitution.expansion @ x[kept] + substitution.offset)[defined]
+        return x
+
+    def gradient_left(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> float:
+        """Return what is left of the gradient beside these duals and any multipliers of rows that cvxpy added.
+
+        0 where it is no more than errors of multipliers may be, and where nothing can be said.
+        """
+        program, rows = self.program, self.program.constraints
+        if self.dual_places is None or any(key not in self.dual_places for key in duals):
+            return 0.0
+        y, is_added = np.zeros(rows.rows), np.ones(rows.rows, dtype=bool)
+        for key, dual in duals.items():
+            place = self.dual_places[key]
+            at = np.abs(place[place != 0]) - 1
+            y[at], is_added[at] = np.sign(place[place != 0]) * dense_value(dual)[place != 0], False
+        matrix = rows.matrix[: rows.rows]
+        value = np.abs(matrix @ x - rows.limit[: rows.rows])
+        is_equality = rows.is_equality[: rows.rows]
+        added = np.flatnonzero(is_added & (is_equality | (value <= ACTIVE * rows.unit[: rows.rows])))
+        s = program.P @ x + program.c + matrix.T @ y
+        terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c), abs(matrix).T @ np.abs(y)]
+        if added.size:
+            if added.size * s.size > DENSE_UP_TO:
+                return 0.0
+            from scipy.optimize import lsq_linear
+
+            found = lsq_linear(
+                matrix[added].T.toarray(), -s, (np.where(is_equality[added], -np.inf, 0.0), np.inf), tol=1e-14
+            ).x
+            s = s + matrix[added].T @ found
+            terms.append(abs(matrix[added]).T @ np.abs(found))
+        excess = np.abs(s) - LOOSE * tolerance * (1.0 + np.max(terms, axis=0))
+        return float(np.abs(s[excess > 0.0]).max(initial=0.0))
+
+    def in_the_users_units(self, found: Certification, sense: float) -> Certification:
+        """Return what was found with bounds of the user's optimal value, a largest one where he maximises."""
+        lower, upper = (
+            None if bound is None else math.nextafter(bound + self.offset, end)
+            for bound, end in ((found.lower, -math.inf), (found.upper, math.inf))
+        )
+        if sense < 0.0:
+            lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
+        return replace(found, lower=lower, upper=upper)
+
+
+def _inverted(program: QuadraticProgram, chain: Any, inverse: Any, count: float) -> tuple[Any, Any]:
+    """Return what becomes of the columns and of the rows [G; A], each counted from 1 and times `count`."""
+    y = count * np.arange(1.0, program.h.size + program.b.size + 1.0)
+    none = np.zeros(program.n)
+    columns = count * np.arange(1.0, program.n + 1.0)
+    solution = QPSolution(program, columns, y[: program.h.size], y[program.h.size :], none, none)
+    run = SimpleNamespace(seconds=0.0, setup_seconds=0.0, iterations=0)
+    answer = SimpleNamespace(result=run, solution=solution, status=settings.OPTIMAL)
+    found = chain.invert(answer, inverse)
+    return found.primal_vars, found.dual_vars or {}
+
+
+def _places(
+    shapes: dict[int, tuple[int, ...]], base: dict[int, Any], counted: dict[int, Any]
+) -> dict[int, Indices] | None:
+    """Return where each entry comes from, by number and sign; None where one is no entry of what was counted."""
+    places = {}
+    for key, shape in shapes.items():
+        if key not in counted or np.any(dense_value(base[key])):
+            return None
+        place = np.broadcast_to(dense_value(counted[key]), shape)
+        if np.any(place != np.round(place)):
+            return None
+        places[key] = place.astype(np.intp)
+    return places

@@ -1,0 +1,275 @@
+"""Least squares within bounds: checked data in the caller's units, and the same problem in units that suit a method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..checks import (
+    FloatVector,
+    canonical_csr,
+    check_kind,
+    check_order,
+    checked_bound,
+    checked_vector,
+    is_number,
+    read_only,
+    real_array,
+)
+from ..errors import InvalidOption, InvalidProblem
+
+COPIED_UP_TO = 10**6  # places of A
+ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
+
+
+class LeastSquares:
+    """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
+
+    Parameters
+    ----------
+    A : array, sparse array or scipy LinearOperator, shape (m, n)
+        Real, finite. An array of float64 and a canonical CSR array are used without a copy.
+    b : array, shape (m,)
+    lower, upper : scalar or array, shape (n,)
+    weights : array, shape (m,), or None
+        ≥ 0; None means 1.
+    ridge : float
+        ≥ 0.
+
+    Raises
+    ------
+    InvalidProblem, InvalidOption
+        Where the data do not state such a problem.
+
+    Attributes
+    ----------
+    has_entries : bool
+        Whether A is more than a function: what is said of the answer can be proved then.
+    """
+
+    def __init__(
+        self, A: Any, b: ArrayLike, lower: ArrayLike, upper: ArrayLike, weights: ArrayLike | None, ridge: float
+    ) -> None:
+        self.A, self.has_entries = _checked(A)
+        m, n = self.shape = self.A.shape
+        self._transpose = self.A.T if self.has_entries else self.A.H
+        self.b = checked_vector(b, "b", m)
+        self.lower, self.upper = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        check_order(self.lower, self.upper)
+        self.weights = None if weights is None else checked_vector(weights, "weights", m)
+        if self.weights is not None and (self.weights < 0.0).any():
+            i = int(np.flatnonzero(self.weights < 0.0)[0])
+            raise InvalidProblem(f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out")
+        if not is_number(ridge) or not 0.0 <= ridge < np.inf:
+            raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
+        self.ridge = float(ridge)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether A is a sparse array."""
+        return bool(sp.issparse(self.A))
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether A is an ndarray."""
+        return self.has_entries and not self.is_sparse
+
+    @property
+    def is_cheap_to_copy(self) -> bool:
+        """Whether A has entries, and so few places for them that dense copies cost little."""
+        return self.has_entries and self.shape[0] * self.shape[1] <= COPIED_UP_TO
+
+    @cached_property
+    def nearest_to_zero(self) -> FloatVector:
+        """The point of [lower, upper] nearest to 0, shape (n,)."""
+        return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
+
+    def checked_start(self, x0: ArrayLike | None) -> FloatVector:
+        """Return the start within the bounds, shape (n,); raise InvalidOption where x0 is no finite vector of n."""
+        if x0 is None:
+            return self.nearest_to_zero
+        try:
+            return np.clip(checked_vector(x0, "x0", self.shape[1]), self.lower, self.upper)
+        except InvalidProblem as error:
+            raise InvalidOption(str(error)) from error
+
+    def product(self, x: FloatVector) -> FloatVector:
+        """Return A x."""
+        return _vector(self.A @ x)
+
+    def transposed(self, y: FloatVector) -> FloatVector:
+        """Return Aᵀy."""
+        return _vector(self._transpose @ y)
+
+    def weighted(self, y: FloatVector) -> FloatVector:
+        """Return weights · y."""
+        return y if self.weights is None else self.weights * y
+
+    def cost(self, x: FloatVector, residual: FloatVector) -> float:
+        """Return what is minimised, at x with its residual A x − b."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0  # of an x too large to be squared
+            return float(0.5 * (self.weighted(residual) @ residual + penalty))
+
+    def blocks(self) -> Iterator[tuple[slice, Any]]:
+        """Yield the rows of A, where it has entries, in parts that a temporary may be made of."""
+        at_once = ROWS_AT_ONCE if self.is_dense else max(self.shape[0], 1)
+        for begin in range(0, self.shape[0], at_once):
+            rows = slice(begin, min(begin + at_once, self.shape[0]))
+            yield rows, self.A[rows] if self.is_dense else self.A
+
+    @cached_property
+    def column_units(self) -> FloatVector:
+        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
+
+        Columns of a LinearOperator are not looked at: all have the one unit ‖A v‖ of the direction v of Aᵀb.
+        """
+        root = self.root_weights
+        if not self.has_entries:
+            v = self.transposed(root * root * self.b)
+            length = float(np.linalg.norm(v))
+            lengths = np.full(v.size, np.linalg.norm(root * self.product(v / length)) if length > 0.0 else 0.0)
+        else:
+            largest = np.zeros(self.shape[1])
+            for rows, block in self.blocks():
+                np.maximum(largest, _largest(block, root[rows]), out=largest)
+            unit = power_of_two(largest)
+            squares = np.zeros(self.shape[1])
+            for rows, block in self.blocks():
+                squares += _squares(block, root[rows], unit)
+            lengths = unit * np.sqrt(squares)
+        with np.errstate(over="ignore"):
+            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge))))
+
+    @cached_property
+    def root_weights(self) -> FloatVector:
+        """√weights, shape (m,)."""
+        return np.ones(self.shape[0]) if self.weights is None else np.sqrt(self.weights)
+
+
+class UnitLeastSquares:
+    """The same problem with columns of about unit length and b of about unit size: min ½‖A x − b‖² + ½ Σ ridge x².
+
+    Parameters
+    ----------
+    problem : LeastSquares
+
+    Attributes
+    ----------
+    lower, upper, ridge : ndarray, shape (n,)
+    b : ndarray, shape (m,)
+    columns : ndarray, shape (n,)
+        What the columns of A were divided by.
+    size : float
+        What b was.
+    """
+
+    def __init__(self, problem: LeastSquares) -> None:
+        self.problem = problem
+        self._root, self.columns = problem.root_weights, problem.column_units
+        with np.errstate(over="ignore"):
+            sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
+        self.size = float(power_of_two(np.array([max(float(np.abs(v).max(initial=0.0)) for v in sizes)]))[0])
+        with np.errstate(over="ignore", under="ignore"):
+            self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
+            self.b = self._root * problem.b / self.size
+            self.ridge = problem.ridge / self.columns / self.columns
+
+    def from_caller(self, x: FloatVector) -> FloatVector:
+        """Return x in these units."""
+        return x * (self.columns / self.size)
+
+    def to_caller(self, x: FloatVector) -> FloatVector:
+        """Return x in the caller's units, at a bound where it is at one here."""
+        lower, upper = self.problem.lower, self.problem.upper
+        there = np.clip(x * (self.size / self.columns), lower, upper)
+        return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
+
+    def product(self, x: FloatVector) -> FloatVector:
+        """Return A x."""
+        product = self.problem.product(x / self.columns)
+        return product if self.problem.weights is None else self._root * product
+
+    def transposed(self, y: FloatVector) -> FloatVector:
+        """Return Aᵀy."""
+        return self.problem.transposed(y if self.problem.weights is None else self._root * y) / self.columns
+
+    def entries(self, rows: slice = slice(None)) -> Any:
+        """Return those rows of A, which must have entries: a new ndarray or CSR array."""
+        if self.problem.is_dense:
+            return self.problem.A[rows] * self._root[rows, None] / self.columns
+        scaled = self.problem.A[rows].copy()
+        scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
+        return scaled
+
+
+def power_of_two(sizes: FloatVector) -> FloatVector:
+    """Return the powers of two just above the sizes, within what can be multiplied by; 1 for 0."""
+    exponents = np.clip(np.frexp(sizes)[1], -500, 500)
+    return np.where(sizes > 0.0, np.ldexp(1.0, exponents), 1.0)
+
+
+def _checked(A: Any) -> tuple[Any, bool]:
+    need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
+    if sp.issparse(A):
+        check_kind(A.dtype, need)
+        if A.ndim != 2:
+            raise InvalidProblem(f"{need}, got shape {A.shape}; write a single row as [[…]]")
+        return canonical_csr(A, "A"), True
+    if hasattr(A, "matvec") and hasattr(A, "shape"):
+        return _checked_operator(A, need), False
+    dense = real_array(A, need)
+    if dense.ndim != 2:
+        hint = "; write a single row as [[…]]" if dense.ndim == 1 else ""
+        raise InvalidProblem(f"{need}, got shape {dense.shape}{hint}")
+    for begin in range(0, dense.shape[0], ROWS_AT_ONCE):
+        wrong = ~np.isfinite(dense[begin : begin + ROWS_AT_ONCE])
+        if wrong.any():
+            i, j = np.argwhere(wrong)[0] + (begin, 0)
+            raise InvalidProblem(f"A must be finite, but A[{i}, {j}] = {dense[i, j]}; repair that entry")
+    is_contiguous = dense.flags.c_contiguous or dense.flags.f_contiguous
+    return read_only(dense if is_contiguous else dense.copy()), True
+
+
+def _checked_operator(A: Any, need: str) -> Any:
+    from scipy.sparse.linalg import aslinearoperator
+
+    operator = aslinearoperator(A)
+    if operator.dtype is not None:
+        check_kind(np.dtype(operator.dtype), need)
+    try:
+        zeros = operator.rmatvec(np.zeros(operator.shape[0]))
+    except NotImplementedError as error:
+        raise InvalidProblem(f"{need}; a LinearOperator needs rmatvec, which gives Aᵀy, too") from error
+    if not np.isfinite(zeros).all():
+        raise InvalidProblem(f"{need}, but Aᵀ0 is not finite; repair rmatvec")
+    return operator
+
+
+def _vector(values: Any) -> FloatVector:
+    return np.asarray(values, dtype=np.float64).reshape(-1)
+
+
+def _largest(block: Any, root: FloatVector) -> FloatVector:
+    """Return the largest entry of each column of √weights A."""
+    largest = np.zeros(block.shape[1])
+    if sp.issparse(block):
+        np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
+    else:
+        np.abs(block * root[:, None]).max(axis=0, out=largest)
+    return largest
+
+
+def _squares(block: Any, root: FloatVector, unit: FloatVector) -> FloatVector:
+    """Return the sums of squares of the columns of √weights A, in units in which none overflows."""
+    with np.errstate(under="ignore"):
+        if sp.issparse(block):
+            entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
+            return np.bincount(block.indices, entries * entries, minlength=block.shape[1]).astype(np.float64)
+        entries = block * root[:, None] / unit
+        return np.asarray(np.einsum("ij,ij->j", entries, entries))

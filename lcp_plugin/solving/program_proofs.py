@@ -1,0 +1,346 @@
+"""What is proved about the optimal value of a program, and the verdict on a point that is claimed to be optimal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..certificates.curvature import constrained_curvature
+from ..certificates.definite_bounds import norm_above
+from ..certificates.dual_bounds import DualBounds
+from ..certificates.feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
+from ..certificates.implied_bounds import implied_box
+from ..checks import FloatVector
+from ..conversions.program import QuadraticProgram
+from ..conversions.qp_solution import QPSolution
+from ..conversions.quadratic_program import attempts
+from ..deadline import is_over, seconds_left
+from ..errors import LCPError
+from ..exact.rational import enclosures
+from ..exact.rounding import compensated_product
+from ..exact.upward import quotient_above, sum_above
+from .driver import solve
+
+OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multipliers
+ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
+SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
+LOOSE = 10.0  # times the tolerance: errors of multipliers that were given, beside the terms of their column
+OUTWARD = 1.0 + 2.0**-30
+NOTHING = "nothing can be proved"
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """What is proved about an answer to a program.
+
+    Attributes
+    ----------
+    verdict : str
+        "proved": the claim holds to the tolerance. "refuted": it is proved to be false. "unproved": neither.
+    claim : str
+        "optimal", "infeasible" or "unbounded".
+    violation : float or None
+        The largest violation of a constraint, in its own unit; None where there is no x.
+    lower, upper : float or None
+        Proved bounds of the optimal value, None where nothing is proved.
+    gap : float or None
+        A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
+    distance : float or None
+        A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one.
+    reason : str
+        Why this is the verdict.
+    """
+
+    verdict: str
+    claim: str
+    violation: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    gap: float | None = None
+    distance: float | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        numbers = (f"{name} {value:.3g}" for name in ("violation", "gap", "distance")
+                   if (value := getattr(self, name)) is not None)
+        return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramProofs:
+    """A convex program with all that is proved about its optimal value."""
+
+    program: QuadraticProgram
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> ProgramProofs:
+        """Return the proofs that are kept with a program: the answers of several solvers need them once."""
+        kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
+        return kept
+
+    @cached_property
+    def bounds(self) -> DualBounds:
+        """What lower bounds are made of."""
+        form = constrained_curvature(self.program.P, self.program.A)
+        return DualBounds(self.program, form, implied_box(self.program))
+
+    @cached_property
+    def points(self) -> FeasiblePoints:
+        """Where feasible points come from."""
+        return FeasiblePoints(self.program)
+
+    @cached_property
+    def own_solution(self) -> QPSolution | None:
+        """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
+        found: list[QPSolution] = []
+        for attempt in attempts(self.program):
+            if is_over():
+                break
+            left = seconds_left()
+            with suppress(LCPError):
+                limit = left if math.isfinite(left) else None
+                found.append(attempt.recover(solve(attempt.problem, tolerance=OWN_TOLERANCE, max_seconds=limit)))
+                if found[-1].is_stationary(ALMOST):
+                    break
+        return min(found, key=lambda solution: np.nan_to_num(solution.residual, nan=np.inf), default=None)
+
+    @cached_property
+    def own_lower(self) -> float:
+        """The lower bound by the multipliers of our own solution."""
+        own = self.own_solution
+        return -np.inf if own is None else self.lower(own.x, own.inequality, own.equality, own.objective)
+
+    def lower(
+        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
+    ) -> float:
+        """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
+        enough = value - tolerance * (1.0 + abs(value))
+        return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
+
+    def upper(self, *near: FloatVector) -> list[FeasiblePoint]:
+        """Return points that are proved to be feasible, near those given and our own solution, or else any."""
+        found = [point for x in near if (point := self.points.near(x)) is not None]
+        if self.is_small or "own_solution" in self.__dict__:
+            found += self._own_point
+        return found or self._inside
+
+    @cached_property
+    def _own_point(self) -> list[FeasiblePoint]:
+        own = None if self.own_solution is None else self.points.near(self.own_solution.x)
+        return [] if own is None else [own]
+
+    @cached_property
+    def _inside(self) -> list[FeasiblePoint]:
+        inside = self.points.inside
+        return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a solution of our own is worth its time where nothing depends on it."""
+        return self.program.n + self.program.h.size + self.program.b.size <= SMALL
+
+    # --- Claims -------------------------------------------------------------------------------------------------
+
+    def of_claim(self, claim: str) -> Certification:
+        """Return what is proved about "infeasible" or "unbounded"."""
+        proof = self.program.proof_of_no_minimum
+        if proof is not None and getattr(proof, "is_exact", True) and proof.verify():
+            if proof.verdict == claim:
+                return Certification("proved", claim, reason=str(proof))
+            return Certification("refuted", claim, reason=f"the program is {proof}")
+        points = self.upper()
+        upper = min((point.value for point in points), default=math.inf)
+        lower = self.own_lower
+        numbers = {"lower": _told(lower), "upper": _told(upper)}
+        if claim == "infeasible" and points:
+            return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
+        if claim == "unbounded" and lower > -np.inf:
+            return Certification("refuted", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
+        return Certification("unproved", claim, **numbers, reason=NOTHING)
+
+    def of_answer(
+        self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
+    ) -> Certification:
+        """Return what is proved about a point, and the multipliers that came with it."""
+        value = objective_bounds(self.program, x)
+        violation = _violation(self.program, x)
+        lower, complaint = -math.inf, ""
+        if given is not None:
+            lower = self.lower(x, given[0], given[1], value[0], tolerance)
+            complaint = multiplier_error(self.program, x, given, tolerance)
+        if self.is_small or not value[1] - lower <= tolerance * (1.0 + abs(value[0])):
+            lower = max(lower, self.own_lower)
+        found = Proved(value, violation, lower, self.upper(x), tolerance)
+        return found.certification(self, x, complaint)
+
+
+@dataclass(frozen=True, eq=False)
+class Proved:
+    """The numbers that a verdict on an answer is made of.
+
+    Attributes
+    ----------
+    value : pair of float
+        Doubles below and above f(x).
+    violation : pair of float
+        Likewise of the largest violation.
+    lower : float
+        Of the optimal value; −∞ where there is none.
+    points : list of FeasiblePoint
+    tolerance : float
+    """
+
+    value: tuple[float, float]
+    violation: tuple[float, float]
+    lower: float
+    points: list[FeasiblePoint] = field(repr=False)
+    tolerance: float
+
+    @property
+    def upper(self) -> float:
+        """Of the optimal value; ∞ where there is none."""
+        return min((point.value for point in self.points), default=math.inf)
+
+    @property
+    def gap(self) -> float:
+        """A bound of |f(x) − lower|."""
+        return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
+
+    def refutation(self) -> str:
+        """Return what refutes the answer, or nothing."""
+        below, above = self.value
+        allowed = self.tolerance * (1.0 + max(abs(below), abs(above))) * OUTWARD
+        if self.violation[0] > self.tolerance:
+            return f"a constraint is violated by {self.violation[0]:.3g}"
+        if self.upper < below - allowed:
+            return f"a feasible point has the objective {self.upper:.9g}, below {below:.9g}"
+        if self.lower > above + allowed:
+            return f"no feasible x is below {self.lower:.9g}, and this one has {above:.9g}"
+        return ""
+
+    def is_proved(self) -> bool:
+        """Return whether the answer is optimal to the tolerance, by its value."""
+        size = 1.0 + min(abs(self.value[0]), abs(self.value[1]))
+        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size
+
+    def certification(
+        self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
+    ) -> Certification:
+        """Return the verdict and its numbers; distances in some of the columns."""
+        near, far = distances(proofs, x, self.points, self.lower, columns)
+        refuted, is_proved = self.refutation(), self.is_proved()
+        verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
+        reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
+        off = error_of_x(proofs, x, self.points, self.lower, self.tolerance, far)
+        if verdict == "proved" and (off or complaint):
+            verdict, reason = "unproved", f"{off or complaint}, though the objective is proved to be optimal"
+        return Certification(
+            verdict, "optimal", self.violation[1], _told(self.lower), _told(self.upper),
+            _told(self.gap), _told(near), reason,
+        )
+
+    def _reason(self, evidence: str, is_proved: bool) -> str:
+        if is_proved:
+            return f"{evidence}; weak duality"
+        if not math.isfinite(self.lower):
+            return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
+        if self.violation[1] > self.tolerance:
+            return f"a constraint is violated by up to {self.violation[1]:.3g}"
+        return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
+
+
+@np.errstate(all="ignore")  # what overflows bounds nothing
+def distances(
+    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+) -> tuple[float, float]:
+    """Return bounds, from above and from below, of ‖x − x*‖₂ in the columns; ∞ and 0 where x* may not be the only one.
+
+    Notes
+    -----
+    A feasible point y has ½ Σ μ_i (y_i − x*_i)² ≤ f(y) − f(x*) ≤ f(y) − lower.
+    """
+    curvature = proofs.bounds.curvature
+    least = float(curvature.weights[columns].min(initial=math.inf)) if curvature.is_semidefinite else 0.0
+    near, far = math.inf, 0.0
+    if not 0.0 < least < math.inf or lower == -math.inf:
+        return near, far
+    for point in points:
+        gap = float(quotient_above(2.0 * max(float(sum_above(point.value, -lower)), 0.0), least))
+        blur = float(norm_above(point.radius[columns])) + math.sqrt(gap) * OUTWARD
+        length = float(norm_above(np.abs(x - point.near)[columns]))
+        near = min(near, (length + blur) * OUTWARD)
+        far = max(far, length / OUTWARD**2 - blur * OUTWARD)
+    return near, far
+
+
+@np.errstate(all="ignore")
+def error_of_x(
+    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, tolerance: float, far: float
+) -> str:
+    """Return what proves that x is not optimal although its value may be, or nothing.
+
+    A value optimal to t leaves x an error of √t. All optimal x have the same P x, so that this is seen there too
+    where P is only semidefinite: |P (y − x*)|_i ≤ √(p_ii · 2 (f(y) − lower)) for a feasible y.
+    """
+    if far > tolerance * (1.0 + float(np.abs(x).max(initial=0.0))):
+        return f"x is proved to be {far:.3g} from the optimal one"
+    program = proofs.program
+    if lower == -math.inf or not proofs.bounds.curvature.is_semidefinite or (proofs.bounds.curvature.weights > 0).all():
+        return ""
+    P = sp.csr_array(program.P)
+    size = 1.0 + max(float(np.abs(part).max(initial=0.0)) for part in (P @ x, program.c))
+    for point in points:
+        around = np.sqrt(P.diagonal() * (2.0 * max(point.value - lower, 0.0))) * OUTWARD
+        rounding = 1e-12 * (abs(P) @ (np.abs(x) + np.abs(point.near))) + abs(P) @ point.radius
+        miss = float((np.abs(P @ (x - point.near)) - around - rounding).max(initial=0.0))
+        if miss > tolerance * size:
+            return f"its gradient is proved to be {miss:.3g} from that of the optimal x"
+    return ""
+
+
+def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
+    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing."""
+    names = ("inequality", "equality", "lower", "upper")
+    size = 1.0 + max(float(np.abs(part).max(initial=0.0)) for part in given)
+    for name, part in zip(names, given, strict=False):
+        if name != "equality" and part.size and part.min() < -LOOSE * tolerance * size:
+            return f"the multiplier {name}[{int(part.argmin())}] = {part.min():.3g} has the wrong sign"
+    inequality, equality = given[:2]
+    terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
+    terms += [abs(sp.csr_array(rows)).T @ np.abs(y) for rows, y in ((program.G, inequality), (program.A, equality))]
+    s = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
+    allowed = LOOSE * tolerance * (1.0 + np.max(terms, axis=0))
+    if len(given) == len(names):
+        s, low, high = s - given[2] + given[3], 0.0 * s, 0.0 * s
+    else:  # a bound takes up what its sign allows, at the x that holds it
+        with np.errstate(invalid="ignore"):
+            reach = tolerance * (1.0 + np.abs(x)) * LOOSE
+            low = np.where(x - program.lower <= reach, np.inf, 0.0)
+            high = np.where(program.upper - x <= reach, np.inf, 0.0)
+    wrong = np.maximum(np.maximum(s - low, -s - high), 0.0) - allowed
+    if wrong.max(initial=0.0) > 0.0:
+        j = int(wrong.argmax())
+        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
+    return ""
+
+
+def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+    """Return doubles below and above the largest violation of a constraint by x."""
+    rows = program.constraints
+    finite = rows.finite
+    with np.errstate(all="ignore"):
+        value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
+        value = np.where(rows.is_equality[finite], np.abs(value), value)
+    largest = max(float(np.nan_to_num(rows.excess(x), nan=np.inf).max(initial=0.0)), 0.0)
+    return float((value - radius).max(initial=0.0)) / OUTWARD, math.nextafter(largest, math.inf) if largest else 0.0
+
+
+def _told(value: float) -> float | None:
+    return value if math.isfinite(value) else None

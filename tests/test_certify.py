@@ -1,0 +1,467 @@
+"""`certify`: what it says of right answers, of wrong ones, and of what is no convex program."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import exact
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
+from lcp_plugin.certificates.curvature import constrained_curvature, curvature
+from lcp_plugin.certificates.dual_bounds import DualPoint
+from lcp_plugin.certificates.feasible_points import FeasiblePoints
+from lcp_plugin.certificates.implied_bounds import implied_box
+from lcp_plugin.commands.cli import app
+from lcp_plugin.solving.program_proofs import ProgramProofs
+from lcp_plugin.strategies import convex_qps
+
+INF = np.inf
+
+
+def campaign() -> Any:
+    """The generator and the judge of the campaign of the same name."""
+    path = Path(__file__).parent / "campaigns" / "certify.py"
+    spec = importlib.util.spec_from_file_location("certify_campaign", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    import sys
+
+    sys.modules[spec.name] = module  # its dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+CAMPAIGN = campaign()
+SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+
+
+# --- Right and wrong answers to programs --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
+    """Of each kind some programs: every number holds in fractions; right is proved, planted wrong answers are not."""
+    off = []
+    for seed in range(5):
+        rng = np.random.default_rng([seed, 20])
+        case = CAMPAIGN.case(kind, rng, 7)
+        for multipliers in (None, case.multipliers):
+            said = certify(case.program, case.x, multipliers)
+            assert said.verdict == "proved", said
+            assert not CAMPAIGN.faults(case, case.x, said)
+        for name, (x, multipliers) in CAMPAIGN.planted(case, rng).items():
+            said = certify(case.program, x, multipliers)
+            assert not CAMPAIGN.faults(case, x, said), (name, said)
+            assert said.verdict != "proved" or (name != "a sign" and CAMPAIGN.is_still_right(case, x)), (name, said)
+            off += [said.verdict] if name == "off by 1e-2" else []
+    assert off.count("refuted") >= 4
+
+
+@settings(max_examples=15, deadline=None)
+@given(convex_qps())
+def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
+    """Lower ≤ the exact minimum ≤ upper, of programs with exact answers of any kind."""
+    program, answer = drawn
+    x = np.array([float(value) for value in answer.x])
+    said = certify(program, x)
+    assert said.verdict != "refuted"
+    assert said.lower is None or Fraction(said.lower) <= answer.objective
+    assert said.upper is None or Fraction(said.upper) >= answer.objective
+
+
+@pytest.mark.parametrize(("x", "reason"), [
+    ([0.5, 1.51], "a constraint is violated by 0.01"),
+    ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
+])
+def test_what_refutes_is_said(x: list[float], reason: str) -> None:
+    """A violated constraint; a better feasible point."""
+    said = certify(SIMPLE, x)
+    assert said.verdict == "refuted"
+    assert said.reason.startswith(reason)
+
+
+def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
+    """A violation within the tolerance that buys much more than the tolerance in the objective."""
+    program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
+    said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
+    assert said.verdict == "proved"  # relative to 1 + |f|
+    steep = QuadraticProgram([[1.0, 0.0], [0.0, 1.0]], [-1e4, 1e4], G=[[1.0, -1.0]], h=[0.0])
+    said = certify(steep, [9e-7, 0.0], tolerance=1e-6)
+    assert said.verdict == "refuted"
+    assert "no feasible x is below" in said.reason
+
+
+def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:
+    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, so that "optimal" is not proved."""
+    said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
+    assert said.verdict == "unproved"
+    assert "from the optimal one" in said.reason
+    flat = QuadraticProgram([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, -1.0, 0.0])
+    assert certify(flat, [0.5, 0.5 + 1e-4, 0.0]).reason.startswith("its gradient")
+    assert certify(flat, [0.7, 0.3, 5.0]).verdict == "proved"
+
+
+@pytest.mark.parametrize("multipliers", [
+    [1.0], ([1.0], []), ([1.0], [], [0.0, 0.0], [0.0, 0.0]), {"inequality": [1.0]}, [1.0, 0.0, 0.0, 0.0, 0.0],
+])
+def test_multipliers_in_every_form(multipliers: Any) -> None:
+    """One array, a pair, four, names, all constraints in one array: the same verdict."""
+    assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
+
+
+def test_a_solution_of_ours_is_an_answer() -> None:
+    """A QPSolution brings x and multipliers."""
+    own = ProgramProofs(SIMPLE).own_solution
+    assert own is not None
+    assert certify(SIMPLE, own).verdict == "proved"
+
+
+def test_wrong_multipliers_of_a_right_x_are_told() -> None:
+    """A wrong sign, and a gradient that the multipliers leave; the bounds stand all the same."""
+    for wrong, reason in (([-1.0], "has the wrong sign"), ([0.5], "of the gradient")):
+        said = certify(SIMPLE, [0.5, 1.5], wrong)
+        assert said.verdict == "unproved"
+        assert reason in said.reason
+        assert said.lower == pytest.approx(-4.5, abs=1e-12)
+
+
+# --- Claims ------------------------------------------------------------------------------------------------------
+
+
+def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
+    """Infeasible and unbounded, right and wrong."""
+    infeasible = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
+    unbounded = QuadraticProgram([[0.0]], [1.0], upper=1.0)
+    verdicts = [
+        [certify(program, claim=claim).verdict for claim in ("infeasible", "unbounded")]
+        for program in (infeasible, unbounded, SIMPLE)
+    ]
+    assert verdicts == [["proved", "refuted"], ["refuted", "proved"], ["refuted", "refuted"]]
+    assert certify(unbounded, [0.0]).lower is None
+    assert certify(infeasible, [0.5]).verdict == "refuted"
+
+
+# --- What it is made of ------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
+def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_rounding: bool) -> None:
+    """P − diag(weights) has no negative eigenvalue, exactly, whether P is definite, singular or rounded."""
+    rng = np.random.default_rng(seed)
+    F = rng.normal(size=(n, rank)) if has_rounding else rng.integers(-3, 4, (n, rank)).astype(float)
+    found = curvature(F @ F.T)
+    assert np.isfinite(found.weights).all()
+    rest = exact.exact_rows(F @ F.T)
+    for i, weight in enumerate(found.weights.tolist()):
+        rest[i][i] -= Fraction(weight)
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 4), st.integers(0, 2), st.integers(1, 3), st.integers(0, 2**31))
+def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int, p: int, seed: int) -> None:
+    """P + ρ AᵀA − diag(weights) has no negative eigenvalue, exactly."""
+    rng = np.random.default_rng(seed)
+    F, A = rng.integers(-3, 4, (n, rank)).astype(float), rng.normal(size=(p, n))
+    found = constrained_curvature(F @ F.T, A)
+    rest, rows = exact.exact_rows(F @ F.T), exact.exact_rows(A)
+    for i in range(n):
+        for j in range(n):
+            rest[i][j] += Fraction(found.penalty) * sum((row[i] * row[j] for row in rows), Fraction(0))
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str) -> None:
+    """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
+    finite = 0
+    for seed in range(25):
+        rng = np.random.default_rng([seed, 21])
+        case = CAMPAIGN.case(kind, rng, 3)
+        bounds = ProgramProofs(case.program).bounds
+        right = np.concatenate(case.multipliers[:2])
+        for size in (0.0, 1e-12, 1e-2, 1.0):
+            for is_flipped in (False, True):
+                x = case.x + size * rng.normal(size=case.x.size)
+                y = (right + size * rng.normal(size=right.size)) * (-1.0 if is_flipped else 1.0)
+                at = bounds.admitted(x, y)
+                found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
+                finite += np.isfinite(found[2])
+                assert all(value == -INF or Fraction(value) <= case.value for value in found), (seed, size, found)
+    assert finite >= 50
+
+
+def test_the_bound_is_sharp_where_it_can_be() -> None:
+    """Of ½x² the bound at x̂ = 1 is its minimum; on x₁ = 0, without curvature of its own, that of a linear objective."""
+    plain = ProgramProofs(QuadraticProgram([[1.0]], [0.0])).bounds
+    assert plain.best(np.ones(1), np.zeros(0)) == pytest.approx(0.0, abs=1e-15)
+    held = ProgramProofs(QuadraticProgram([[0.0]], [1.0], A=[[1.0], [2.0]], b=[0.0, 0.0])).bounds
+    for x in (0.0, 1e-3, 1.0):
+        for y in ([0.0, 0.0], [-1.0, 0.0]):
+            at = DualPoint(np.array([x]), np.array(y))
+            assert held.value(at) <= 0.0
+            assert held._exact_value(at) <= 0.0
+
+
+def test_indefinite_by_a_rounding_error_is_no_proof() -> None:
+    """A P with an eigenvalue of −1e-17 and nothing that bounds x: nothing can be proved."""
+    third = 1.0 / 3.0
+    P = np.array([[third, third], [third, np.nextafter(third, 0.0)]])
+    said = certify(QuadraticProgram(P, [0.0, 0.0]), [0.0, 0.0])
+    assert (said.verdict, said.lower) == ("unproved", None)
+    assert "only to rounding" in said.reason
+    boxed = certify(QuadraticProgram(P, [0.0, 0.0], lower=-1.0, upper=1.0), [0.0, 0.0])
+    assert boxed.lower is not None
+    assert boxed.lower < 0.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(convex_qps())
+def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
+    """The exact minimum lies in the box that the constraints imply."""
+    program, answer = drawn
+    lower, upper = implied_box(program)
+    assert all(a <= x <= b for a, x, b in zip(lower, answer.x, upper, strict=True))
+
+
+def test_a_chain_of_free_states_gets_a_bound() -> None:
+    """Positions and speeds without bounds: the dynamics bound them, and errors of 1e-15 in multipliers cost little."""
+    steps, rng = 300, np.random.default_rng(0)
+    rows = sp.lil_array((2 * steps, 3 * steps))
+    for k in range(steps):  # position, speed and force of step k
+        rows[2 * k, 3 * k], rows[2 * k + 1, 3 * k + 1], rows[2 * k + 1, 3 * k + 2] = 1.0, 1.0, -0.1
+        if k:
+            rows[2 * k, 3 * k - 3], rows[2 * k, 3 * k - 2], rows[2 * k + 1, 3 * k - 2] = -1.0, -0.1, -1.0
+    start, force = np.zeros(2 * steps), np.tile([0.0, 0.0, 1.0], steps)
+    start[:2] = 1.0
+    program = QuadraticProgram(
+        sp.diags_array(force), np.tile([0.01, 0.0, 0.0], steps), A=rows.tocsr(), b=start,
+        lower=np.where(force > 0.0, -1.0, -INF), upper=np.where(force > 0.0, 1.0, INF),
+    )
+    assert np.isfinite(implied_box(program)).all()
+    proofs = ProgramProofs(program)
+    own = proofs.own_solution
+    assert own is not None
+    blurred = own.equality + 1e-15 * rng.normal(size=own.equality.size)
+    assert proofs.bounds.value(proofs.bounds.admitted(own.x, blurred)) > own.objective - 1e-6 * (1 + abs(own.objective))
+
+
+def test_free_columns_are_repaired() -> None:
+    """Multipliers off by 1e-10 on free columns: the plain bound is −∞, the repaired one sharp."""
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(4, 9))
+    nu, x = rng.normal(size=4), rng.normal(size=9)
+    program = QuadraticProgram(np.zeros((9, 9)), -A.T @ nu, A=A, b=A @ x)
+    proofs = ProgramProofs(program)
+    blurred = nu + 1e-10
+    assert proofs.bounds.value(proofs.bounds.admitted(x, blurred)) == -INF
+    assert proofs.lower(x, np.zeros(0), blurred, program.objective(x)) in (-INF, pytest.approx(program.objective(x)))
+    dyadic = np.round(64 * A) / 64
+    program = QuadraticProgram(np.zeros((9, 9)), -dyadic.T @ np.ones(4), A=dyadic, b=np.ones(4))
+    found = ProgramProofs(program).lower(x, np.zeros(0), np.ones(4) + 1e-10, -4.0)
+    assert found == pytest.approx(-4.0)
+
+
+def test_feasible_points_are_feasible() -> None:
+    """Near a point that misses equations and tight rows by rounding there is one that meets them exactly."""
+    rng = np.random.default_rng(2)
+    for seed in range(4):
+        case = CAMPAIGN.case("definite, equations", np.random.default_rng(seed), 6)
+        near = case.x + 1e-9 * rng.normal(size=case.x.size)
+        found = FeasiblePoints(case.program).near(near)
+        assert found is not None
+        assert np.abs(found.near - near).max() < 1e-6
+        assert Fraction(found.value) >= case.value
+
+
+# --- cvxpy -------------------------------------------------------------------------------------------------------
+
+
+def models() -> dict[str, cp.Problem]:
+    """Problems with constraints on the user's variables and with auxiliary ones."""
+    rng = np.random.default_rng(3)
+    A, b = rng.normal(size=(20, 4)), rng.normal(size=20)
+    x, y, z = cp.Variable(4), cp.Variable(4, nonneg=True), cp.Variable((2, 2), symmetric=True)
+    risk = np.diag([1.0, 2.0, 3.0, 4.0])
+    return {
+        "least squares": cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + 3), [x >= 0]),
+        "portfolio": cp.Problem(cp.Maximize(A[0] @ y - cp.quad_form(y, risk)), [cp.sum(y) == 1]),
+        "lasso": cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + cp.norm1(x))),
+        "linear": cp.Problem(cp.Minimize(cp.norm_inf(A @ x - b)), [x <= 1]),
+        "symmetric": cp.Problem(cp.Minimize(cp.sum_squares(z - np.array([[1.0, 2.0], [3.0, 4.0]]))), [z >= 0]),
+    }
+
+
+@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")  # osqp's, of options that old cvxpy sends
+@pytest.mark.parametrize("name", models())
+@pytest.mark.parametrize("solver", ["CLARABEL", "OSQP"])
+def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None:
+    """Proved, with bounds on either side of the value, in the user's sense; nothing of the problem is changed."""
+    problem = models()[name]
+    problem.solve(solver=solver)
+    value, values = problem.value, [variable.value for variable in problem.variables()]
+    said = certify(problem)
+    assert said.verdict == "proved", said
+    assert said.lower is not None
+    assert said.upper is not None
+    assert said.lower - 1e-12 <= value + 1e-6
+    assert said.upper + 1e-6 >= value
+    assert said.upper - said.lower < 1e-9
+    assert problem.value == value
+    assert problem.status == "optimal"
+    for before, variable in zip(values, problem.variables(), strict=True):
+        np.testing.assert_array_equal(before, variable.value)
+    assert (said.distance is not None) == (name in ("portfolio", "least squares", "symmetric"))
+
+
+def test_wrong_values_of_cvxpy_variables() -> None:
+    """Off by 1e-4: never proved; off by 1e-2, and the answer without a constraint: refuted; a dual's sign: unproved."""
+    problem = models()["portfolio"]
+    problem.solve(solver="CLARABEL")
+    y, budget = problem.variables()[0], problem.constraints[0]
+    right = y.value
+    # One share more of the second and less of the first.
+    for off, verdicts in ((1e-4, ("unproved", "refuted")), (1e-2, ("refuted",))):
+        y.save_value(right + off * np.array([1.0, -1.0, 0.0, 0.0]))
+        assert certify(problem).verdict in verdicts
+    y.save_value(right)
+    assert certify(problem).verdict == "proved"
+    budget.dual_variables[0].save_value(-budget.dual_value)
+    said = certify(problem)
+    assert said.verdict == "unproved"
+    assert "dual" in said.reason
+    other = models()["least squares"]
+    free = cp.Problem(other.objective)
+    free.solve(solver="CLARABEL")
+    other._status = "optimal"
+    assert certify(other).verdict == "refuted"
+
+
+def test_claims_of_cvxpy_solvers() -> None:
+    """Statuses are held against the problem, right and wrong ones."""
+    x = cp.Variable(2)
+    infeasible = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1, cp.sum(x) <= 1])
+    unbounded = cp.Problem(cp.Maximize(cp.sum(x)), [x >= 1])
+    for problem, claim in ((infeasible, "infeasible"), (unbounded, "unbounded")):
+        problem.solve(solver="CLARABEL")
+        said = certify(problem)
+        assert (said.claim, said.verdict) == (claim, "proved")
+    fine = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1])
+    fine.solve(solver="CLARABEL")
+    for status in ("infeasible", "unbounded"):
+        fine._status = status
+        assert certify(fine).verdict == "refuted"
+
+
+# --- Refused in words ---------------------------------------------------------------------------------------------
+
+
+def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
+    x = cp.Variable(2, **attributes)
+    return cp.Problem(cp.Minimize(cp.sum_squares(x)), [make(x) for make in constraints])
+
+
+REFUSED: list[tuple[Any, type[LCPError], str]] = [
+    (lambda: certify(unsolved()), InvalidProblem, r"status is None; call problem\.solve\(\)"),
+    (lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])), UnsupportedModel, "is not piecewise linear"),
+    (lambda: certify(unsolved(integer=True)), UnsupportedModel, "is integer"),
+    (lambda: certify(unsolved([lambda x: cp.sqrt(x) <= 1])), UnsupportedModel, "convex"),
+    (lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])), UnsupportedModel, "is_dcp"),
+    (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
+    (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),
+    (lambda: certify(SIMPLE, [1.0]), InvalidProblem, r"length 2, got shape \(1,\)"),
+    (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], [1.0, 2.0]), InvalidProblem, "length 1, one a row.*or 5.*got 2"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], [np.nan]), InvalidProblem, r"multipliers\[0\] = nan"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], {"inequalities": [1.0]}), InvalidProblem, "did you mean 'inequality'"),
+    (lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]), UnsupportedModel, "not convex"),
+    (lambda: certify(SIMPLE, claim="optimum"), InvalidOption, "did you mean 'optimal'"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], tolerance=0.0), InvalidOption, "tolerance must be a number > 0"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
+    (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
+    (lambda: certify([[1.0]]), InvalidProblem, "got list"),
+]
+
+
+@pytest.mark.parametrize(("call", "kind", "words"), REFUSED, ids=[words for _, _, words in REFUSED])
+def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: str) -> None:
+    """What is no answer to a convex program is an error that says what is needed."""
+    with pytest.raises(kind, match=words):
+        call()
+
+
+# --- The command --------------------------------------------------------------------------------------------------
+
+
+QPS = """NAME          TWO
+ROWS
+ N  obj
+ L  r1
+COLUMNS
+    c1        obj       -2.0   r1        1.0
+    c2        obj       -4.0   r1        1.0
+RHS
+    rhs       r1        2.0
+BOUNDS
+ FR bnd       c1
+ FR bnd       c2
+QUADOBJ
+    c1        c1        2.0
+    c2        c2        2.0
+ENDATA
+"""
+
+
+def write_program(path: Path, **changes: Any) -> None:
+    """The program of the doctest in the layout of arrays."""
+    P, A = sp.csc_array(2.0 * np.eye(2)), sp.csc_array([[1.0, 1.0]])
+    parts = {f"{name}_{part}": getattr(matrix, part) for name, matrix in (("P", P), ("A", A))
+             for part in ("data", "indices", "indptr", "shape")}
+    np.savez(path, **{**parts, "q": [-2.0, -4.0], "l": [-1e20], "u": [2.0], "r": 1.0, **changes})
+
+
+@pytest.mark.parametrize("name", ["two.npz", "two.qps"])
+def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
+    """One line a solver, exit code 0 where all is proved; JSON says the same."""
+    path = tmp_path / name
+    if name.endswith("npz"):
+        write_program(path)
+    else:
+        pytest.importorskip("highspy")
+        path.write_text(QPS)
+    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,OSQP,LCP"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.count("proved to 1e-06") == 3
+    content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)
+    assert content["answers"][0]["lower"] == pytest.approx(-4.5)
+
+
+def test_exit_codes_of_the_command(tmp_path: Path) -> None:
+    """1 where an answer is not proved, 2 for bad input, in one line."""
+    write_program(tmp_path / "two.npz")
+    write_program(tmp_path / "short.npz", q=[1.0])
+    (tmp_path / "none.qps").write_text("nothing")
+    run = CliRunner().invoke
+    assert run(app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]).exit_code == 1
+    for arguments, words in (
+        (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
+        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "an .npz, .qps or .mps file"),
+        (["two.npz", "--solver", ","], "at least"), (["none.qps"], "no program in it"),
+    ):
+        done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
+        assert done.exit_code == 2, done.output
+        assert words in done.stderr

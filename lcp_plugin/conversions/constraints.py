@@ -148,8 +148,12 @@ def largest_entries(matrix: Any, axis: int) -> FloatVector:
     """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
     if 0 in matrix.shape:
         return np.zeros(matrix.shape[1 - axis])
-    largest = abs(matrix).max(axis=axis)
-    return np.asarray(largest.toarray() if sp.issparse(largest) else largest, dtype=np.float64).ravel()
+    if not sp.issparse(matrix):
+        return np.asarray(abs(matrix).max(axis=axis), dtype=np.float64)
+    rows, largest = sp.csr_array(matrix), np.zeros(matrix.shape[1 - axis])
+    belongs_to = np.repeat(np.arange(largest.size), np.diff(rows.indptr)) if axis else rows.indices
+    np.maximum.at(largest, belongs_to, np.abs(rows.data))
+    return largest
 
 
 def _or_one(sizes: FloatVector) -> FloatVector:

@@ -204,6 +204,15 @@ def test_sensitivity_of_a_kink_is_told() -> None:
     assert "between 0.000e+00 and 0.000e+00; on one side, as 1 row is degenerate" in done.stdout
 
 
+def test_sensitivity_of_a_tie_is_told() -> None:
+    """The largest of two equal entries has no derivative: what is told is that of one of them."""
+    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, -5.0]).save("p.npz")
+    done = lcp_plugin("solve", "p.npz", "--sensitivity", "max")
+    assert "by -6.667e-01 a unit; that of one of 2 entries that are equal" in done.stdout
+    assert json.loads(lcp_plugin("solve", "p.npz", "--sensitivity", "max", "--json").stdout)["sensitivity"][
+        "is_unique"] is False
+
+
 @pytest.mark.parametrize(
     ("problem", "words"),
     [

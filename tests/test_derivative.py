@@ -529,3 +529,42 @@ def test_what_is_handed_over_stays_as_it_is() -> None:
     found.dw(arrays[1], dM=arrays[0], dq=arrays[2])
     assert all((array == 1.0).all() for array in arrays)
     assert np.array_equal(result.z, z)
+
+
+def grid(size: int) -> sp.csr_array:
+    """The five-point Laplacian."""
+    second = sp.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    eye = sp.eye_array(size)
+    return sp.csr_array(sp.kron(eye, second) + sp.kron(second, eye))
+
+
+@pytest.mark.parametrize("decades", [0, 3, 6])
+def test_the_unit_of_rows_spoils_no_krylov_step(decades: int) -> None:
+    """Rows in units up to 10^±6: dz and gradients belong to the evened system, whose derivative they are."""
+    rng, L = np.random.default_rng(decades), grid(60)
+    n = L.shape[0]
+    z = np.maximum(np.sin(0.01 * np.arange(n)), 0.0)
+    D = 10.0 ** rng.uniform(-decades, decades, n)
+    q = np.where(z > 0.0, 0.0, 1.0) - L @ z
+    found = found_of(LCP(sp.csr_array(sp.diags_array(D) @ L), D * q))
+    free, h, g = z > 0.0, rng.standard_normal(n), rng.standard_normal(n)
+    np.testing.assert_array_equal(found.free, free)
+    dz, expected = found.jvp(dq=h), np.zeros(n)
+    expected[free] = sp.linalg.spsolve(sp.csc_array(L[free][:, free]), -(h / D)[free])
+    np.testing.assert_allclose(dz, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert abs(g @ dz - found.vjp(g).q @ h) <= 1e-11 * np.abs(g) @ np.abs(dz)
+
+
+def test_a_block_in_uneven_units_is_factorised_at_once() -> None:
+    """Rows and columns in units of 10^±6, alike: pivots stay on the diagonal, where there is no fill to wait for."""
+    rng, L = np.random.default_rng(0), grid(60)
+    n = L.shape[0]
+    unit = 10.0 ** rng.uniform(-3.0, 3.0, n)
+    M = sp.csr_array(sp.diags_array(unit) @ L @ sp.diags_array(unit))
+    system, right = FreeSystem(Matrix(M), np.ones(n, np.bool_)), rng.standard_normal(n)
+    assert system._factor is not None
+    assert system._factor.solve_work <= 40.0 * M.nnz
+    expected = sp.linalg.spsolve(sp.csc_array(L), right)
+    for transposed in (False, True):
+        x = system.solve(unit * right, transposed=transposed)
+        np.testing.assert_allclose(unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())

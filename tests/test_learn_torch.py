@@ -14,7 +14,16 @@ from planted import planted
 torch = pytest.importorskip("torch")
 
 import lcp_plugin.learn.torch as layers  # noqa: E402
-from lcp_plugin import LCP, InvalidProblem, NotConverged, UnsuitableProblem, derivative, gallery, solve  # noqa: E402
+from lcp_plugin import (  # noqa: E402
+    LCP,
+    InvalidProblem,
+    NotConverged,
+    UnsuitableProblem,
+    UnsupportedModel,
+    derivative,
+    gallery,
+    solve,
+)
 from lcp_plugin.learn.torch import lcp_layer  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse (CSR|invariant):UserWarning")  # PyTorch, of each CSR tensor
@@ -136,14 +145,27 @@ def test_a_singular_block_is_told_in_the_backward_pass() -> None:
 def test_what_autograd_must_not_do() -> None:
     """A second derivative, and a matrix changed between the passes, are refused."""
     M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
-    (first,) = torch.autograd.grad(lcp_layer(M, q).square().sum(), q, create_graph=True)
-    with pytest.raises(RuntimeError, match="once_differentiable"):
-        first.sum().backward()
+    for of in (lambda z: z.square().sum(), lambda z: z.sum()):
+        for by in (M, q):
+            loss = of(lcp_layer(M, q))
+            (first,) = torch.autograd.grad(loss, by, create_graph=True)
+            with pytest.raises(UnsupportedModel, match="no second derivative"):
+                (loss + first.square().sum()).backward()
+            with pytest.raises(UnsupportedModel, match="no second derivative"):
+                torch.autograd.grad(first.square().sum(), M)
     z = lcp_layer(M, q)
     with torch.no_grad():
         M += 1.0
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         z.sum().backward()
+
+
+def test_what_the_loss_ignores_may_be_singular() -> None:
+    """A problem without derivative costs the others nothing, and a batch may have no unknowns."""
+    M, q = leaves(np.array([[[2.0]], [[0.0]]]), np.array([[-2.0], [0.0]]))
+    lcp_layer(M, q, -INF)[0].sum().backward()
+    assert q.grad.tolist() == [[-0.5], [0.0]]
+    assert lcp_layer(*leaves(np.zeros((0, 0)), np.zeros(0))).shape == (0,)
 
 
 EYE, ONES = np.eye(2), np.ones(2)
@@ -157,6 +179,7 @@ EYE, ONES = np.eye(2), np.ones(2)
         (lambda t: lcp_layer(t(EYE).to_sparse(), t(ONES)), r"M must be dense, or one CSR tensor.*M.to_sparse_csr\(\)"),
         (lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()), r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)"),
         (lambda t: lcp_layer(t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
+        (lambda t: lcp_layer(EYE, 1j * ONES), "q must be an array of real numbers, got complex"),
         (lambda t: lcp_layer(t(EYE), t(1.0)), "q must have shape"),
         (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
         (lambda t: lcp_layer(t(ONES), t(ONES)), "M must have shape"),

@@ -74,13 +74,15 @@ class Sensitivity:
 
     def _gradient(self, at: Derivative) -> Found:
         name, weights = self._functional(at.z)
+        ties = int(np.count_nonzero(at.z == at.z[weights.argmax()])) if self.word in ("max", "min") else 1
         gradient = at.vjp(weights)
         arrays = {"by_q": gradient.q, "by_lower": gradient.lower, "by_upper": gradient.upper}
         value, largest = float(weights @ at.z), int(np.abs(gradient.q).argmax())
         slope = float(gradient.q[largest])
         change = f"changes most with q[{largest}], by {slope:.3e} a unit" if slope else "does not change with q"
-        line = f"{name} = {value:.6g} {change}; {_claim(at, 'on one side')}"
-        content = {"is_unique": at.is_unique, "functional": name, "value": value, "entry": largest, "by_q": slope}
+        claim = f"that of one of {ties} entries that are equal" if ties > 1 else _claim(at, "on one of the pieces")
+        line = f"{name} = {value:.6g} {change}; {claim}"
+        content = {"is_unique": at.is_unique if ties == 1 else False, "functional": name, "value": value, "entry": largest, "by_q": slope}
         return Found(arrays, content, line)
 
     def _functional(self, z: FloatVector) -> tuple[str, FloatVector]:

@@ -19,6 +19,7 @@ from .small_problems import classify, look_at, slack
 from .small_systems import solve_free
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
+NOT_SMALL = 2.0**-10  # of a diagonal entry beside its row
 HALF = 2.0**-26  # of the digits of a double
 KINK = 4  # added to the side of a row that is at this bound, with w = 0
 
@@ -70,13 +71,16 @@ def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
     """Return whether another solve would change FOUND by rounding alone, and whether each row is clear; mark kinks.
 
     A row is at a kink where both its slack and its distance from the bounds are rounding, and clear where one of them
-    has half of its digits. One with equal bounds takes the side that the sign of w asks for.
+    has half of its digits. What lies between takes more digits to judge, and so do rows that hardly depend on their own
+    variable: a slack of rounding may stand for a large one. With equal bounds the side is that which the sign of w
+    asks for.
     """
     n = M.shape[1]
     is_exact = is_clear = True
     for i in range(n):
-        size, terms = abs(real[Q, i]), 2
+        size, terms, largest = abs(real[Q, i]), 2, 0.0
         for j in range(n):
+            largest = max(largest, abs(M[k, i, j]))
             size += abs(M[k, i, j] * real[FOUND, j])
             terms += M[k, i, j] != 0.0
         z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
@@ -87,7 +91,7 @@ def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
             is_exact &= z == (upper if side == AT_UPPER else lower)
         if lower == upper:
             whole[SIDE, i] = AT_UPPER if real[W, i] < 0.0 else AT_LOWER
-        elif w <= floor and distance <= floor:
+        elif w <= floor and distance <= floor and M[k, i, i] >= NOT_SMALL * largest:
             whole[SIDE, i] = (AT_UPPER if upper - z < z - lower else AT_LOWER) + KINK
         else:
             is_clear &= (distance if side == BETWEEN else w) > HALF * size

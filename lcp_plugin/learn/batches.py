@@ -82,18 +82,19 @@ def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = Non
     """
     n = q.shape[-1]
     axes = common_axes(() if M is None else M.shape, *(vector.shape for vector in (q, lower, upper)))
-    q, lower, upper = (np.broadcast_to(vector, (*axes, n)).reshape(-1, n) for vector in (q, lower, upper))
+    count = math.prod(axes)
+    q, lower, upper = (np.broadcast_to(vector, (*axes, n)).reshape(count, n) for vector in (q, lower, upper))
     if M is None:
         M = wishes.M
     elif is_one(M):
         M = M.reshape(M.shape[-2:])
     else:
-        M = np.broadcast_to(M, (*axes, *M.shape[-2:])).reshape(-1, *M.shape[-2:])
-    start = None if z0 is None else np.broadcast_to(z0, (*axes, n)).reshape(-1, n)
+        M = np.broadcast_to(M, (*axes, *M.shape[-2:])).reshape(count, *M.shape[-2:])
+    start = None if z0 is None else np.broadcast_to(z0, (*axes, n)).reshape(count, n)
     found = derivative(solve_batch(M, q, lower=lower, upper=upper, z0=start, **wishes.options))
     if found.errors:
         is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
-        raise _first(found, axes, InvalidProblem if is_none else NotConverged)
+        raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
     return found, axes
 
 
@@ -103,19 +104,21 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
     Raises
     ------
     UnsuitableProblem
-        Where a block of M on the free rows is singular.
+        Where a block of M on the free rows is singular, of a problem that the loss looks at.
     """
     shape = (*axes, g.shape[-1])
-    by = found.vjp(np.broadcast_to(g, shape).reshape(-1, g.shape[-1]))
-    if found.errors:
-        raise _first(found, axes, type(next(iter(found.errors.values()))))
+    g = np.broadcast_to(g, shape).reshape(len(found), g.shape[-1])
+    by = found.vjp(g)
+    wrong = {k: error for k, error in found.errors.items() if g[k].any()}  # of the others nothing is asked
+    if wrong:
+        raise _first(wrong, axes, type(next(iter(wrong.values()))))
     return by.q.reshape(shape), by.lower.reshape(shape), by.upper.reshape(shape)
 
 
-def _first(found: BatchDerivative, axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
+def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
     """Return an error of that kind, which says what is wrong with the first problem, and where others are."""
-    places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(found.errors)}
+    places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
     also = f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})" if others else ""
     where = f"problem {places[first]} of the batch" if axes else "the problem"
-    return kind(f"{where} gives the layer no solution to go on with{also}: {found.errors[first]}")
+    return kind(f"{where} gives the layer no solution to go on with{also}: {errors[first]}")

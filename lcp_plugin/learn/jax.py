@@ -135,6 +135,8 @@ def _array(values: Any, name: str) -> Any:
     """Return the values as an array of doubles; floats of another kind are refused."""
     if isinstance(values, jax.Array) and jnp.issubdtype(values.dtype, jnp.floating) and values.dtype != jnp.float64:
         raise InvalidProblem(f"{name} must be an array of float64, got {values.dtype}; write {name}.astype(float)")
+    if np.iscomplexobj(values):
+        raise InvalidProblem(f"{name} must be an array of real numbers, got complex ones; give the real part")
     return jnp.asarray(values, dtype=jnp.float64)
 
 

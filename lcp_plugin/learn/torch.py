@@ -14,10 +14,9 @@ except ImportError:
         "lcp_plugin.learn.torch needs PyTorch; install it with: pip install 'lcp_plugin[learn]'"
     ) from None
 
-from torch.autograd.function import once_differentiable
-
 from ..algorithms import Algorithm
-from ..errors import InvalidProblem
+from ..checks import real_array
+from ..errors import InvalidProblem, UnsupportedModel
 from .batches import Wishes, common_axes, gradients, is_one, solved
 
 __all__ = ["lcp_layer"]
@@ -92,12 +91,28 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         return z
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        M, _, _, _, z = ctx.saved_tensors  # torch refuses where one was changed in place: the solver reads M as it lies
-        by = [torch.from_numpy(array) for array in gradients(ctx.found, ctx.axes, g.numpy())]
-        return _by_entries(M, by[0], z) if ctx.needs_input_grad[0] else None, *by, None
+        given = ctx.saved_tensors  # torch refuses where one was changed in place: the solver reads M as it lies
+        return *_Gradient.apply(ctx.found, ctx.axes, ctx.needs_input_grad[0], g, *given), None
+
+
+class _Gradient(torch.autograd.Function):  # type: ignore[misc]
+    """The gradients of z; their own derivatives are refused, whichever way they are asked for."""
+
+    @staticmethod
+    def forward(ctx: Any, found: Any, axes: Any, wants_entries: bool, g: Any, M: Any, *others: Any) -> tuple[Any, ...]:
+        """Return the gradients by M, q, lower and upper; None for an M of which nobody asks."""
+        by = [torch.from_numpy(array) for array in gradients(found, axes, g.detach().numpy())]
+        return _by_entries(M, by[0], others[-1]) if wants_entries else None, *by
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        """Refuse."""
+        raise UnsupportedModel(
+            "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
+            "is computed; leave out create_graph, or detach the gradient"
+        )
 
 
 def _by_entries(M: Any, by_q: Any, z: Any) -> Any:
@@ -117,7 +132,7 @@ def _by_entries(M: Any, by_q: Any, z: Any) -> Any:
 def _tensor(values: Any, name: str) -> Any:
     """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is refused."""
     if not isinstance(values, torch.Tensor):
-        return torch.as_tensor(values, dtype=torch.float64)
+        return torch.from_numpy(real_array(values, f"{name} must be an array of real numbers").copy())
     if values.dtype is not torch.float64:
         raise InvalidProblem(f"{name} must be a tensor of float64, got {values.dtype}; write {name}.double()")
     if values.device.type != "cpu":

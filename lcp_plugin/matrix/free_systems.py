@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +11,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
 from ..crossovers import DIRECT_UP_TO
-from .equilibration import evened
+from .equilibration import evened, scaled, times_power, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .matrix import Matrix
 from .structure import bandwidth
@@ -19,8 +20,10 @@ from .symmetry import has_symmetric_entries, is_nearly_symmetric
 REFINEMENTS = 3
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
 KRYLOV_STEPS = 60
-CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge
+CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
+ROUNDING = 2.0**-44  # of the terms of a row
 SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+UNEVEN = 1e4  # residual scales that differ by more are evened out before a factor is made
 EVENED_BY = (0.5, 0.5, 0.5, 0.5, 1.0)  # passes that bring a block's entries near 1, as `evened` takes them
 
 
@@ -109,8 +112,27 @@ class FreeSystem:
         matrix = self.matrix
         if not self.rows.size:
             return Factor("empty", np.copy, np.copy, 0.0, 0.0)
-        factor = factorise(self.block, is_symmetric=is_nearly_symmetric(matrix), bandwidth=bandwidth(matrix))
+        factor = self._even_factor(is_nearly_symmetric(matrix))
         return None if factor is None or self._cancels(factor) else factor
+
+    def _even_factor(self, is_symmetric: bool) -> Factor | None:
+        """Return a factor of the block, with rows and columns of one size where those of M are not.
+
+        Pivots that are large only by their unit would be preferred to those on the diagonal, and fill in.
+        """
+        band, scale = bandwidth(self.matrix), self.matrix.residual_scale[self.rows]
+        if not scale.max() > UNEVEN * scale.min():
+            return factorise(self.block, is_symmetric=is_symmetric, bandwidth=band)
+        is_symmetric = is_symmetric and bool((self.block.diagonal() > 0.0).all())
+        by = unit_diagonal(self.block.diagonal()) if is_symmetric else evened(sp.csr_array(self.block), EVENED_BY)
+        even = factorise(scaled(self.block, by), is_symmetric=is_symmetric, bandwidth=band)
+        if even is None:
+            return None
+        solve, solve_transposed = even.solve, even.solve_transposed
+        return replace(
+            even, solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
+            solve_transposed=lambda right: times_power(solve_transposed(times_power(right, by.column)), by.row),
+        )
 
     def _cancels(self, factor: Factor) -> bool:
         """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
@@ -171,12 +193,33 @@ class FreeSystem:
         def size(vector: FloatVector) -> float:
             return float(np.sqrt(matrix.peers.total(float(vector @ vector))))
 
-        correction = KrylovCorrection(self._truncation, right.copy(), is_symmetric, transposed=transposed)
-        begun, steps = size(correction.residual), 0
-        while size(correction.residual) > goal * begun and steps < KRYLOV_STEPS and correction.step():
-            steps += 1
-        if not size(correction.residual) <= max(goal, CONVERGED) * begun:
-            return None
-        x = np.empty(right.size)
-        correction.apply_to(np.zeros(right.size), x)
-        return x
+        unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
+        x, left, begun = np.zeros(right.size), right, size(right * unit)
+        for _ in range(REFINEMENTS):
+            correction = KrylovCorrection(self._truncation, left.copy(), is_symmetric, transposed=transposed)
+            steps, enough = 0, goal * begun / correction.unit
+            while size(correction.residual * unit) > enough and steps < KRYLOV_STEPS and correction.step():
+                steps += 1
+            better = np.empty(right.size)
+            correction.apply_to(x, better)
+            remainder = self._remainder(right, better, transposed)  # what steps keep of it on the way is not what it is
+            if not size(remainder * unit) < size(left * unit):
+                break
+            x, left = better, remainder
+            if size(left * unit) <= 10.0 * goal * begun:
+                return x
+        allowed = max(CONVERGED * begun, size(ROUNDING * self._terms(right, x, transposed) * unit))
+        return x if size(left * unit) <= allowed else None
+
+    def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
+        """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
+        matrix = self.matrix
+        product = matrix.rows.T @ x if transposed and matrix.peers.is_alone else matrix.rows @ matrix.whole(x)
+        return np.where(self.free, right - product, 0.0)
+
+    def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
+        """Return |right| + |M||x|, or |right| + |Mᵀ||x|, on the free rows, 0 elsewhere."""
+        matrix, rows = self.matrix, abs(self.matrix.rows)
+        size = np.abs(matrix.whole(x))
+        product = (rows.T if transposed and matrix.peers.is_alone else rows) @ size
+        return np.where(self.free, np.abs(right) + product, 0.0)

@@ -12,7 +12,8 @@ from .truncation import Truncation
 class KrylovCorrection:
     """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
 
-    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept.
+    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept: they
+    make the residual least in the norm of its rows divided by the diagonal, which may have any unit.
 
     Parameters
     ----------
@@ -34,6 +35,8 @@ class KrylovCorrection:
         # Squares of very large or small numbers leave the range of a double.
         self.unit = power_of_two(self.peers.largest(span(residual)))
         self.residual /= self.unit
+        inverse = truncation.grids[0].inverse
+        self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if self._weighs(transposed) else None
         self._sum = np.zeros(residual.size)
         self._scratch = np.empty(residual.size)
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -89,8 +92,13 @@ class KrylovCorrection:
         np.multiply(vector, factor, out=self._scratch)
         to += self._scratch
 
+    def _weighs(self, transposed: bool) -> bool:
+        return not (self.is_symmetric or transposed)
+
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
-        return p if self.is_symmetric else product
+        if self.is_symmetric:
+            return p
+        return product if self._weight is None else product * self._weight
 
 
 def span(vector: FloatVector) -> float:

@@ -82,7 +82,8 @@ class Sensitivity:
         change = f"changes most with q[{largest}], by {slope:.3e} a unit" if slope else "does not change with q"
         claim = f"that of one of {ties} entries that are equal" if ties > 1 else _claim(at, "on one of the pieces")
         line = f"{name} = {value:.6g} {change}; {claim}"
-        content = {"is_unique": at.is_unique if ties == 1 else False, "functional": name, "value": value, "entry": largest, "by_q": slope}
+        is_unique = at.is_unique if ties == 1 else False
+        content = {"is_unique": is_unique, "functional": name, "value": value, "entry": largest, "by_q": slope}
         return Found(arrays, content, line)
 
     def _functional(self, z: FloatVector) -> tuple[str, FloatVector]:

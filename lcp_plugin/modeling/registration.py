@@ -256,12 +256,8 @@ def solve_model(
     if requires_grad:
         refuse_without_derivatives()
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
-        options["algorithm"] = algorithm
-        if requires_grad:
-            return _differentiable_program(problem, warm_start, verbose, options)
-        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
-        set_answering(problem, None)
-        return value
+        run = _differentiable_program if requires_grad else _program
+        return run(problem, warm_start, verbose, {"algorithm": algorithm, **options})
     _refuse_flags(options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters)
@@ -279,6 +275,13 @@ def solve_model(
         answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
     set_answering(problem, answering)
     return problem.value
+
+
+def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+    """Solve a quadratic program."""
+    value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+    set_answering(problem, None)
+    return value
 
 
 def _differentiable_program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:

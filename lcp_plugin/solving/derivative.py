@@ -67,7 +67,8 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
     Parameters
     ----------
     result : Result or BatchResult
-        SOLVED. What its run has built (the hierarchy of M) serves again.
+        SOLVED. What its run has built (the hierarchy of M) serves again, and M is read where it lies: do not change
+        its entries between the solve and this.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.certificates.error_bounds import SHARP_ENOUGH_LARGE, SHARP_ENOUGH_SMALL, error_bound
+from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.contestants import TUNING, comparison, contestants, tuned
@@ -195,8 +195,7 @@ def test_the_bound_that_is_drawn_is_the_sharp_one(size: int) -> None:
     error = float(np.max(np.abs(z - scipy.sparse.linalg.spsolve(problem.csr.tocsc(), -problem.q))))
     report = error_against_time(problem, ["psor"], repeats=1)
     assert report.error_kind == "rigorous bound"
-    enough = SHARP_ENOUGH_SMALL if size == 5 else SHARP_ENOUGH_LARGE
-    assert error <= report.curves[0].points[-1].error <= (1.0 + enough) * error
+    assert report.curves[0].points[-1].error == pytest.approx(error, rel=1e-3)
     assert error_bound(problem, z, sharp=False).infinity > 1e8 * error
     if size == 5:
         assert "rigorous bound 2.9e-09" in str(report)
@@ -207,7 +206,7 @@ def test_iterative_solves_go_on_as_long_as_they_gain() -> None:
     problem = convection(250)
     z = solve(problem, "multigrid").z
     error = float(np.max(np.abs(z - scipy.sparse.linalg.spsolve(problem.csr.tocsc(), -problem.q))))
-    assert error <= error_bound(problem, z).infinity <= (1.0 + SHARP_ENOUGH_LARGE) * error
+    assert error_bound(problem, z).infinity == pytest.approx(error, rel=0.01)
 
 
 def test_where_a_bound_says_nothing_the_residual_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

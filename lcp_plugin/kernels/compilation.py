@@ -61,8 +61,8 @@ def _compiled(function: Any, **options: Any) -> Any:
 def _forget_constants(dispatcher: Any) -> None:
     """Let a call with a constant use the kernel for variables: numba would compile another one for every constant.
 
-    It would do so for the first value of a variable in a loop, too; that was a third of the time which the first small
-    problem of an installation waited.
+    It would do so for the first value of a variable in a loop, too, while the first small problem of an installation
+    waits.
     """
     resolve, plain = dispatcher.get_call_template, cast(Any, types.unliteral)
 

@@ -33,15 +33,14 @@ def restored(thing: Any, state: dict[str, Any]) -> None:
 
 
 def frozen(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the CSR array on read-only views of its own arrays, canonical flags set."""
+    """Return the CSR array itself, on read-only views of its arrays, canonical flags set."""
     index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64
-    frozen = sp.csr_array(matrix.shape, dtype=np.float64)
-    frozen.data = read_only(matrix.data)
-    frozen.indices = read_only(matrix.indices.astype(index_type, copy=False))
-    frozen.indptr = read_only(matrix.indptr.astype(index_type, copy=False))
-    frozen.has_sorted_indices = True
-    frozen.has_canonical_format = True
-    return frozen
+    matrix.data = read_only(matrix.data)
+    matrix.indices = read_only(matrix.indices.astype(index_type, copy=False))
+    matrix.indptr = read_only(matrix.indptr.astype(index_type, copy=False))
+    matrix.has_sorted_indices = True
+    matrix.has_canonical_format = True
+    return matrix
 
 
 def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
@@ -80,12 +79,12 @@ def rectangular_matrix(values: Any, name: str, rows: int | None, columns: int | 
     need = f"{name} must be a real matrix of shape ({shape})"
     if sp.issparse(values):
         check_kind(values.dtype, need)
-    matrix = values.copy() if sp.issparse(values) else real_array(values, need).copy()
+    matrix = values if sp.issparse(values) else real_array(values, need).copy()
     if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if sp.issparse(matrix):
-        return canonical_csr(matrix, name)
+        return canonical_csr(matrix, name, copy=True)
     _check_finite(matrix, name)
     return read_only(matrix)
 
@@ -98,10 +97,10 @@ def _check_finite(dense: NDArray[np.float64], name: str) -> None:
         )
 
 
-def canonical_csr(M: Any, name: str) -> sp.csr_array:
-    """Return M as canonical, checked CSR; without a copy where it is that already."""
+def canonical_csr(M: Any, name: str, *, copy: bool = False) -> sp.csr_array:
+    """Return M as canonical, checked CSR; without a copy where it is that already and none is asked for."""
     try:
-        matrix = _repaired(M)
+        matrix = _repaired(M, copy)
     except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
         raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
     if not _all_finite(matrix.data):
@@ -114,17 +113,15 @@ def canonical_csr(M: Any, name: str) -> sp.csr_array:
     return frozen(matrix)
 
 
-def _repaired(M: Any) -> sp.csr_array:
-    """Return M as CSR in doubles, sorted, without duplicates and zeros."""
+def _repaired(M: Any, copy: bool) -> sp.csr_array:
+    """Return M as CSR in doubles, sorted, without duplicates and zeros; always another object on its arrays."""
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
-        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=False)
+        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=copy)
+        _check_compressed(matrix)
     else:
         _check_before_conversion(M)
         matrix = sp.csr_array(in_doubles(M))
-    matrix.check_format(full_check=True)
-    if (np.diff(matrix.indptr) < 0).any():
-        raise ValueError("index pointer values must form a non-decreasing sequence")
     matrix = in_doubles(matrix)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
@@ -133,6 +130,13 @@ def _repaired(M: Any) -> sp.csr_array:
         matrix = matrix.copy()
         matrix.eliminate_zeros()
     return matrix
+
+
+def _check_compressed(M: Any) -> None:
+    """Raise where the arrays of a compressed format do not fit together."""
+    M.check_format(full_check=True)
+    if (np.diff(M.indptr) < 0).any():
+        raise ValueError("index pointer values must form a non-decreasing sequence")
 
 
 def in_doubles(M: Any) -> Any:
@@ -144,9 +148,7 @@ def in_doubles(M: Any) -> Any:
 def _check_before_conversion(M: Any) -> None:
     """Raise where scipy's conversion to CSR would read or write outside its arrays."""
     if M.format in ("csc", "bsr"):
-        M.check_format(full_check=True)
-        if (np.diff(M.indptr) < 0).any():
-            raise ValueError("index pointer values must form a non-decreasing sequence")
+        _check_compressed(M)
     elif M.format == "coo":
         if not M.row.size == M.col.size == M.data.size:
             raise ValueError("row, column and data arrays must have the same length")

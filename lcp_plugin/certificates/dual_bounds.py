@@ -25,8 +25,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import BoolVector, FloatVector
-from ..conversions.constraints import fold_simple_rows, largest_entries
+from ..conversions.constraints import fold_simple_rows
 from ..conversions.program import QuadraticProgram
+from ..conversions.program_matrices import largest_entries
 from ..deadline import is_over
 from ..exact.linear_systems import solved_nearby
 from ..exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..exact.rounding import compensated_product
 from ..problem.linear_constraints import LinearConstraints
-from .blocks import multiple_of_identity, vertically
 from .presolve import like
+from .program_matrices import Indices, ProgramMatrices
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
-
-Indices = NDArray[np.intp]
 
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
 SHARE = 0.1  # of a larger tolerance
@@ -32,27 +30,38 @@ class Constraints:
 
     Attributes
     ----------
-    matrix : CSR array, shape (m + p + 2n, n)
+    matrices : ProgramMatrices
     limit : ndarray
         d.
-    is_equality : ndarray of bool
-    sizes : tuple of int
-        m, p, n, n: how many rows are of G, of A, and of each kind of bound.
     """
 
-    matrix: sp.csr_array
+    matrices: ProgramMatrices
     limit: FloatVector
-    is_equality: NDArray[np.bool_]
-    sizes: tuple[int, int, int, int]
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> Constraints:
         """Return the constraints of a program."""
-        n, sizes = program.n, (program.h.size, program.b.size, program.n, program.n)
-        bounds = (multiple_of_identity(sign, n) for sign in (-1.0, 1.0))
-        matrix = vertically(sp.csr_array(program.G), sp.csr_array(program.A), *bounds)
-        limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
-        return cls(matrix, limit, np.repeat([False, True, False, False], sizes), sizes)
+        return cls(program.matrices, np.concatenate([program.h, program.b, -program.lower, program.upper]))
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """C, shape (m + p + 2n, n)."""
+        return self.matrices.constraints
+
+    @property
+    def transposed(self) -> sp.csr_array:
+        """Cᵀ."""
+        return self.matrices.transposed
+
+    @property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Which rows are equations."""
+        return self.matrices.is_equality
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """m, p, n, n: how many rows are of G, of A, and of each kind of bound."""
+        return self.matrices.sizes
 
     @property
     def rows(self) -> int:
@@ -70,11 +79,6 @@ class Constraints:
         return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
     @cached_property
-    def transposed(self) -> sp.csr_array:
-        """Cᵀ."""
-        return sp.csr_array(self.matrix.T)
-
-    @cached_property
     def unit(self) -> FloatVector:
         """What the residual of each row is relative to: sizes of its data, the same for every x.
 
@@ -82,7 +86,7 @@ class Constraints:
         own, so that no large number elsewhere excuses it. Where multipliers y contradict by c, every x violates some
         row by (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
         """
-        coefficient = _or_one(largest_entries(self.matrix, 1))
+        coefficient = self.matrices.row_sizes
         with np.errstate(over="ignore"):
             right = np.abs(self.limit / coefficient)
             return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
@@ -93,16 +97,15 @@ class Constraints:
         rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
         units = self.split(self.unit)
         return LinearConstraints(
-            -sp.csr_array(self.matrix[rows]), self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
+            -self.matrices.rows, self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
             -below, above, self.unit[rows], (units[2], units[3]),
         )
 
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
-        excess = np.full(self.limit.size, -np.inf)
-        finite = self.finite
-        matrix = self.matrix if finite.size == excess.size else self.matrix[finite]
-        excess[finite] = enclosed_sum(matrix, x, -self.limit[finite])
+        is_finite = np.isfinite(self.limit)
+        sums = enclosed_sum(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
+        excess = np.where(is_finite, sums, -np.inf)
         return np.where(self.is_equality, np.abs(excess), excess)
 
 
@@ -114,13 +117,13 @@ def dual_unit(program: QuadraticProgram) -> FloatVector:
     larger. Along a direction d of descent some component of the dual residual is at least
     (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
     """
-    columns = [largest_entries(matrix, 0) for matrix in (program.P, program.G, program.A)]
-    column = _or_one(np.max(columns, axis=0))
-    rows, equations = (_or_one(largest_entries(matrix, 1)) for matrix in (program.G, program.A))
+    matrices, column = program.matrices, program.matrices.column_sizes
+    m, p = matrices.sizes[:2]
+    rows, equations = matrices.row_sizes[:m], matrices.row_sizes[m : m + p]
     with np.errstate(over="ignore"):
         violated, right = (-program.h / rows).max(initial=0.0), np.abs(program.b / equations).max(initial=0.0)
         slope = float(np.abs(program.c / column).max(initial=0.0))
-        return np.asarray(column * (1.0 + (max(slope, right, violated) if columns[0].any() else slope)))
+        return np.asarray(column * (1.0 + (max(slope, right, violated) if matrices.entries[0] else slope)))
 
 
 def constraint_tolerance(tolerance: float) -> float:
@@ -142,22 +145,6 @@ def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> Float
     with np.errstate(all="ignore"):
         value, radius = compensated_product(sp.csr_array(matrix), vector, offset)
         return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
-
-
-def largest_entries(matrix: Any, axis: int) -> FloatVector:
-    """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
-    if 0 in matrix.shape:
-        return np.zeros(matrix.shape[1 - axis])
-    if not sp.issparse(matrix):
-        return np.asarray(abs(matrix).max(axis=axis), dtype=np.float64)
-    rows, largest = sp.csr_array(matrix), np.zeros(matrix.shape[1 - axis])
-    belongs_to = np.repeat(np.arange(largest.size), np.diff(rows.indptr)) if axis else rows.indices
-    np.maximum.at(largest, belongs_to, np.abs(rows.data))
-    return largest
-
-
-def _or_one(sizes: FloatVector) -> FloatVector:
-    return np.where(sizes > 0.0, sizes, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,22 +198,15 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
     A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
     singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
     """
-    stacked, m = vertically(sp.csr_array(program.G), sp.csr_array(program.A)), program.h.size
-    right = np.concatenate([program.h, program.b])
-    is_equality, counts = np.arange(right.size) >= m, np.diff(stacked.indptr)
-    rows = np.flatnonzero(counts == 1)
-    coefficient = np.ones(right.size)
-    coefficient[rows] = stacked.data[stacked.indptr[rows]]
+    matrices, right = program.matrices, np.concatenate([program.h, program.b])
+    is_equality, (rows, columns, coefficient, counts) = matrices.is_equality[: right.size], matrices.singletons
     with np.errstate(over="ignore"):
-        limits = right / coefficient
-    rows = rows[np.isfinite(limits[rows])]
-    columns = stacked.indices[stacked.indptr[rows]]
-
-    above, below = (rows[is_equality[rows] | (sign * coefficient[rows] > 0.0)] for sign in (1.0, -1.0))
-    column = np.zeros(right.size, dtype=np.intp)
-    column[rows] = columns
-    upper, upper_row = _tightest(program.upper, limits[above], column[above], above)
-    negated, lower_row = _tightest(-program.lower, -limits[below], column[below], below)
+        limits = right[rows] / coefficient[rows]
+    is_finite = np.isfinite(limits)
+    rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
+    above, below = (is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0))
+    upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
+    negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
     lower = -negated + 0.0  # no negative zeros
     contradicts = lower > upper
     lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
@@ -235,19 +215,21 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
     stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & (counts == 0) | (right == np.inf))
     stays[rows[~contradicts[columns]]] = False
     left = np.flatnonzero(stays)
-    folded = program if left.size == right.size else program.with_rows(
-        stacked[left[left < m]], program.h[left[left < m]], stacked[left[left >= m]], right[left[left >= m]],
-        lower, upper,
+    folded = program if left.size == right.size else program.with_matrices(
+        matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
+        right[left[left >= program.h.size]], lower, upper,
     )
     return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
 
 
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:
     """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
-    n = own.size
-    all_limits = np.concatenate([own, limits])
-    all_columns = np.concatenate([np.arange(n), columns])
-    all_rows = np.concatenate([np.full(n, OWN), rows])
-    order = np.lexsort((all_limits, all_columns))
-    first = order[np.searchsorted(all_columns[order], np.arange(n))]
-    return all_limits[first], all_rows[first]
+    tightest, owner = own.copy(), np.full(own.size, OWN)
+    order = np.lexsort((limits, columns))
+    columns = columns[order]
+    first = np.flatnonzero(np.diff(columns, prepend=-1))
+    order, columns = order[first], columns[first]
+    is_tighter = limits[order] < own[columns]
+    order, columns = order[is_tighter], columns[is_tighter]
+    tightest[columns], owner[columns] = limits[order], rows[order]
+    return tightest, owner

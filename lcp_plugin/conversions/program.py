@@ -10,12 +10,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
+from ..checks import FloatVector, check_order, checked_bound, checked_vector, read_only, rectangular_matrix
 from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.symmetry import mismatch
-from .constraints import Constraints, dual_unit, largest_entries
+from .constraints import Constraints, dual_unit
+from .program_matrices import ProgramMatrices, largest_entries
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -47,6 +48,8 @@ class QuadraticProgram:
     ----------
     asymmetry : float
         max |p_ij − p_ji| of the P that was given.
+    matrices : ProgramMatrices
+        P, G and A with what they alone say.
     ranges : CSR array or None
         Of a program made by `from_ranges`: what the multipliers of G and A are times to be those of the given rows.
 
@@ -74,6 +77,7 @@ class QuadraticProgram:
     upper: FloatVector
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
+    matrices: ProgramMatrices = field(init=False, repr=False)
 
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
@@ -86,7 +90,8 @@ class QuadraticProgram:
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(below, above)
-        self._keep(P=P, c=vector, G=rows, h=limits, A=equations, b=right, lower=below, upper=above, asymmetry=asymmetry)
+        self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
+        object.__setattr__(self, "asymmetry", asymmetry)
 
     @classmethod
     def from_ranges(
@@ -130,7 +135,7 @@ class QuadraticProgram:
             P, c, picked[:sides] @ rows, np.concatenate([high[above], -low[below]]), picked[sides:] @ rows, low[equal],
             _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
         )
-        program._keep(ranges=picked.T)
+        object.__setattr__(program, "ranges", picked.T)
         return program
 
     @property
@@ -141,7 +146,7 @@ class QuadraticProgram:
     @property
     def is_convex(self) -> bool | None:
         """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
-        return is_semidefinite_to_rounding(self.P)
+        return self.matrices.is_semidefinite
 
     @cached_property
     def is_shown_convex(self) -> bool:
@@ -176,16 +181,56 @@ class QuadraticProgram:
         """What each component of the dual residual is relative to."""
         return dual_unit(self)
 
-    def with_rows(
-        self, G: Any, h: FloatVector, A: Any, b: FloatVector, lower: FloatVector, upper: FloatVector
+    def with_vectors(
+        self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,
+        lower: ArrayLike | None = None, upper: ArrayLike | None = None,
     ) -> QuadraticProgram:
-        """Return the program with other constraints, which are not checked."""
-        made = object.__new__(QuadraticProgram)
-        made._keep(P=self.P, c=self.c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+        """Return the program with other vectors, which shares all that depends on its matrices alone.
+
+        Parameters
+        ----------
+        c, h, b, lower, upper : arrays, shapes (n,), (m,), (p,), (n,), (n,), optional
+            The present ones by default.
+
+        Raises
+        ------
+        InvalidProblem
+            As the class.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+        >>> program.with_vectors(h=[9]).h
+        array([9.])
+        """
+        n = self.n
+        below, above = (
+            kept if given is None else checked_bound(given, name, n)
+            for given, kept, name in ((lower, self.lower, "lower"), (upper, self.upper, "upper"))
+        )
+        check_order(below, above)
+        made = self.with_matrices(
+            self.matrices, self.c if c is None else checked_vector(c, "c", n),
+            self.h if h is None else checked_vector(h, "h", self.h.size, allow_plus_infinity=True),
+            self.b if b is None else checked_vector(b, "b", self.b.size), below, above,
+        )
+        for name in ("asymmetry", "ranges"):
+            object.__setattr__(made, name, getattr(self, name))
         return made
 
-    def _keep(self, **data: Any) -> None:
-        for name, value in data.items():
+    @classmethod
+    def with_matrices(
+        cls, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, lower: FloatVector,
+        upper: FloatVector,
+    ) -> QuadraticProgram:
+        """Return the program of these data, which are not checked."""
+        made = object.__new__(cls)
+        made._keep(matrices, c, h, b, lower, upper)
+        return made
+
+    def _keep(self, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, *bounds: Any) -> None:
+        data = {"P": matrices.P, "c": c, "G": matrices.G, "h": h, "A": matrices.A, "b": b, "lower": bounds[0]}
+        for name, value in {**data, "upper": bounds[1], "matrices": matrices}.items():
             object.__setattr__(self, name, value)
 
     def objective(self, x: ArrayLike) -> float:
@@ -271,7 +316,7 @@ def _checked_rows(
         given, missing = (name, right_name) if right is None else (right_name, name)
         raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
     if matrix is None:
-        matrix, right = sp.csr_array((0, n)), np.zeros(0)
+        return sp.csr_array((0, n)), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
 

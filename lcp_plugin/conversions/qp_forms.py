@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, checked_answer
+from ..checks import DENSE_UP_TO_SIZE, FloatVector, checked_answer
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import EPSILON
-from ..matrix.definiteness import Solver, condition_estimate, is_diagonal, positive_definite_solver
+from ..matrix.definiteness import is_diagonal
 from ..matrix.factors import factor_fits
 from ..problem.lcp import LCP
-from .blocks import horizontally, vertically
-from .constraints import FoldedRows, Indices
+from .constraints import FoldedRows
+from .program_matrices import Indices, is_kept_dense
 from .qp_solution import QPSolution
 
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ class QPOrigin:
             return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         # What the bounds have to balance, μ_lower − μ_upper.
-        columns = folded.constraints.matrix[: y.size].T
-        reduced_cost = folded.P @ x + folded.c + columns @ y
+        reduced_cost = folded.P @ x + folded.c + y @ folded.matrices.rows
         # Within the bounds what rounding leaves is no multiplier: beside a large distance it would be a large product.
-        size = abs(folded.P) @ np.abs(x) + np.abs(folded.c) + abs(columns) @ np.abs(y)
+        of_P, of_rows = folded.matrices.magnitudes
+        size = of_P @ np.abs(x) + np.abs(folded.c) + np.abs(y) @ of_rows
         is_rounding = (folded.lower < x) & (x < folded.upper) & (np.abs(reduced_cost) <= ROUNDING * size)
         reduced_cost[is_rounding] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
@@ -106,7 +106,7 @@ class DirectForm(QPOrigin):
                 f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
                 'nonzero (or contradict one another); use form="dual" or form="kkt"'
             )
-        return LCP(program.P, program.c, lower=program.lower, upper=program.upper)
+        return LCP(program.matrices.hessian, program.c, lower=program.lower, upper=program.upper)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         return checked_answer(answer, self.program.n), np.zeros(0)
@@ -122,17 +122,9 @@ class KKTForm(QPOrigin):
         program, rows = self.rows.folded, self.rows.left.size
         multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
-            self.matrix(), np.concatenate([program.c, program.constraints.limit[:rows]]),
+            program.matrices.kkt, np.concatenate([program.c, program.constraints.limit[:rows]]),
             lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
         )
-
-    def matrix(self) -> Any:
-        """Return M, an ndarray where it is small and full."""
-        rows = self.rows.left.size
-        C = self.rows.folded.constraints.matrix[:rows]
-        minus = sp.csr_array((-C.data, C.indices, C.indptr), shape=C.shape)
-        upper = horizontally(sp.csr_array(self.program.P), sp.csr_array(C.T))
-        return _kept_as_suits(vertically(upper, horizontally(minus, sp.csr_array((rows, rows)))))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         n = self.program.n
@@ -153,16 +145,15 @@ class DualForm(QPOrigin):
         """
         left = self.rows.left.size
         size = left + sum(part.size for part in _bound_rows(self.rows.folded))
-        if not left or not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
+        if not left or not (self.program.P.diagonal() > 0.0).all():
             return False
-        if self.rows.contradict() or self._solver is None:
+        if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
             return False
-        return condition_estimate(self.program.P, self._solver) <= WELL_CONDITIONED
+        return not self.rows.contradict() and self.program.matrices.condition <= WELL_CONDITIONED
 
     def _is_smaller(self, size: int) -> bool:
-        folded = self.rows.folded
-        entries = np.count_nonzero if isinstance(self.program.P, np.ndarray) else sp.csr_array.count_nonzero
-        return bool(size**2 <= entries(self.program.P) + 2 * (sp.csr_array(folded.G).nnz + sp.csr_array(folded.A).nnz))
+        of_P, of_rows = self.rows.folded.matrices.entries
+        return size**2 <= of_P + 2 * of_rows
 
     def _is_laplacian(self) -> bool:
         """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
@@ -177,7 +168,7 @@ class DualForm(QPOrigin):
         left, n = self.rows.left.size, self.program.n
         if size > left + n or not is_diagonal(self.program.P) or left + n <= DENSE_UP_TO_SIZE:
             return False
-        return not factor_fits(sp.csr_array(KKTForm(self.program, self.rows).matrix()))
+        return not factor_fits(self.rows.folded.matrices.kkt.csr)
 
     def problem(self) -> LCP:
         """Return the problem with one row a constraint."""
@@ -215,20 +206,13 @@ class DualForm(QPOrigin):
         listed = np.concatenate([np.arange(self.rows.left.size), *_bound_rows(self.rows.folded)])
         return every.matrix[listed], every.limit[listed]
 
-    @cached_property
-    def _solver(self) -> Solver | None:
-        return positive_definite_solver(self.program.P)
-
     def _solve(self, right: Any) -> Any:
-        if self._solver is None:
+        solver = self.program.matrices.solver
+        if solver is None:
             raise UnsuitableMatrix(
                 'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
             )
-        return self._solver(right)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave the factorisation behind, which cannot be pickled and can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_solver"}
+        return solver(right)
 
 
 FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
@@ -243,5 +227,4 @@ def _bound_rows(program: QuadraticProgram) -> list[Indices]:
 
 def _kept_as_suits(M: sp.csr_array) -> Any:
     """Return a small, full matrix as an ndarray."""
-    n = M.shape[0]
-    return M.toarray() if n <= DENSE_UP_TO_SIZE and M.nnz > DENSE_ABOVE_DENSITY * n * n else M
+    return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M

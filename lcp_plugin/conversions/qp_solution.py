@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .blocks import horizontally
 from .constraints import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
@@ -86,9 +85,8 @@ class QPSolution:
         Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
         """
         program, rows, y = self.program, self.program.constraints, self.multipliers
-        stacked = horizontally(sp.csr_array(program.P), rows.transposed)
         right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
-        left = enclosed_sum(stacked, np.concatenate([self.x, right]), program.c)
+        left = enclosed_sum(program.matrices.stationarity, np.concatenate([self.x, right]), program.c)
         return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
 
     @cached_property

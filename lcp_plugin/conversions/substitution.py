@@ -9,8 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import FloatVector, rectangular_matrix
+from .blocks import as_csr
 from .program import QuadraticProgram
+from .program_matrices import ProgramMatrices, is_full
 from .qp_solution import QPSolution
 
 Indices = NDArray[np.int64]
@@ -38,39 +40,87 @@ def put_in(matrix: Any, offset: FloatVector, columns: Indices) -> tuple[sp.csr_a
 
 
 @dataclass(frozen=True, eq=False)
+class Definitions:
+    """Which equations define a variable each, and the matrices of the program without them: no vector is in it.
+
+    A variable is only defined where it is free, stands in one row of A and in no row of G: x = E y + f then leaves
+    P ← EᵀP E, and of G and the other rows of A the columns of the variables that stay.
+
+    Attributes
+    ----------
+    rows, defined : ndarray of int
+        Rows of A, and the variable that each defines.
+    pivots : ndarray
+        The entries of A there.
+    kept, kept_rows : ndarray of int
+        The variables and the rows of A that stay.
+    expansion : E, an ndarray where it is full.
+    reduced : ProgramMatrices
+    """
+
+    rows: Indices
+    defined: Indices
+    pivots: FloatVector
+    kept: Indices
+    kept_rows: Indices
+    expansion: Any
+    reduced: ProgramMatrices
+
+    @classmethod
+    def of(cls, matrices: ProgramMatrices, candidates: Indices) -> Definitions:
+        """Return what the equations define of these variables, each of which stands in one row of A only."""
+        P, A, n = matrices.P, as_csr(matrices.A), matrices.P.shape[0]
+        by_column = sp.csc_array(A)
+        rows, entries = (part[by_column.indptr[candidates]] for part in (by_column.indices, by_column.data))
+        # The largest entry of a row is the safest pivot.
+        order = np.lexsort((-np.abs(entries), rows))
+        rows, first = np.unique(rows[order], return_index=True)
+        defined, pivots = candidates[order[first]], entries[order[first]]
+        order = np.argsort(defined)
+        rows, defined, pivots = rows[order], defined[order], pivots[order]
+        kept, kept_rows = _others(n, defined), _others(A.shape[0], rows)
+        expansion = _expansion(A[rows], defined, pivots, kept)
+        # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
+        curvature = expansion.T @ (P @ expansion)
+        curvature = rectangular_matrix((curvature + curvature.T) * 0.5, "P", None, None)
+        G, others = (rectangular_matrix(part[:, kept], "rows", None, None) for part in (matrices.G, A[kept_rows]))
+        return cls(rows, defined, pivots, kept, kept_rows, expansion, ProgramMatrices(curvature, G, others))
+
+
+@dataclass(frozen=True, eq=False)
 class Substitution:
     """A program and the smaller one without the variables that an equation of their own defines.
-
-    A variable is only defined where it is free, stands in one row of A and in no row of G. With x = E y + f the
-    smaller program has EᵀP E, Eᵀ(P f + c), G E ≤ h − G f and the other rows of A.
 
     Attributes
     ----------
     program, reduced : QuadraticProgram
-        Before and after.
-    rows, defined : ndarray of int
-        Rows of A, and the variable that each defines.
-    expansion, offset : E and f.
+        Before and after: c ← Eᵀ(P f + c), and of all other vectors the entries that stay.
+    definitions : Definitions
+    offset : f of x = E y + f.
     """
 
     program: QuadraticProgram
     reduced: QuadraticProgram
-    rows: Indices
-    defined: Indices
-    expansion: Any
+    definitions: Definitions
     offset: FloatVector
+
+    def expanded(self, y: FloatVector) -> FloatVector:
+        """Return x = E y + f."""
+        x: FloatVector = self.definitions.expansion @ y + self.offset
+        return x
 
     def recover(self, solution: QPSolution) -> QPSolution:
         """Return the solution of the program from that of the smaller one, all multipliers included."""
-        program, x = self.program, self.expansion @ solution.x + self.offset
+        program, x, found = self.program, self.expanded(solution.x), self.definitions
         constraints, n = program.constraints, program.n
-        equations = program.h.size + self.rows
-        gone = [equations, constraints.rows + self.defined, constraints.rows + n + self.defined]
+        equations = program.h.size + found.rows
         y = np.zeros(constraints.limit.size)
-        y[_others(y.size, np.concatenate(gone))] = solution.multipliers
+        stays = np.ones(y.size, dtype=bool)
+        for gone in (equations, constraints.rows + found.defined, constraints.rows + n + found.defined):
+            stays[gone] = False
+        y[stays] = solution.multipliers
         # Each defined column meets its own equation only, whose multiplier is what stationarity leaves to it.
-        pivots = np.asarray(constraints.matrix[equations, self.defined]).ravel()
-        y[equations] = -(program.P @ x + program.c)[self.defined] / pivots
+        y[equations] = -(program.P @ x + program.c)[found.defined] / found.pivots
         return QPSolution(program, x, *constraints.split(y))
 
 
@@ -85,38 +135,36 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     >>> substitute_definitions(program).reduced.P.toarray()
     array([[2.]])
     """
-    rows, defined = _definitions(program)
-    if not rows.size:
-        return None
-    A = sp.csr_array(program.A)
-    kept, kept_rows = _others(program.n, defined), _others(program.b.size, rows)
-    whole, offset = put_in(A[rows], -program.b[rows], defined)
-    expansion = whole[:, kept]
-    gradient = program.P @ offset + program.c
-    # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
-    curvature = sp.csr_array(expansion.T @ (program.P @ expansion))
-    reduced = QuadraticProgram(
-        (curvature + curvature.T) / 2, expansion.T @ gradient,
-        G=sp.csr_array(program.G @ expansion), h=program.h - program.G @ offset,
-        A=sp.csr_array(A[kept_rows] @ expansion), b=program.b[kept_rows] - A[kept_rows] @ offset,
-        lower=program.lower[kept], upper=program.upper[kept],
-    )
-    return Substitution(program, reduced, rows, defined, expansion, offset)
-
-
-def _definitions(program: QuadraticProgram) -> tuple[Indices, Indices]:
-    """Return rows of A and the column that each defines, one column a row."""
-    A, G = sp.csc_array(program.A), sp.csc_array(program.G)
+    matrices = program.matrices
     is_free = (program.lower == -np.inf) & (program.upper == np.inf)
-    candidates = np.flatnonzero(is_free & (np.diff(A.indptr) == 1) & (np.diff(G.indptr) == 0))
-    rows = A.indices[A.indptr[candidates]]
-    # The largest entry of a row is the safest pivot.
-    order = np.lexsort((-np.abs(A.data[A.indptr[candidates]]), rows))
-    first, positions = np.unique(rows[order], return_index=True)
-    columns = candidates[order[positions]]
-    # A variable without a quadratic term defines nothing that would become strictly convex.
-    is_quadratic = program.P.diagonal()[columns] > 0.0
-    return first[is_quadratic].astype(np.int64), columns[is_quadratic].astype(np.int64)
+    candidates = np.flatnonzero(is_free & matrices.is_definable)
+    if not candidates.size:
+        return None
+    found = matrices.kept("definitions", (candidates,), lambda: Definitions.of(matrices, candidates))
+    offset = np.zeros(program.n)
+    offset[found.defined] = program.b[found.rows] / found.pivots
+    reduced = QuadraticProgram.with_matrices(
+        found.reduced, found.expansion.T @ (program.P @ offset + program.c), program.h, program.b[found.kept_rows],
+        program.lower[found.kept], program.upper[found.kept],
+    )
+    return Substitution(program, reduced, found, offset)
+
+
+def _expansion(A: sp.csr_array, defined: Indices, pivots: FloatVector, kept: Indices) -> Any:
+    """Return E: the rows of I where a variable stays, and −a_ij / pivot_i where row i defines it, in their order."""
+    counts = np.ones(A.shape[1], dtype=np.int64)
+    counts[defined] = np.diff(A.indptr) - 1
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    row = np.repeat(np.arange(defined.size), np.diff(A.indptr))
+    position, stays = np.zeros(A.shape[1], dtype=np.int64), A.indices != defined[row]
+    position[kept] = np.arange(kept.size)
+    columns, entries, of_kept = np.empty(starts[-1], dtype=np.int64), np.ones(starts[-1]), starts[kept]
+    is_defined = np.ones(starts[-1], dtype=bool)
+    is_defined[of_kept] = False
+    columns[of_kept], columns[is_defined] = np.arange(kept.size), position[A.indices[stays]]
+    entries[is_defined] = -A.data[stays] / pivots[row[stays]]
+    expansion = sp.csr_array((entries, columns, starts), shape=(A.shape[1], kept.size))
+    return expansion.toarray() if is_full(expansion) else expansion
 
 
 def _others(count: int, indices: Indices) -> Indices:

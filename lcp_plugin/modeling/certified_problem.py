@@ -219,9 +219,9 @@ class ReducedProblem:
             x[place[place >= 0]] = dense_value(leaf_value(variable)).ravel()[place >= 0]
         substitution = substitute_definitions(self.program)
         if substitution is not None:
-            kept = np.delete(np.arange(self.program.n), substitution.defined)
-            defined = np.setdiff1d(substitution.defined, self.columns)
-            x[defined] = (substitution.expansion @ x[kept] + substitution.offset)[defined]
+            found = substitution.definitions
+            defined = np.setdiff1d(found.defined, self.columns)
+            x[defined] = substitution.expanded(x[found.kept])[defined]
         return x
 
     def gradient_left(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> float:

@@ -53,7 +53,7 @@ class LCP:
     """
 
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
-        self.matrix = Matrix(M)
+        self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self._set_vectors(q, lower, upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
 

@@ -1,0 +1,204 @@
+"""The matrices of a quadratic program, and what they alone say: shared by programs that differ in vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
+from ..matrix.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
+from ..matrix.matrix import Matrix
+from .blocks import as_csr, horizontally, multiple_of_identity, vertically
+
+Indices = NDArray[np.intp]
+T = TypeVar("T")
+
+
+class SingletonRows(NamedTuple):
+    """Rows of [G; A] with one entry: their numbers and columns, and of all rows that entry, or 1, and how many."""
+
+    rows: Indices
+    columns: Indices
+    coefficient: FloatVector
+    counts: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramMatrices:
+    """P, G and A of a program, checked and read-only; each fact about them is computed once.
+
+    Attributes
+    ----------
+    P, G, A : ndarray or canonical CSR array, shapes (n, n), (m, n), (p, n)
+    """
+
+    P: Any
+    G: Any
+    A: Any
+    _kept: dict[str, tuple[tuple[bytes, ...], Any]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """m, p, n, n: how many rows are of G, of A, and of each kind of bound."""
+        n = self.P.shape[0]
+        return self.G.shape[0], self.A.shape[0], n, n
+
+    @cached_property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Which of the constraints are equations."""
+        return np.repeat([False, True, False, False], self.sizes)
+
+    @cached_property
+    def rows(self) -> sp.csr_array:
+        """[G; A]."""
+        return vertically(as_csr(self.G), as_csr(self.A))
+
+    @cached_property
+    def constraints(self) -> sp.csr_array:
+        """[G; A; −I; I]."""
+        n = self.P.shape[0]
+        return vertically(self.rows, multiple_of_identity(-1.0, n), multiple_of_identity(1.0, n))
+
+    @cached_property
+    def transposed(self) -> sp.csr_array:
+        """[Gᵀ, Aᵀ, −I, I]."""
+        return sp.csr_array(self.constraints.T)
+
+    @cached_property
+    def stationarity(self) -> sp.csr_array:
+        """[P, Gᵀ, Aᵀ, −I, I]."""
+        return horizontally(as_csr(self.P), self.transposed)
+
+    @cached_property
+    def magnitudes(self) -> tuple[Any, sp.csr_array]:
+        """|P| and |[G; A]|."""
+        return abs(self.P), abs(self.rows)
+
+    @cached_property
+    def row_sizes(self) -> FloatVector:
+        """The largest |entry| of each constraint, 1 where there is none."""
+        return or_one(np.concatenate([largest_entries(self.rows, 1), np.ones(2 * self.P.shape[0])]))
+
+    @cached_property
+    def column_sizes(self) -> FloatVector:
+        """The largest |entry| of each column of P, G and A, 1 where there is none."""
+        return or_one(np.maximum(largest_entries(as_csr(self.P), 1), largest_entries(self.rows, 0)))
+
+    @cached_property
+    def entries(self) -> tuple[int, int]:
+        """How many nonzeros P and [G; A] have."""
+        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(self.rows.nnz)
+
+    @cached_property
+    def singletons(self) -> SingletonRows:
+        """The rows of [G; A] that are bounds."""
+        stacked = self.rows
+        counts = np.diff(stacked.indptr)
+        rows, coefficient = np.flatnonzero(counts == 1), np.ones(counts.size)
+        places = stacked.indptr[rows]
+        coefficient[rows] = stacked.data[places]
+        return SingletonRows(rows, stacked.indices[places].astype(np.intp), coefficient, counts)
+
+    @cached_property
+    def is_definable(self) -> NDArray[np.bool_]:
+        """Which variables stand in one row of A, in no row of G, and have a quadratic term of their own.
+
+        One without a quadratic term defines nothing that would become strictly convex.
+        """
+        of_A, of_G = (np.bincount(as_csr(part).indices, minlength=self.P.shape[0]) for part in (self.A, self.G))
+        is_definable: NDArray[np.bool_] = (of_A == 1) & (of_G == 0) & (self.P.diagonal() > 0.0)
+        return is_definable
+
+    @cached_property
+    def is_semidefinite(self) -> bool | None:
+        """Whether P is positive semidefinite to rounding; None where it is too large to say."""
+        return is_semidefinite_to_rounding(self.P)
+
+    @cached_property
+    def solver(self) -> Solver | None:
+        """The function right ↦ P⁻¹ right where P is proven positive definite."""
+        return positive_definite_solver(self.P)
+
+    @cached_property
+    def condition(self) -> float:
+        """An estimate of the condition number of P at unit diagonal, which has a solver."""
+        return np.inf if self.solver is None else condition_estimate(self.P, self.solver)
+
+    @cached_property
+    def hessian(self) -> Matrix:
+        """P, as the matrix of a complementarity problem."""
+        return Matrix(self.P)
+
+    @cached_property
+    def kkt(self) -> Matrix:
+        """[[P, Cᵀ], [−C, 0]] with C = [G; A], an ndarray where it is small and full."""
+        C, n, size = self.rows, self.P.shape[0], self.P.shape[0] + self.rows.shape[0]
+        of_P, of_C = self.entries
+        if is_kept_dense(size, of_P + 2 * of_C):
+            M = np.zeros((size, size))
+            M[:n, :n] = self.P.toarray() if sp.issparse(self.P) else self.P
+            M[:n, n:] = C.toarray().T
+            M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
+            return Matrix(M)
+        minus = sp.csr_array((-C.data, C.indices, C.indptr), shape=(size - n, size))
+        return Matrix(vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus))
+
+    def of_rows(self, left: Indices) -> ProgramMatrices:
+        """Return the matrices with these rows of [G; A] only."""
+        m, p = self.sizes[:2]
+        if left.size == m + p:
+            return self
+        first = np.searchsorted(left, m)
+        return self.kept("rows", (left,), lambda: ProgramMatrices(
+            self.P, self.G[left[:first]] if first < m else self.G, self.A[left[first:] - m]
+        ))
+
+    def kept(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """Return what was made for the same arrays the last time, or make it."""
+        key = tuple(array.tobytes() for array in keys)
+        known = self._kept.get(name)
+        if known is None or known[0] != key:
+            known = self._kept[name] = (key, make())
+        value: T = known[1]
+        return value
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
+
+
+def is_full(matrix: sp.csr_array) -> bool:
+    """Return whether products with the matrix are quicker as an ndarray."""
+    return bool(matrix.nnz > DENSE_ABOVE_DENSITY * matrix.shape[0] * matrix.shape[1])
+
+
+def is_kept_dense(n: int, entries: int) -> bool:
+    """Return whether a matrix of that size is small and full."""
+    return n <= DENSE_UP_TO_SIZE and entries > DENSE_ABOVE_DENSITY * n * n
+
+
+def largest_entries(matrix: Any, axis: int) -> FloatVector:
+    """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
+    if 0 in matrix.shape:
+        return np.zeros(matrix.shape[1 - axis])
+    if not sp.issparse(matrix):
+        return np.asarray(abs(matrix).max(axis=axis), dtype=np.float64)
+    rows, largest = sp.csr_array(matrix), np.zeros(matrix.shape[1 - axis])
+    if axis == 0:
+        np.maximum.at(largest, rows.indices, np.abs(rows.data))
+        return largest
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(np.abs(rows.data), rows.indptr[filled])
+    return largest
+
+
+def or_one(sizes: FloatVector) -> FloatVector:
+    """Return the sizes, 1 in the place of 0."""
+    return np.where(sizes > 0.0, sizes, 1.0)

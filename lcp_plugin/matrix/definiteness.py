@@ -10,8 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..crossovers import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
 from ..kernels.floats import EPSILON
-from .factors import DENSE_UP_TO, PositiveFactor, factor_fits, positive_factor
+from .factors import PositiveFactor, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
@@ -90,14 +91,15 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     diagonal: FloatVector = np.array(P.diagonal())
     if (diagonal < 0.0).any():
         return False
+    filled = np.flatnonzero(diagonal)
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.
-    if (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
+    if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
         return False
     if is_diagonal(P):
         return True
-    filled = np.flatnonzero(diagonal)
-    if sp.issparse(P) and filled.size <= DENSE_UP_TO:
-        P, diagonal = P[filled].toarray()[:, filled], diagonal[filled]
+    if sp.issparse(P) and _is_quicker_dense(filled.size, P.nnz):
+        P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
+        diagonal = diagonal[filled]
     shift = _margin(diagonal.size, diagonal.size)
     if shift > LARGEST_SHIFT or not _can_factorise(P):
         return None
@@ -201,6 +203,10 @@ def _can_factorise(P: Any) -> bool:
     return not sp.issparse(P) or factor_fits(P)
 
 
+def _is_quicker_dense(n: int, entries: int) -> bool:
+    return n <= CHOLESKY_UP_TO or (n <= FULL_CHOLESKY_UP_TO and entries > FULL_CHOLESKY_FROM * n * n)
+
+
 def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
@@ -233,4 +239,8 @@ def factorised(unit: Any, shift: float) -> PositiveFactor | None:
         In the unit of its entries.
     """
     n = unit.shape[0]
-    return positive_factor(unit + shift * (sp.eye_array(n) if sp.issparse(unit) else np.eye(n)))
+    if sp.issparse(unit):
+        return positive_factor(unit + shift * sp.eye_array(n))
+    shifted = np.array(unit)
+    shifted.flat[:: n + 1] += shift
+    return positive_factor(shifted)

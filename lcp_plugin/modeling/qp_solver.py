@@ -76,12 +76,13 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ) -> Any:
         """Return the answer to the program in cvxpy's form."""
         options = {**SOLVE_OPTIONS, **solver_opts}
-        program = quadratic_program(data)
-        previous = solver_cache.get(self.name()) if warm_start and solver_cache is not None else None
+        cache = {} if solver_cache is None else solver_cache
+        before: _Compiled | None = cache.get(self.name())
+        compiled = _Compiled.of(data, before)
+        program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
-        result, solution = solve_quadratic_program(program, algorithm, guess=previous, **options)
-        if solver_cache is not None:
-            solver_cache[self.name()] = result.z
+        result, solution = solve_quadratic_program(program, algorithm, guess=guess, **options)
+        cache[self.name()] = compiled._replace(z=result.z)
         proof = None
         goal = kkt_goal(options["tolerance"])
         is_optimal = solution.is_stationary(goal)
@@ -169,9 +170,43 @@ class Answer:
         return Claim(unpacked, SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors))))
 
 
+class _Compiled(NamedTuple):
+    """What cvxpy made of a problem: its matrices, column by column, as a program; and an answer, if there is one."""
+
+    columns: tuple[Any, ...]
+    program: QuadraticProgram
+    z: FloatVector | None = None
+
+    @classmethod
+    def of(cls, data: Any, before: _Compiled | None) -> _Compiled:
+        """Return cvxpy's problem data as a program, which shares its matrices with an earlier one where they are equal.
+
+        A parameter changes vectors as a rule, and matrices are what takes time.
+        """
+        columns = tuple(
+            part.copy() for matrix in (data[settings.P], data[settings.F], data[settings.A]) if matrix is not None
+            for part in (matrix.data, matrix.indices, matrix.indptr)
+        )
+        if before is None or len(columns) != len(before.columns) or not all(map(np.array_equal, columns, before.columns)):
+            return cls(columns, quadratic_program(data))
+        _require_plain(data)
+        vectors = {"c": data[settings.Q], "h": data[settings.G], "b": data[settings.B]}
+        return cls(before.columns, before.program.with_vectors(**vectors))
+
+
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
+    _require_plain(data)
     n = int(data["n_var"])
+    return QuadraticProgram(
+        _csr(data[settings.P], (n, n)), np.asarray(data[settings.Q], dtype=np.float64),
+        G=_csr(data[settings.F], (int(data["n_ineq"]), n)), h=np.asarray(data[settings.G], dtype=np.float64),
+        A=_csr(data[settings.A], (int(data["n_eq"]), n)), b=np.asarray(data[settings.B], dtype=np.float64),
+    )
+
+
+def _require_plain(data: Any) -> None:
+    """Raise where the program has integers, or bounds that nobody can tell from those that cvxpy derived."""
     if len(data.get(settings.BOOL_IDX, ())) or len(data.get(settings.INT_IDX, ())):
         raise SolverError("QPSolver knows no integers, and this problem needs some; choose another solver, as cp.HIGHS")
     if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
@@ -179,11 +214,6 @@ def quadratic_program(data: Any) -> QuadraticProgram:
             "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
             "bounds that it derived itself; state them as constraints"
         )
-    return QuadraticProgram(
-        _csr(data[settings.P], (n, n)), np.asarray(data[settings.Q], dtype=np.float64),
-        G=_csr(data[settings.F], (int(data["n_ineq"]), n)), h=np.asarray(data[settings.G], dtype=np.float64),
-        A=_csr(data[settings.A], (int(data["n_eq"]), n)), b=np.asarray(data[settings.B], dtype=np.float64),
-    )
 
 
 def _csr(matrix: Any, shape: tuple[int, int]) -> sp.csr_array:

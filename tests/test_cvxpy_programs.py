@@ -305,5 +305,5 @@ def test_a_direction_that_the_curvature_does_not_see() -> None:
         program = QuadraticProgram(P, np.ones(5), A=rows, b=np.zeros(3), lower=lower)
         substitution = substitute_definitions(program)
         assert substitution is not None
-        reduced = substitution.reduced.P.toarray()
+        reduced = substitution.reduced.matrices.hessian.csr.toarray()
         np.testing.assert_array_equal(reduced, reduced.T)

@@ -132,7 +132,7 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     min t² with t = x − 1 and x ≥ 0 is min (x − 1)²:
 
     >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
-    >>> substitute_definitions(program).reduced.P.toarray()
+    >>> substitute_definitions(program).reduced.P
     array([[2.]])
     """
     matrices = program.matrices

@@ -30,17 +30,8 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import QPSolver, quadratic_program
-from .user_terms import (
-    INEQUALITIES,
-    dense_value,
-    expression_of,
-    goal_of,
-    nearest,
-    sense_of,
-    size_of,
-    violation_of,
-    why_not,
-)
+from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of
+from .user_terms import goal_of, nearest, size_of, violation_of, why_not
 
 CLAIMED = {
     settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",

@@ -183,15 +183,14 @@ class _Compiled(NamedTuple):
 
         A parameter changes vectors as a rule, and matrices are what takes time.
         """
-        columns = tuple(
-            part.copy() for matrix in (data[settings.P], data[settings.F], data[settings.A]) if matrix is not None
-            for part in (matrix.data, matrix.indices, matrix.indptr)
-        )
-        if before is None or len(columns) != len(before.columns) or not all(map(np.array_equal, columns, before.columns)):
-            return cls(columns, quadratic_program(data))
+        given = [matrix for matrix in (data[settings.P], data[settings.F], data[settings.A]) if matrix is not None]
+        columns = tuple(part for matrix in given for part in (matrix.data, matrix.indices, matrix.indptr))
+        same = before is not None and len(columns) == len(before.columns)
+        if before is None or not (same and all(map(np.array_equal, columns, before.columns))):
+            return cls(tuple(part.copy() for part in columns), quadratic_program(data))
         _require_plain(data)
-        vectors = {"c": data[settings.Q], "h": data[settings.G], "b": data[settings.B]}
-        return cls(before.columns, before.program.with_vectors(**vectors))
+        program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
+        return before._replace(program=program)
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:

@@ -18,7 +18,7 @@ replaced in a problem that was compiled for QPSolver, until it is compiled for a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -26,24 +26,20 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from cvxpy import settings
-from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
+from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
 from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of
 from .extract import postorder
-
-Values = dict[int, Any]
+from .stated_terms import EQUATIONS, INEQUALITIES, StatedTerms, Values, dense_value, expression_of, sense_of
 
 METHODS = ("LCP", "lcp")
 #: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
 CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
-EQUATIONS = (Equality, Zero)
-INEQUALITIES = (Inequality, NonPos, NonNeg)
 SEED = 16
 STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
@@ -90,29 +86,33 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
         if claim.points:
             return _against_unboundedness(problem, claim)
         if claim.solution.status in settings.SOLUTION_PRESENT:
-            return _against_values(problem, claim) or _against_optimality(problem, claim, before)
+            terms, values = StatedTerms(problem), values_of(problem)
+            against = _against_values(problem, terms, values, claim)
+            return against or _against_optimality(problem, terms, values, claim, before)
     return None
 
 
-def _against_values(problem: Any, claim: Claim) -> str | None:
-    value, claimed = goal_of(problem), sense_of(problem) * float(claim.solution.opt_val)
+def _against_values(problem: Any, terms: StatedTerms, values: Values, claim: Claim) -> str | None:
+    (value, slacks), claimed = terms.at(values), sense_of(problem) * float(claim.solution.opt_val)
     limit = claim.tolerance
     if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * size_of(problem.objective.args[0]):
         return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
-    if (violated := _violated(problem, limit, limit)) is not None:
+    if (violated := _violated(problem, slacks, limit, limit)) is not None:
         return violated
     for variable in problem.variables():
-        entries = dense_value(leaf_value(variable))
+        entries = values[variable.id]
         miss = float(np.abs(nearest(variable, entries) - entries).max(initial=0.0))
         if not miss <= limit * (1.0 + np.abs(entries).max(initial=0.0)):
             return f"its variable {variable.name()} misses its own attributes by {miss:.3g}"
     return None
 
 
-def _against_optimality(problem: Any, claim: Claim, before: Values) -> str | None:
+def _against_optimality(
+    problem: Any, terms: StatedTerms, values: Values, claim: Claim, before: Values
+) -> str | None:
     """Look for a point where the Lagrangian is below the claimed minimum."""
     claimed = sense_of(problem) * float(claim.solution.opt_val)
-    for value, size in _weighed(problem, claim.solution, values_of(problem), before, goal_of):
+    for value, size in _weighed(problem, terms, claim.solution, values, before, 1.0):
         if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
             return (
                 f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
@@ -125,7 +125,7 @@ def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, 
     if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
         return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-    for value, size in _weighed(problem, duals, zero, before, lambda _: 0.0):
+    for value, size in _weighed(problem, StatedTerms(problem), duals, zero, before, 0.0):
         if value < contradiction - ROUNDING * (contradiction + size):
             return (
                 f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
@@ -135,40 +135,38 @@ def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, 
 
 
 def _weighed(
-    problem: Any, solution: Solution, base: Values, before: Values, goal: Callable[[Any], float]
+    problem: Any, terms: StatedTerms, solution: Solution, base: Values, before: Values, weight: float
 ) -> Iterator[tuple[float, float]]:
-    """Yield goal + Σ λ g and |goal| + Σ |λ g| at the trial points; nothing where a multiplier λ is missing."""
+    """Yield weight · goal + Σ λ g and |weight · goal| + Σ |λ g| at the trial points; nothing where a λ is missing."""
     duals = solution.dual_vars or {}
     if any(constraint.id not in duals for constraint in problem.constraints):
         return
+    multipliers = [np.ravel(dense_value(duals[constraint.id]), order="F") for constraint in problem.constraints]
     for values in _trials(problem, base, before):
-        with valued(problem, values):
-            first = goal(problem)
-            terms = [np.zeros(0)] + [
-                np.ravel(dense_value(duals[constraint.id]), order="F") * np.ravel(slack_of(constraint), order="F")
-                for constraint in problem.constraints
-            ]
-        products = np.concatenate(terms)
-        yield first + float(products.sum()), abs(first) + float(np.abs(products).sum())
+        goal, slacks = terms.at(values)
+        first = weight * goal
+        products = [y * np.ravel(slack, order="F") for y, slack in zip(multipliers, slacks, strict=True)]
+        every = np.concatenate([np.zeros(0), *products])
+        yield first + float(every.sum()), abs(first) + float(np.abs(every).sum())
 
 
 def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
     """Hold the points of the ray against the constraints and the objective."""
-    sign = sense_of(problem)
+    sign, terms = sense_of(problem), StatedTerms(problem)
     for point in claim.points:
         with valued(problem, point.primal_vars):
-            goal, claimed = goal_of(problem), sign * float(point.opt_val)
+            (goal, slacks), claimed = terms.at(values_of(problem)), sign * float(point.opt_val)
             if goal > claimed and not goal - claimed <= claim.tolerance * size_of(problem.objective.args[0]):
                 return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
-            if (violated := _violated(problem, ROUNDING, claim.tolerance)) is not None:
+            if (violated := _violated(problem, slacks, ROUNDING, claim.tolerance)) is not None:
                 return f"{violated} on the ray"
     return None
 
 
-def _violated(problem: Any, least: float, tolerance: float) -> str | None:
+def _violated(problem: Any, slacks: list[Any], least: float, tolerance: float) -> str | None:
     """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
-    for constraint in problem.constraints:
-        violation = float(violation_of(constraint).max(initial=0.0))
+    for constraint, slack in zip(problem.constraints, slacks, strict=True):
+        violation = float(_violation(constraint, slack).max(initial=0.0))
         if not violation <= least and not violation <= tolerance * size_of(expression_of(constraint)):
             return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
@@ -188,14 +186,17 @@ def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
 
 def nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes = variable.attributes
-    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in attribute_bounds(variable))
+    attributes, bounds = variable.attributes, attribute_bounds(variable)
+    is_patterned = getattr(variable, "sparse_idx", None) is not None
+    if not (attributes["symmetric"] or attributes["diag"] or is_patterned or any(np.isfinite(b).any() for b in bounds)):
+        return x
+    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in bounds)
     if attributes["symmetric"]:
         lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
         x = (x + np.swapaxes(x, -2, -1)) / 2
     if attributes["diag"]:
         x = np.diag(np.diag(x))
-    if getattr(variable, "sparse_idx", None) is not None:
+    if is_patterned:
         pattern = np.zeros(x.shape)
         pattern[tuple(variable.sparse_idx)] = 1.0
         x = x * pattern
@@ -221,32 +222,20 @@ def values_of(problem: Any) -> Values:
     return {key: None if value is None else dense_value(value) for key, value in values.items()}
 
 
-def sense_of(problem: Any) -> float:
-    """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
-    return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
-
-
 def goal_of(problem: Any) -> float:
     """Return the value of what is to be minimised."""
     return sense_of(problem) * float(dense_value(problem.objective.args[0].value).ravel()[0])
 
 
-def expression_of(constraint: Any) -> Any:
-    """Return what has to be zero, or of one sign."""
-    return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
-
-
-def slack_of(constraint: Any) -> NDArray[np.float64]:
-    """Return what has to be zero, or not positive."""
-    value = dense_value(expression_of(constraint).value)
-    return -value if isinstance(constraint, NonNeg) else value
-
-
 def violation_of(constraint: Any) -> NDArray[np.float64]:
     """Return by how much each entry of a constraint is violated."""
+    slack = dense_value(expression_of(constraint).value)
+    return _violation(constraint, -slack if isinstance(constraint, NonNeg) else slack)
+
+
+def _violation(constraint: Any, slack: NDArray[np.float64]) -> NDArray[np.float64]:
     if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
         return np.atleast_1d(dense_value(constraint.violation()))
-    slack = slack_of(constraint)
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
 
 
@@ -268,12 +257,6 @@ def size_of(expression: Any) -> float:
         if len(parts) == 2 and not is_sum:
             size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
     return 1.0 + size
-
-
-def dense_value(value: Any) -> NDArray[np.float64]:
-    """Return the real part of a value as a dense array."""
-    array = value.toarray() if sp.issparse(value) else np.asarray(value)
-    return np.asarray(array.real, dtype=np.float64)
 
 
 def why_not(problem: Any) -> list[str]:

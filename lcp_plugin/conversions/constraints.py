@@ -104,7 +104,7 @@ class Constraints:
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
         is_finite = np.isfinite(self.limit)
-        sums = enclosed_sum(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
+        sums = enclosed_sum((self.matrix, x), offset=np.where(is_finite, -self.limit, 0.0))
         excess = np.where(is_finite, sums, -np.inf)
         return np.where(self.is_equality, np.abs(excess), excess)
 
@@ -140,10 +140,13 @@ def constraint_tolerance(tolerance: float) -> float:
     return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
 
 
-def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> FloatVector:
-    """Return the end of a proved enclosure of matrix · vector + offset that is farther from 0; NaN where one is NaN."""
+def enclosed_sum(*terms: tuple[Any, FloatVector], offset: FloatVector) -> FloatVector:
+    """Return the end of a proved enclosure of Σ matrix · vector + offset farther from 0; NaN where one is NaN."""
+    value, radius = offset, np.zeros(offset.size)
     with np.errstate(all="ignore"):
-        value, radius = compensated_product(sp.csr_array(matrix), vector, offset)
+        for matrix, vector in terms:
+            value, added = compensated_product(matrix, vector, value)
+            radius = np.where(radius == 0.0, added, np.nextafter(radius + added, np.inf))
         return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
 
 

@@ -71,11 +71,6 @@ class ProgramMatrices:
         return sp.csr_array(self.constraints.T)
 
     @cached_property
-    def stationarity(self) -> sp.csr_array:
-        """[P, Gᵀ, Aᵀ, −I, I]."""
-        return horizontally(as_csr(self.P), self.transposed)
-
-    @cached_property
     def magnitudes(self) -> tuple[Any, sp.csr_array]:
         """|P| and |[G; A]|."""
         return abs(self.P), abs(self.rows)
@@ -104,6 +99,11 @@ class ProgramMatrices:
         places = stacked.indptr[rows]
         coefficient[rows] = stacked.data[places]
         return SingletonRows(rows, stacked.indices[places].astype(np.intp), coefficient, counts)
+
+    @cached_property
+    def most_rows(self) -> int:
+        """In how many rows of [G; A] a variable stands at most."""
+        return int(np.bincount(self.rows.indices, minlength=1).max())
 
     @cached_property
     def is_definable(self) -> NDArray[np.bool_]:
@@ -173,14 +173,14 @@ class ProgramMatrices:
         return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
 
 
-def is_full(matrix: sp.csr_array) -> bool:
-    """Return whether products with the matrix are quicker as an ndarray."""
-    return bool(matrix.nnz > DENSE_ABOVE_DENSITY * matrix.shape[0] * matrix.shape[1])
+def is_full(entries: int, shape: tuple[int, int]) -> bool:
+    """Return whether products with a matrix of so many entries are quicker as an ndarray."""
+    return entries > DENSE_ABOVE_DENSITY * shape[0] * shape[1]
 
 
 def is_kept_dense(n: int, entries: int) -> bool:
     """Return whether a matrix of that size is small and full."""
-    return n <= DENSE_UP_TO_SIZE and entries > DENSE_ABOVE_DENSITY * n * n
+    return n <= DENSE_UP_TO_SIZE and is_full(entries, (n, n))
 
 
 def largest_entries(matrix: Any, axis: int) -> FloatVector:

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
+from .blocks import as_csr
 from .constraints import constraint_tolerance, enclosed_sum
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ class QPSolution:
         """
         program, rows, y = self.program, self.program.constraints, self.multipliers
         right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
-        left = enclosed_sum(program.matrices.stationarity, np.concatenate([self.x, right]), program.c)
+        left = enclosed_sum((as_csr(program.P), self.x), (rows.transposed, right), offset=program.c)
         return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
 
     @cached_property

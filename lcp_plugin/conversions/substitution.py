@@ -10,6 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector, rectangular_matrix
+from ..matrix.definiteness import is_diagonal
+from ..matrix.structure import row_numbers
 from .blocks import as_csr
 from .program import QuadraticProgram
 from .program_matrices import ProgramMatrices, is_full
@@ -43,8 +45,9 @@ def put_in(matrix: Any, offset: FloatVector, columns: Indices) -> tuple[sp.csr_a
 class Definitions:
     """Which equations define a variable each, and the matrices of the program without them: no vector is in it.
 
-    A variable is only defined where it is free, stands in one row of A and in no row of G: x = E y + f then leaves
-    P ← EᵀP E, and of G and the other rows of A the columns of the variables that stay.
+    A variable is only defined where it is free, stands in one row of A and in no row of G. With K the variables that
+    stay, x_defined = D x_K + f leaves P_KK + P_Kd D + Dᵀ P_dK + Dᵀ P_dd D of P, and of G and the other rows of A the
+    columns K.
 
     Attributes
     ----------
@@ -54,7 +57,10 @@ class Definitions:
         The entries of A there.
     kept, kept_rows : ndarray of int
         The variables and the rows of A that stay.
-    expansion : E, an ndarray where it is full.
+    columns : ndarray of int
+        Of the variables that stay, those that define something.
+    D : ndarray or CSR array
+        Its columns of these only.
     reduced : ProgramMatrices
     """
 
@@ -63,28 +69,36 @@ class Definitions:
     pivots: FloatVector
     kept: Indices
     kept_rows: Indices
-    expansion: Any
+    columns: Indices
+    D: Any
     reduced: ProgramMatrices
 
     @classmethod
     def of(cls, matrices: ProgramMatrices, candidates: Indices) -> Definitions:
         """Return what the equations define of these variables, each of which stands in one row of A only."""
-        P, A, n = matrices.P, as_csr(matrices.A), matrices.P.shape[0]
-        by_column = sp.csc_array(A)
+        A, by_column = as_csr(matrices.A), sp.csc_array(matrices.A)
         rows, entries = (part[by_column.indptr[candidates]] for part in (by_column.indices, by_column.data))
         # The largest entry of a row is the safest pivot.
         order = np.lexsort((-np.abs(entries), rows))
         rows, first = np.unique(rows[order], return_index=True)
         defined, pivots = candidates[order[first]], entries[order[first]]
-        order = np.argsort(defined)
-        rows, defined, pivots = rows[order], defined[order], pivots[order]
-        kept, kept_rows = _others(n, defined), _others(A.shape[0], rows)
-        expansion = _expansion(A[rows], defined, pivots, kept)
-        # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
-        curvature = expansion.T @ (P @ expansion)
-        curvature = rectangular_matrix((curvature + curvature.T) * 0.5, "P", None, None)
+        kept, kept_rows = _others(A.shape[1], defined), _others(A.shape[0], rows)
+        columns, D = _coefficients(A[rows], defined, pivots, kept)
+        P = _without(matrices.P, kept, defined, columns, D)
         G, others = (rectangular_matrix(part[:, kept], "rows", None, None) for part in (matrices.G, A[kept_rows]))
-        return cls(rows, defined, pivots, kept, kept_rows, expansion, ProgramMatrices(curvature, G, others))
+        return cls(rows, defined, pivots, kept, kept_rows, columns, D, ProgramMatrices(P, G, others))
+
+    def expanded(self, y: FloatVector) -> FloatVector:
+        """Return x of the y = x_K that stay, with f = 0."""
+        x = np.zeros(self.kept.size + self.defined.size)
+        x[self.kept], x[self.defined] = y, self.D @ y[self.columns]
+        return x
+
+    def gathered(self, gradient: FloatVector) -> FloatVector:
+        """Return the gradient in x_K of what has this one in x."""
+        of_kept: FloatVector = gradient[self.kept]
+        of_kept[self.columns] += self.D.T @ gradient[self.defined]
+        return of_kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +108,10 @@ class Substitution:
     Attributes
     ----------
     program, reduced : QuadraticProgram
-        Before and after: c ← Eᵀ(P f + c), and of all other vectors the entries that stay.
+        Before and after.
     definitions : Definitions
-    offset : f of x = E y + f.
+    offset : ndarray, shape (n,)
+        f, and 0 where a variable stays.
     """
 
     program: QuadraticProgram
@@ -105,9 +120,8 @@ class Substitution:
     offset: FloatVector
 
     def expanded(self, y: FloatVector) -> FloatVector:
-        """Return x = E y + f."""
-        x: FloatVector = self.definitions.expansion @ y + self.offset
-        return x
+        """Return x of the variables that stay."""
+        return self.definitions.expanded(y) + self.offset
 
     def recover(self, solution: QPSolution) -> QPSolution:
         """Return the solution of the program from that of the smaller one, all multipliers included."""
@@ -144,27 +158,58 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     offset = np.zeros(program.n)
     offset[found.defined] = program.b[found.rows] / found.pivots
     reduced = QuadraticProgram.with_matrices(
-        found.reduced, found.expansion.T @ (program.P @ offset + program.c), program.h, program.b[found.kept_rows],
+        found.reduced, found.gathered(program.P @ offset + program.c), program.h, program.b[found.kept_rows],
         program.lower[found.kept], program.upper[found.kept],
     )
     return Substitution(program, reduced, found, offset)
 
 
-def _expansion(A: sp.csr_array, defined: Indices, pivots: FloatVector, kept: Indices) -> Any:
-    """Return E: the rows of I where a variable stays, and −a_ij / pivot_i where row i defines it, in their order."""
-    counts = np.ones(A.shape[1], dtype=np.int64)
-    counts[defined] = np.diff(A.indptr) - 1
+def _coefficients(A: sp.csr_array, defined: Indices, pivots: FloatVector, kept: Indices) -> tuple[Indices, Any]:
+    """Return the variables that stay and stand in these rows, and −a_ij / pivot_i, an ndarray where that is full."""
+    row = row_numbers(A)
+    stays = A.indices != defined[row]
+    row, place = row[stays], np.zeros(A.shape[1], dtype=np.int64)
+    place[kept] = np.arange(kept.size)
+    column = place[A.indices[stays]]
+    columns = np.flatnonzero(np.bincount(column, minlength=kept.size))
+    place[columns] = np.arange(columns.size)
+    starts = np.concatenate([[0], np.cumsum(np.diff(A.indptr) - 1)])
+    shape = (defined.size, columns.size)
+    D = sp.csr_array((A.data[stays] / -pivots[row], place[column], starts), shape=shape)
+    return columns, D.toarray() if is_full(D.nnz, shape) else D
+
+
+def _without(P: Any, kept: Indices, defined: Indices, columns: Indices, D: Any) -> Any:
+    """Return P in the variables that stay."""
+    if is_diagonal(P):
+        of_kept, of_defined = (_diagonal(P.diagonal()[part]) for part in (kept, defined))
+        across = None
+    else:
+        rows = P[kept]
+        of_kept, across, of_defined = rows[:, kept], rows[:, defined], P[defined][:, defined]
+    added = _spread(D.T @ (of_defined @ D), columns, columns, kept.size)
+    if across is not None and np.count_nonzero(across.data if sp.issparse(across) else across):
+        mixed = _spread(across @ D, np.arange(kept.size), columns, kept.size)
+        added = added + (mixed + mixed.T)
+    # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
+    return rectangular_matrix(of_kept + (added + added.T) * 0.5, "P", None, None)
+
+
+def _diagonal(entries: FloatVector) -> sp.csr_array:
+    filled = np.flatnonzero(entries)
+    starts = np.searchsorted(filled, np.arange(entries.size + 1))
+    return sp.csr_array((entries[filled], filled, starts), shape=(entries.size, entries.size))
+
+
+def _spread(block: Any, rows: Indices, columns: Indices, n: int) -> Any:
+    """Return the matrix, shape (n, n), that has the block in these rows and columns, in ascending order."""
+    if rows.size == columns.size == n:
+        return block
+    block, counts = as_csr(block), np.zeros(n, dtype=np.int64)
+    block.sort_indices()
+    counts[rows] = np.diff(block.indptr)
     starts = np.concatenate([[0], np.cumsum(counts)])
-    row = np.repeat(np.arange(defined.size), np.diff(A.indptr))
-    position, stays = np.zeros(A.shape[1], dtype=np.int64), A.indices != defined[row]
-    position[kept] = np.arange(kept.size)
-    columns, entries, of_kept = np.empty(starts[-1], dtype=np.int64), np.ones(starts[-1]), starts[kept]
-    is_defined = np.ones(starts[-1], dtype=bool)
-    is_defined[of_kept] = False
-    columns[of_kept], columns[is_defined] = np.arange(kept.size), position[A.indices[stays]]
-    entries[is_defined] = -A.data[stays] / pivots[row[stays]]
-    expansion = sp.csr_array((entries, columns, starts), shape=(A.shape[1], kept.size))
-    return expansion.toarray() if is_full(expansion) else expansion
+    return sp.csr_array((block.data, columns[block.indices], starts), shape=(n, n))
 
 
 def _others(count: int, indices: Indices) -> Indices:

@@ -198,9 +198,9 @@ def quadratic_program(data: Any) -> QuadraticProgram:
     _require_plain(data)
     n = int(data["n_var"])
     return QuadraticProgram(
-        _csr(data[settings.P], (n, n)), np.asarray(data[settings.Q], dtype=np.float64),
-        G=_csr(data[settings.F], (int(data["n_ineq"]), n)), h=np.asarray(data[settings.G], dtype=np.float64),
-        A=_csr(data[settings.A], (int(data["n_eq"]), n)), b=np.asarray(data[settings.B], dtype=np.float64),
+        _given(data[settings.P], (n, n)), data[settings.Q],
+        G=_given(data[settings.F], (int(data["n_ineq"]), n)), h=data[settings.G],
+        A=_given(data[settings.A], (int(data["n_eq"]), n)), b=data[settings.B],
     )
 
 
@@ -215,8 +215,8 @@ def _require_plain(data: Any) -> None:
         )
 
 
-def _csr(matrix: Any, shape: tuple[int, int]) -> sp.csr_array:
-    return sp.csr_array(shape) if matrix is None else sp.csr_array(matrix)
+def _given(matrix: Any, shape: tuple[int, int]) -> Any:
+    return sp.csr_array(shape) if matrix is None else matrix
 
 
 def _status(

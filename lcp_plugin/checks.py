@@ -234,6 +234,8 @@ def checked_vector(
     vector = real_array(values, need)
     if vector.ndim != 1 or (length is not None and vector.size != length):
         raise InvalidProblem(f"{need}, got shape {vector.shape}")
+    if _all_finite(vector):
+        return read_only(vector.copy())
     refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf)) & ~(allow_nan & np.isnan(vector))
     if refused.any():
         at = int(np.flatnonzero(refused)[0])

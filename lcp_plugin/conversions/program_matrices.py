@@ -11,9 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, frozen
 from ..matrix.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
 from ..matrix.matrix import Matrix
+from ..peers.alone import ALONE
 from .blocks import as_csr, horizontally, multiple_of_identity, vertically
 
 Indices = NDArray[np.intp]
@@ -147,7 +148,8 @@ class ProgramMatrices:
             M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
             return Matrix(M)
         minus = sp.csr_array((-C.data, C.indices, C.indptr), shape=(size - n, size))
-        return Matrix(vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus))
+        M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
+        return Matrix.of_own_rows(frozen(M), ALONE)  # canonical, as its blocks are
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
@@ -94,11 +93,16 @@ class QPSolution:
     def complementarity(self) -> float:
         """The largest product of a multiplier and the distance from its limit."""
         rows, y = self.program.constraints, np.where(self.program.constraints.is_equality, 0.0, self.multipliers)
-        value = rows.matrix @ self.x
+        value = self._values
         limit = np.where((y != 0.0) & np.isfinite(rows.limit), rows.limit, value)
         # A multiplier of an infinite limit can never be right.
         products = np.abs(np.where(np.isinf(rows.limit), y, y * (limit - value)))
         return _largest(products) / (1.0 + _largest(np.abs(np.concatenate([y * value, y * limit]))))
+
+    @cached_property
+    def _values(self) -> FloatVector:
+        values: FloatVector = self.program.constraints.matrix @ self.x
+        return values
 
     @cached_property
     def multipliers(self) -> FloatVector:
@@ -115,7 +119,7 @@ class QPSolution:
         """The largest error of any condition, each relative to 1 + the largest term of its own row."""
         program, rows, y = self.program, self.program.constraints, self.multipliers
         is_finite = np.isfinite(rows.limit)
-        gap = np.where(is_finite, rows.limit - rows.matrix @ self.x, 0.0)
+        gap = np.where(is_finite, rows.limit - self._values, 0.0)
         size = np.maximum(_largest_terms(rows.matrix, self.x), np.where(is_finite, np.abs(rows.limit), 0.0))
         violated = np.where(rows.is_equality, np.abs(gap), np.maximum(-gap, 0.0))
         wrong = np.where(is_finite, np.maximum(-y, 0.0), np.abs(y))
@@ -206,7 +210,7 @@ def _largest(values: FloatVector) -> float:
 
 def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
     """Return max_j |a_ij v_j| of each row."""
-    rows = sp.csr_array(matrix)
+    rows = as_csr(matrix)
     filled = np.flatnonzero(np.diff(rows.indptr))
     largest = np.zeros(rows.shape[0])
     if filled.size:

@@ -21,8 +21,8 @@ def as_csr(matrix: Any) -> sp.csr_array:
     index_type = np.int32 if matrix.size < 2**31 else np.int64
     (m, n), is_entry = matrix.shape, matrix != 0.0
     if is_entry.all():
-        starts, columns = np.arange(0, m * n + 1, max(n, 1)), np.tile(np.arange(n, dtype=index_type), m)
-        return sp.csr_array((matrix.reshape(-1), columns, starts.astype(index_type)[: m + 1]), shape=matrix.shape)
+        starts, columns = n * np.arange(m + 1), np.tile(np.arange(n, dtype=index_type), m)
+        return sp.csr_array((matrix.reshape(-1), columns, starts.astype(index_type)), shape=matrix.shape)
     starts = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))]).astype(index_type)
     columns = np.nonzero(is_entry)[1].astype(index_type)
     return sp.csr_array((matrix[is_entry], columns, starts), shape=matrix.shape)

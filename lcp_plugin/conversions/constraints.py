@@ -11,7 +11,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..exact.rounding import compensated_product
+from ..exact.rounding import compensated_pair, compensated_product
+from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import LinearConstraints
 from .presolve import like
 from .program_matrices import Indices, ProgramMatrices
@@ -104,7 +105,7 @@ class Constraints:
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
         is_finite = np.isfinite(self.limit)
-        sums = enclosed_sum((self.matrix, x), offset=np.where(is_finite, -self.limit, 0.0))
+        sums = enclosed_sum(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
         excess = np.where(is_finite, sums, -np.inf)
         return np.where(self.is_equality, np.abs(excess), excess)
 
@@ -140,14 +141,26 @@ def constraint_tolerance(tolerance: float) -> float:
     return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
 
 
-def enclosed_sum(*terms: tuple[Any, FloatVector], offset: FloatVector) -> FloatVector:
-    """Return the end of a proved enclosure of Σ matrix · vector + offset farther from 0; NaN where one is NaN."""
-    value, radius = offset, np.zeros(offset.size)
+def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> FloatVector:
+    """Return the end of a proved enclosure of matrix · vector + offset that is farther from 0; NaN where one is NaN."""
     with np.errstate(all="ignore"):
-        for matrix, vector in terms:
-            value, added = compensated_product(matrix, vector, value)
-            radius = np.where(radius == 0.0, added, np.nextafter(radius + added, np.inf))
-        return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
+        return _farther_end(*compensated_product(matrix, vector, offset))
+
+
+def enclosed_sum_of_two(
+    first: tuple[Any, FloatVector], second: tuple[Any, FloatVector], offset: FloatVector
+) -> FloatVector:
+    """Return the same of matrix · vector + matrix · vector + offset."""
+    with np.errstate(all="ignore"):
+        high, low, missed = compensated_pair(*first, offset)
+        value, radius = compensated_product(*second, high)
+        whole = value + low
+        rest = np.where(low == 0.0, missed, missed + EPSILON * np.abs(whole))
+        return _farther_end(whole, np.where(rest == 0.0, radius, np.nextafter(radius + rest, np.inf) * (1.0 + EPSILON)))
+
+
+def _farther_end(value: FloatVector, radius: FloatVector) -> FloatVector:
+    return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
 from .blocks import as_csr
-from .constraints import constraint_tolerance, enclosed_sum
+from .constraints import constraint_tolerance, enclosed_sum_of_two
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -86,7 +86,7 @@ class QPSolution:
         """
         program, rows, y = self.program, self.program.constraints, self.multipliers
         right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
-        left = enclosed_sum((as_csr(program.P), self.x), (rows.transposed, right), offset=program.c)
+        left = enclosed_sum_of_two((as_csr(program.P), self.x), (rows.transposed, right), program.c)
         return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
 
     @cached_property

@@ -26,7 +26,7 @@ PIVOTED_AT_ONCE_UP_TO = 160  # rows of a dense M with a positive diagonal: beyon
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.
 CHOLESKY_UP_TO = 150  # rows, whatever is in them
 FULL_CHOLESKY_UP_TO = 1500  # rows where more than the following share of the entries is not zero
-FULL_CHOLESKY_FROM = 0.01
+FULL_CHOLESKY_FROM = 0.02
 
 # Sizes that a policy never exceeds.
 SURE_FACTOR_UP_TO = 20_000  # rows of a sparse M beyond which psor is tried once more before a factor

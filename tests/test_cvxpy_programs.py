@@ -17,7 +17,8 @@ from campaigns import cvxpy_programs
 from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
 from lcp_plugin.conversions.substitution import substitute_definitions
-from lcp_plugin.modeling import qp_solver
+from lcp_plugin.modeling import qp_solver, user_terms
+from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -191,6 +192,37 @@ def test_a_program_that_is_not_the_problem_is_never_optimal(
         problem.solve(**how)
     assert problem.status is None
     assert problem.variables()[0].value is None
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+def test_the_points_of_a_re_solve_show_every_planted_error(planted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a problem was judged before and only parameters changed, fewer points are enough for the same errors."""
+    monkeypatch.setattr(user_terms, "STEPS", user_terms.FEWER_STEPS)
+    test_a_program_that_is_not_the_problem_is_never_optimal(planted, {"solver": QPSolver}, monkeypatch)
+
+
+def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
+    """At the values of the variables the objective and slacks are cvxpy's own: shared, constant, scalar, sparse."""
+    rng = np.random.default_rng(6)
+    X, y, z = cp.Variable((2, 3)), cp.Variable(3, nonneg=True), cp.Variable()
+    p = cp.Parameter(3, value=rng.normal(size=3))
+    shared = X.T @ np.array([1.0, -2.0]) + cp.multiply(p, y) / 2.0
+    sparse = sp.csc_array(np.diag([1.0, 0.0, 3.0]))
+    constraints = [
+        shared <= 1 + cp.abs(p), cp.vstack([shared, y]) >= X - z, cp.sum(X, axis=0) == sparse @ y, z >= p[0],
+        cp.constraints.NonNeg(2 - z), cp.constraints.Zero(cp.hstack([z, y]) - 1), cp.Constant(1.0) <= 2.0 + 0 * z,
+    ]
+    loss = cp.sum_squares(shared) + cp.norm1(X) + 3.0
+    for objective in (cp.Minimize(loss), cp.Maximize(-cp.max(shared)), cp.Minimize(0)):
+        problem = cp.Problem(objective, constraints)
+        for variable in problem.variables():
+            variable.value = np.abs(rng.normal(size=variable.shape))
+        goal, slacks = StatedTerms(problem).at({v.id: np.asarray(v.value) for v in problem.variables()})
+        assert goal == user_terms.goal_of(problem)
+        for constraint, slack in zip(constraints, slacks, strict=True):
+            violation = np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
+            np.testing.assert_array_equal(violation, user_terms.violation_of(constraint))
+            np.testing.assert_allclose(violation, constraint.residual, atol=1e-14)
 
 
 def test_an_error_of_cvxpy_s_own_is_found() -> None:

@@ -106,6 +106,52 @@ def test_parameters_reuse_the_compiled_problem() -> None:
         assert value == pytest.approx(problem.value, abs=1e-6)
 
 
+def parametric(where: str, seed: int) -> tuple[Any, Any]:
+    """Return a problem with one parameter in a vector or in a matrix of its program, and that parameter."""
+    rng = np.random.default_rng(seed)
+    A, G, x = rng.normal(size=(3, 6)), rng.normal(size=(4, 6)), cp.Variable(6)
+    p = cp.Parameter({"c": 6, "b": 3, "h": 4, "bound": 6}.get(where, (4, 6)))
+    loss = cp.sum_squares(rng.normal(size=(9, 6)) @ x - 1.0) + (p @ x if where == "c" else 0.0)
+    rows = p if where == "G" else G
+    constraints = [
+        rows @ x <= (p if where == "h" else np.ones(4)), A @ x == (p if where == "b" else np.full(3, 0.1)),
+        x >= (p if where == "bound" else -2.0),
+    ]
+    return cp.Problem(cp.Minimize(loss), constraints), p
+
+
+@pytest.mark.parametrize("where", ["c", "b", "h", "bound", "G"])
+def test_a_parameter_changes_numbers_only(where: str) -> None:
+    """Solved again with other parameters, a problem has the status, values and duals of a fresh one, there and back."""
+    problem, p = parametric(where, 4)
+    rng = np.random.default_rng(5)
+    values = [rng.normal(size=p.shape) * 0.1, rng.normal(size=p.shape) * 0.1 - 0.1, np.full(p.shape, 9.0)]
+    for value in (*values, values[0]):
+        fresh, own = parametric(where, 4)
+        p.value = own.value = value
+        problem.solve(solver=QPSolver)
+        fresh.solve(solver=QPSolver)
+        assert problem.status == fresh.status
+        if fresh.status == "optimal":
+            assert problem.value == pytest.approx(fresh.value, rel=1e-8, abs=1e-9)
+            for ours, theirs in zip(problem.constraints, fresh.constraints, strict=True):
+                np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
+
+
+def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones() -> None:
+    """A host that writes new numbers into the arrays of the last solve is answered for the new numbers."""
+    problem, _ = nnls()
+    data = problem.get_problem_data(QPSolver)[0]
+    cache: dict[str, Any] = {}
+    first = QPSolver.solve_via_data(data, True, False, {}, cache)
+    assert cache["LCP"].program is first.solution.program
+    data["P"].data *= 4.0
+    second = QPSolver.solve_via_data(data, True, False, {}, cache)
+    assert second.solution.program.matrices is not first.solution.program.matrices
+    np.testing.assert_allclose(second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal())
+    assert QPSolver.solve_via_data(data, True, False, {}, cache).is_repeated
+
+
 def test_a_limit_keeps_the_values_and_warns() -> None:
     """max_iterations and max_seconds end as user_limit with values kept."""
     for limit in ({"max_iterations": 0}, {"max_seconds": 0.0}):

@@ -42,7 +42,7 @@ CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, A
 
 SEED = 16
 STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
-FEWER_STEPS = (0.1,)
+FEWER_STEPS = (0.01,)  # of a problem judged before; the values from before are looked at besides
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
 FAR = 10.0  # of 1 + |point|, along a direction without end
 

@@ -14,7 +14,7 @@ from ...algorithms.splittings.projected_type import NPSOR
 from ...certificates.error_bounds import error_bound
 from ...certificates.infeasibility import decide_feasibility
 from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
-from ...matrix.factors import factorise, solver_of
+from ...matrix.factors import factorise, positive_factor, solver_of
 from ...policy.stages import Stage
 from ...problem.lcp import LCP
 from ...solving.driver import solve
@@ -176,6 +176,22 @@ def _dense_or_sparse(repeats: int) -> str:
     return f"a dense factor costs {ratio:.1f} sparse ones on a grid of {M.shape[0]} rows, where fill is small"
 
 
+def _random_definite(n: int, share: float) -> sp.csr_array:
+    """Return a definite matrix with about that share of entries, in no order that a factor could use."""
+    rng = np.random.default_rng(n)
+    factor = sp.random_array((n, n), density=np.sqrt(share / n), rng=rng, format="csr")
+    product = sp.csr_array(factor @ factor.T)
+    return sp.csr_array(symmetric_part(product) + sp.eye_array(n))
+
+
+def _cholesky(n: int, share: float, repeats: int) -> str:
+    P = _random_definite(n, share)
+    ways = {"dense": lambda: positive_factor(P.toarray()), "sparse": lambda: positive_factor(sp.csc_array(P))}
+    seconds = medians(ways, repeats)
+    filled = P.nnz / n**2
+    return f"dense takes {seconds['dense'] / seconds['sparse']:.2f} of sparse for n = {n}, {filled:.1%} of the entries"
+
+
 def _compiled(make: Callable[[int], LCP], constant: str, repeats: int) -> str:
     """Return what the compiled road costs at its end, and a row beyond it."""
     n = getattr(crossovers, constant)
@@ -216,5 +232,8 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point,
     "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
+    "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
+    "FULL_CHOLESKY_UP_TO": partial(_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),
+    "FULL_CHOLESKY_FROM": partial(_cholesky, 500, crossovers.FULL_CHOLESKY_FROM),
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,
 }

@@ -138,9 +138,10 @@ class Enclosures:
 
 def _magnitudes(block: Any, *vectors: FloatVector) -> Any:
     """Return |block||v| for each v, and whether any row has a term that is not 0, whatever underflows."""
-    columns = [np.abs(v) for v in vectors]
-    columns.append(np.any([column > 0.0 for column in columns], axis=0).astype(np.float64))
-    sizes = abs(block) @ np.column_stack(columns)
+    columns = np.empty((block.shape[1], len(vectors) + 1))
+    np.abs(np.array(vectors).T, out=columns[:, :-1])
+    columns[:, -1] = columns[:, :-1].any(axis=1)
+    sizes = abs(block) @ columns
     return *sizes.T[:-1], sizes.T[-1] > 0.0
 
 

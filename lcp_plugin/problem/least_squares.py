@@ -131,9 +131,9 @@ class LeastSquares:
         """
         root = self.root_weights
         if not self.has_entries:
-            v = self.transposed(root * root * self.b)
-            length = float(np.linalg.norm(v))
-            lengths = np.full(v.size, np.linalg.norm(root * self.product(v / length)) if length > 0.0 else 0.0)
+            v = self.transposed(root * root * (self.b / power_of_two(np.abs(self.b).max(initial=0.0))))
+            length = _length(v)
+            lengths = np.full(v.size, _length(root * self.product(v / length)) if length > 0.0 else 0.0)
         else:
             largest = np.zeros(self.shape[1])
             for rows, block in self.blocks():
@@ -174,7 +174,7 @@ class UnitLeastSquares:
         self._root, self.columns = problem.root_weights, problem.column_units
         with np.errstate(over="ignore"):
             sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
-        self.size = float(power_of_two(np.array([max(float(np.abs(v).max(initial=0.0)) for v in sizes)]))[0])
+        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes)))
         with np.errstate(over="ignore", under="ignore"):
             self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
             self.b = self._root * problem.b / self.size
@@ -208,10 +208,16 @@ class UnitLeastSquares:
         return scaled
 
 
-def power_of_two(sizes: FloatVector) -> FloatVector:
+def power_of_two(sizes: ArrayLike) -> FloatVector:
     """Return the powers of two just above the sizes, within what can be multiplied by; 1 for 0."""
     exponents = np.clip(np.frexp(sizes)[1], -500, 500)
-    return np.where(sizes > 0.0, np.ldexp(1.0, exponents), 1.0)
+    return np.where(np.asarray(sizes) > 0.0, np.ldexp(1.0, exponents), 1.0)
+
+
+def _length(v: FloatVector) -> float:
+    """Return ‖v‖₂, squares out of range or not."""
+    unit = power_of_two(np.abs(v).max(initial=0.0))
+    return float(unit * np.linalg.norm(v / unit))
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import islice
 from typing import Any, cast
 
@@ -22,7 +22,7 @@ from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import ShortRoad
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
 from ..checks import FloatVector, read_only, restored
-from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
+from ..crossovers import COMPILED_UP_TO
 from ..deadline import time_limit
 from ..errors import NotConverged
 from ..matrix.factors import LARGEST_DENSE
@@ -220,10 +220,9 @@ class _Run:
     """One run: stages yield points, and the first reason to end ends it."""
 
     def __init__(self, problem: LeastSquares, settings: Settings, start: FloatVector) -> None:
-        largest = COMPILED_SPARSE_UP_TO if problem.is_sparse else COMPILED_UP_TO
-        self._is_small = problem.is_cheap_to_copy and problem.shape[1] <= largest
+        self._is_small = problem.is_cheap_to_copy and problem.shape[1] <= COMPILED_UP_TO
         if self._is_small:
-            rehearse(ShortRoad(), LCP([[1.0]], [-1.0]))  # compiled before the clock runs
+            _compile()  # before the clock runs
         self.problem, self.settings, self.clock = problem, settings, Clock(Peers())
         self.enclosures, self.start = Enclosures(problem), start
         self.best: Point | None = None  # by what its own products say, `judged` by the caller's data
@@ -238,6 +237,11 @@ class _Run:
         return UnitLeastSquares(self.problem)
 
     @cached_property
+    def dense(self) -> DenseFaces | None:
+        """Faces by orthogonal factors; None where time ended before."""
+        return DenseFaces.of(self.unit)
+
+    @cached_property
     def sharp(self) -> Enclosures | None:
         """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
         return Enclosures(self.problem, is_sharp=True) if self.problem.is_cheap_to_copy else None
@@ -248,6 +252,8 @@ class _Run:
             self.start = self.problem.nearest_to_zero
             if self._is_solved_by(self.start):
                 return Status.SOLVED
+        if self._is_small and self._sprint():
+            return Status.SOLVED
         for stage in self._stages():
             self.progress.restart(self.iteration, self.best_size)
             for k, point in enumerate(stage):
@@ -268,26 +274,34 @@ class _Run:
                 patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
                 yield islice(projected_steps(self._incumbent()), patience)
             if problem.is_dense or problem.is_cheap_to_copy:
-                if problem.shape[1] <= LARGEST_DENSE and (dense := DenseFaces.of(self.unit)) is not None:
-                    yield from self._by_orthogonal_factors(dense)
+                if problem.shape[1] <= LARGEST_DENSE and (dense := self.dense) is not None:
+                    self.faces = dense
+                    yield _in_turn(interior_steps(self._incumbent(), dense), dense)
             elif (sparse := SparseFaces.of(self.unit)) is not None:
                 self.faces = sparse
                 yield _in_turn(interior_points_of_gram(self._incumbent(), sparse), sparse)
         yield projected_steps(self._incumbent())
 
-    def _by_orthogonal_factors(self, faces: DenseFaces) -> Iterator[Iterator[Point]]:
-        self.faces = faces
-        if self._is_small:
-            start, free = compiled_face(self._incumbent(), faces) or (self._incumbent(), None)
-            yield islice(active_set_steps(start, faces, free), ROUNDS)
-        yield _in_turn(interior_steps(self._incumbent(), faces), faces)
+    def _sprint(self) -> bool:
+        """Take active sets to their end, from the face of the compiled methods if any; return whether that solves it."""
+        self.faces, most = self.dense, min(ROUNDS, self.settings.max_iterations)
+        if self.faces is None or most == 0:
+            return False
+        start = self._incumbent()
+        start, free = compiled_face(start, self.faces) or (start, None)
+        points = list(islice(active_set_steps(start, self.faces, free), most + 1))
+        self.best, self.iteration = points[-1], len(points) - 1
+        if self._is_solved_by(self.unit.to_caller(self.best.x)):
+            return True
+        self.best_size = self._measured(self.best)
+        return False
 
     def _refine(self, point: Point) -> None:
         """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
         if self.faces is None:
             return
         *_, refined = islice(active_set_steps(point, self.faces), ROUNDS)
-        judged = Optimality.of(self.enclosures, self.unit.to_caller(refined.x))
+        judged = self._judgement(self.unit.to_caller(refined.x))
         if judged.value <= self.settings.tolerance:
             self.judged = judged
 
@@ -327,13 +341,18 @@ class _Run:
 
     def _is_solved_by(self, x: FloatVector) -> bool:
         """Judge x on the caller's data, keep the better judgement; return whether x is what was asked for."""
+        judged = self._judgement(x)
+        if self.judged is None or judged.value < self.judged.value:
+            self.judged = judged
+        return bool(judged.value <= self.settings.tolerance)
+
+    def _judgement(self, x: FloatVector) -> Optimality:
+        """Return how optimal x is on the caller's data, looked at sharply where rounding decides."""
         judged = Optimality.of(self.enclosures, x)
         if judged.value > self.settings.tolerance and judged.is_at_rounding_level and self.sharp is not None:
             sharply = Optimality.of(self.sharp, x)
             judged = sharply if sharply.value < judged.value else judged
-        if self.judged is None or judged.value < self.judged.value:
-            self.judged = judged
-        return bool(judged.value <= self.settings.tolerance)
+        return judged
 
     def _is_at_floor(self) -> bool:
         """Return whether the best point is as good as rounding allows."""
@@ -358,6 +377,12 @@ class _Run:
             optimality=judged.value, active_mask=read_only(mask), status=reason, nit=self.iteration,
             seconds=self.clock.read(), tolerance=tolerance, is_proved=problem.has_entries, problem=problem,
         )
+
+
+@cache
+def _compile() -> None:
+    """Compile what small problems call."""
+    rehearse(ShortRoad(), LCP([[1.0]], [-1.0]))
 
 
 def _in_turn(steps: Iterator[Point], faces: Faces) -> Iterator[Point]:

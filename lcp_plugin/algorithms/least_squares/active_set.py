@@ -43,8 +43,9 @@ def active_set_steps(start: Point, faces: Faces, free: BoolVector | None = None)
         yield point
         free = point.is_free
         if length >= 1.0:  # the face is solved
-            pulled, before, size = _pulled(point), size, _size(point)
-            if not pulled.any() and size > REFINED * before:
+            noise, before, size = _noise(point), size, float(np.abs(point.natural_residual).max(initial=0.0))
+            pulled = np.abs(point.pull) > noise
+            if not pulled.any() and not noise < size <= REFINED * before:
                 return
             free = free | pulled
 
@@ -72,11 +73,7 @@ def _without(point: Point, free: BoolVector, correction: FloatVector) -> BoolVec
     return hardest
 
 
-def _size(point: Point) -> float:
-    return float(np.abs(point.natural_residual).max(initial=0.0))
-
-
-def _pulled(point: Point) -> BoolVector:
-    """Return which columns at a bound pull inwards by more than rounding."""
-    noise = ROUNDING * float(np.linalg.norm(point.residual) + np.linalg.norm(point.x) + np.linalg.norm(point.problem.b))
-    return np.abs(point.pull) > noise
+def _noise(point: Point) -> float:
+    """Return up to where a gradient may be nothing but rounding."""
+    problem = point.problem
+    return ROUNDING * float(np.linalg.norm(point.residual) + np.linalg.norm(point.x) + np.linalg.norm(problem.b))

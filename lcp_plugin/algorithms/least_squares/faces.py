@@ -51,17 +51,17 @@ class DenseFaces:
     def of(cls, problem: UnitLeastSquares) -> DenseFaces | None:
         """Return the faces, or None where time ended before."""
         m, n = problem.problem.shape
-        has_ridge = problem.ridge.any()
-        head = np.diag(np.sqrt(problem.ridge)) if has_ridge else np.empty((0, n))
-        if m + head.shape[0] <= n:
+        triangle = np.eye(n if problem.ridge.any() else 0, n + 1)
+        triangle[:, :n] *= np.sqrt(problem.ridge)
+        if m + triangle.shape[0] <= n:
             return cls(_whole(problem), problem.b)
-        triangle = np.hstack([head, np.zeros((head.shape[0], 1))])
         at_once = 4 * n + 1  # a block's share of the work that is done again
         for begin in range(0, m, at_once):
             if is_over():
                 return None
             rows = slice(begin, min(begin + at_once, m))
-            triangle = _triangle(np.vstack([triangle, np.column_stack([_whole(problem, rows), problem.b[rows]])]))
+            block = np.column_stack([_whole(problem, rows), problem.b[rows]])
+            triangle = np.linalg.qr(np.vstack([triangle, block]) if triangle.size else block, mode="r")
         return cls(triangle[:n, :n], triangle[:n, n])
 
     def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
@@ -137,11 +137,3 @@ def _whole(problem: UnitLeastSquares, rows: slice = slice(None)) -> FloatVector:
     entries = problem.entries(rows)
     dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
     return dense
-
-
-def _triangle(matrix: FloatVector) -> FloatVector:
-    """Return R, of as many rows as columns at the most, with matrix = Q R."""
-    from scipy.linalg import qr
-
-    triangle: FloatVector = qr(matrix, mode="r", overwrite_a=True, check_finite=False)[0][: matrix.shape[1]]
-    return triangle

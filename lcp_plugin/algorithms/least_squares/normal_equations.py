@@ -15,7 +15,7 @@ from ...errors import LCPError
 from ...problem.lcp import LCP
 from ...problem.least_squares import UnitLeastSquares
 from ..interior_points.interior_point import InteriorPoint
-from ..short_road import ShortRoad
+from ..short_road import as_batch, sprint_of_arrays
 from .faces import DenseFaces, SparseFaces
 from .point import Point
 
@@ -31,10 +31,8 @@ def compiled_face(start: Point, faces: DenseFaces) -> tuple[Point, BoolVector] |
     """
     problem = start.problem
     M, q = faces.matrix.T @ faces.matrix, -(faces.matrix.T @ faces.right)
-    try:
-        sprint = ShortRoad().sprint(_lcp(problem, M, q), start.x, GOAL, COMPILED_STEPS)
-    except LCPError:  # AᵀA is not finite
-        return None
+    vectors = [as_batch(vector) for vector in (M, q, problem.lower, problem.upper, start.x)]
+    sprint = sprint_of_arrays(*vectors, GOAL, COMPILED_STEPS) if np.isfinite(M.sum() + q.sum()) else None
     if sprint is None:
         return None
     free = (sprint.z > problem.lower) & (sprint.z < problem.upper)
@@ -45,14 +43,11 @@ def interior_points_of_gram(start: Point, faces: SparseFaces) -> Iterator[Point]
     """Yield the points of the interior point method on AᵀA."""
     problem = start.problem
     try:
-        for step in InteriorPoint().iterates(_lcp(problem, faces.gram, -problem.transposed(problem.b)), start.x):
+        gram = LCP(faces.gram, -problem.transposed(problem.b), lower=problem.lower, upper=problem.upper)
+        for step in InteriorPoint().iterates(gram, start.x):
             yield _point(problem, step.z)
     except LCPError:  # it has no way with this matrix
         return
-
-
-def _lcp(problem: UnitLeastSquares, M: Any, q: FloatVector) -> LCP:
-    return LCP(M, q, lower=problem.lower, upper=problem.upper)
 
 
 def _point(problem: UnitLeastSquares, z: FloatVector) -> Point:

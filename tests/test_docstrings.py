@@ -20,6 +20,7 @@ ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create from_other_packages",
     "conversions.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
     "conversions.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
+    "conversions.least_squares": "LeastSquaresSolution lcp_from_least_squares",
     "conversions.qp_solution": "QPSolution",
     "conversions.quadratic_program": "lcp_from_lp lcp_from_qp qp_from_lcp",
     "evidence.curves": "Curve Point Profile Report performance_profile",

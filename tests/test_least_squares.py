@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
-from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares
-from lcp_plugin.errors import InvalidOption, InvalidProblem, LCPError, NotConverged
+from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
+from lcp_plugin.conversions.least_squares import lcp_from_least_squares
+from lcp_plugin.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
 
 INF = np.inf
 
@@ -273,7 +274,57 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
     assert bounded_least_squares(np.ones((3, 2)), [1.0, 2.0, 4.0], -INF).gap <= 7.0
 
 
+# --- the complementarity problem ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["auto", "normal", "mixed"])
+@pytest.mark.parametrize("shape", [(40, 12), (9, 20), (0, 3), (3, 0)])
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_least_squares_as_a_complementarity_problem(shape: tuple[int, int], form: str, kind: Any) -> None:
+    """`solve` of each form, weights, ridge and a box included, recovers the x, residual and cost of the solver."""
+    rng = np.random.default_rng(sum(shape))
+    A, b, weights = kind(rng.standard_normal(shape)), rng.standard_normal(shape[0]), rng.random(shape[0])
+    weights[:1] = 0.0
+    for ridge, lower, upper in ((0.1, -0.2, 0.3), (0.0, 0.0, INF)):
+        direct = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=ridge)
+        problem = lcp_from_least_squares(A, b, lower, upper, weights=weights, ridge=ridge, form=form)
+        answer = problem.origin.recover(solve(problem, tolerance=1e-11).require_solved())
+        assert answer.cost == pytest.approx(direct.cost, rel=1e-8, abs=1e-12)
+        if shape[0] > shape[1] or ridge:
+            np.testing.assert_allclose(answer.x, direct.x, atol=1e-7)
+            np.testing.assert_allclose(answer.fun, direct.fun, atol=1e-6)
+
+
+def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
+    """A dense row, which fills AᵀA, and κ = 1e6, whose square no double holds: "mixed" has A's entries and solves."""
+    A = sp.csr_array(sp.vstack([sp.eye_array(300), np.ones((1, 300))]))
+    problem = lcp_from_least_squares(A, np.ones(301))
+    assert problem.origin.form == "mixed"
+    assert problem.nonzeros == 2 * A.nnz + 301
+    A, b, _, x = planted(of_condition(60, 30, 1e6))
+    problem = lcp_from_least_squares(A, b, form="mixed")
+    answer = problem.origin.recover(solve(problem, tolerance=1e-14))
+    np.testing.assert_allclose(answer.x, x, atol=1e-6)
+
+
+def test_an_lcp_needs_entries() -> None:
+    """A LinearOperator and unknown forms are refused in words."""
+    with pytest.raises(UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"):
+        lcp_from_least_squares(aslinearoperator(np.eye(2)), [1.0, 1.0])
+    with pytest.raises(InvalidOption, match="did you mean 'mixed'"):
+        lcp_from_least_squares(np.eye(2), [1.0, 1.0], form="mixt")
+
+
 # --- statuses -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-60, 1e60, 1e150])
+def test_a_linear_operator_has_any_unit(unit: float) -> None:
+    """Products whose squares overflow or underflow: the same answer in that unit."""
+    A, b, _, x = planted(of_condition(60, 30, 1e1))
+    for given_A, given_b, answer in ((unit * A, unit * b, x), (A, unit * b, unit * x), (A / unit, b, unit * x)):
+        result = bounded_least_squares(aslinearoperator(given_A), given_b).require_solved()
+        np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-6)
 
 
 @pytest.mark.parametrize("unit", [1e-150, 1e-6, 1e6, 1e150])

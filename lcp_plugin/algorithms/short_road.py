@@ -93,18 +93,18 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
 def sprint(problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int, plan: Plan) -> Sprint | None:
     """Return where `steps` arrive within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
-    vectors = (as_batch(values) for values in (problem.q, problem.lower, problem.upper))
-    return sprint_of_arrays(as_dense(problem.matrix), *vectors, start, tolerance, max_iterations, plan)
+    vectors = map(as_batch, (problem.q, problem.lower, problem.upper))
+    return sprint_of_arrays((as_dense(problem.matrix), *vectors, start), tolerance, max_iterations, plan)
 
 
 def sprint_of_arrays(
-    M: Any, q: Any, lower: Any, upper: Any, start: Any, tolerance: float, max_iterations: int, plan: Plan = EVERYTHING
+    arrays: tuple[Any, ...], tolerance: float, max_iterations: int, plan: Plan = EVERYTHING
 ) -> Sprint | None:
-    """Return the same for a problem that is no more than arrays, finite, each `as_batch`."""
+    """Return the same for a problem that is no more than M, q, lower, upper and a start, finite, each `as_batch`."""
     from ..kernels.small_problems import run_all
 
-    answers = Answers(1, q.shape[1])
-    run_all(M, q, lower, upper, start, *plan, tolerance, max_iterations, 0, 1, *answers.arrays)
+    answers = Answers(*arrays[1].shape)
+    run_all(*arrays, *plan, tolerance, max_iterations, 0, 1, *answers.arrays)
     return answers.sprint(0)
 
 

@@ -51,7 +51,7 @@ class DenseFaces:
     def of(cls, problem: UnitLeastSquares) -> DenseFaces | None:
         """Return the faces, or None where time ended before."""
         m, n = problem.problem.shape
-        triangle = np.eye(n if problem.ridge.any() else 0, n + 1)
+        triangle: Any = np.eye(n if problem.ridge.any() else 0, n + 1)
         triangle[:, :n] *= np.sqrt(problem.ridge)
         if m + triangle.shape[0] <= n:
             return cls(_whole(problem), problem.b)

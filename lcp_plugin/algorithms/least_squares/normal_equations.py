@@ -6,7 +6,6 @@ The condition of M is that of A squared, so their answer is where active sets be
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -31,8 +30,10 @@ def compiled_face(start: Point, faces: DenseFaces) -> tuple[Point, BoolVector] |
     """
     problem = start.problem
     M, q = faces.matrix.T @ faces.matrix, -(faces.matrix.T @ faces.right)
-    vectors = [as_batch(vector) for vector in (M, q, problem.lower, problem.upper, start.x)]
-    sprint = sprint_of_arrays(*vectors, GOAL, COMPILED_STEPS) if np.isfinite(M.sum() + q.sum()) else None
+    if not np.isfinite(M.sum() + q.sum()):
+        return None
+    arrays = tuple(map(as_batch, (M, q, problem.lower, problem.upper, start.x)))
+    sprint = sprint_of_arrays(arrays, GOAL, COMPILED_STEPS)
     if sprint is None:
         return None
     free = (sprint.z > problem.lower) & (sprint.z < problem.upper)

@@ -283,7 +283,7 @@ class _Run:
         yield projected_steps(self._incumbent())
 
     def _sprint(self) -> bool:
-        """Take active sets to their end, from the face that the compiled methods find; return whether that solves it."""
+        """Take active sets to their end, from the face the compiled methods find; return whether that solves it."""
         self.faces, most = self.dense, min(ROUNDS, self.settings.max_iterations)
         if self.faces is None or most == 0:
             return False

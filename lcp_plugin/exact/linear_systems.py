@@ -191,7 +191,7 @@ def _inverse(matrix: Integers, prime: int) -> Integers | None:
     work = np.hstack([matrix, np.eye(k, dtype=np.int64)])
     for i in range(k):
         nonzero = np.flatnonzero(work[i:, i])
-        if not nonzero.size:
+        if not nonzero.size or is_over():
             return None
         work[[i, i + nonzero[0]]] = work[[i + nonzero[0], i]]
         work[i] = work[i] * pow(int(work[i, i]), -1, prime) % prime
@@ -323,6 +323,8 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
         whole.append([0] * len(columns))
         for j, entry in row.items():
             whole[-1][place[j]] = int(entry * scale)
+    if is_over():
+        return None
     at, chosen = rank_profile(whole)
     longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
     if len(at) * longest > MOST_BITS:

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..deadline import seconds_left
+from ..deadline import is_over, seconds_left
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
 from ..matrix.equilibration import Exponents, evened, scaled
@@ -263,13 +263,15 @@ class _StandardForm:
 
 
 def _best(proofs: Iterable[Proof | None], wanted: float, margin: Callable[[Proof], float]) -> Proof | None:
-    """Return the first proof of the margin wanted, else the one with the largest."""
+    """Return the first proof of the margin wanted, else the one with the largest until time ends."""
     best: Proof | None = None
     for proof in proofs:
         if proof is not None and (best is None or margin(proof) > margin(best)):
             best = proof
             if margin(best) >= wanted:
                 break
+        if is_over():
+            break
     return best
 
 

@@ -24,6 +24,7 @@ from lcp_plugin.certificates.infeasibility import (
 )
 from lcp_plugin.certificates.no_solution import ForcedContradiction, find_forced_contradiction
 from lcp_plugin.certificates.residuals import reference_residual
+from lcp_plugin.deadline import time_limit
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.exact.rational import integers
 from lcp_plugin.problem.exactly import exact_slack, farkas_margin, is_exact_solution
@@ -418,3 +419,23 @@ def test_the_optimum_is_the_least_miss(seed: int) -> None:
     assert answer is not None
     assert answer.is_contradiction == (least.fun > CONTRADICTION)
     assert -answer.optimum == pytest.approx(least.fun, rel=1e-6, abs=1e-8)
+
+
+def test_no_further_proof_is_tried_after_the_time_limit() -> None:
+    """Multipliers that prove nothing are put right in other ways, in exact arithmetic, but only while there is time."""
+    rng = np.random.default_rng(0)
+    M = rng.standard_normal((12, 12))
+    problem = LCP(M - M.T, -1.0 - rng.random(12), upper=0.01)
+    ones, nothing = np.ones(12), np.zeros(12)
+    program = FarkasProgram(LinearConstraints(
+        problem.csr, problem.q, ones > 0.0, ones < 0.0, problem.lower, problem.upper, ones, (nothing, nothing),
+    ))
+    answer = program.solve()
+    assert answer is not None
+    tried: list[object] = []
+    program.proof(answer, tried.append, lambda proof: 0.0)
+    with_time = len(tried)
+    tried.clear()
+    with time_limit(0.0):
+        program.proof(answer, tried.append, lambda proof: 0.0)
+    assert len(tried) == 1 < with_time

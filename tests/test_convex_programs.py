@@ -151,7 +151,8 @@ def hard(kind: str, n: int, rng: np.random.Generator) -> tuple[QuadraticProgram,
         ])
         x = rng.standard_normal(moves.shape[1])
         return planted(sp.csr_array(sp.eye_array(x.size)), x, rng, A=moves)
-    rows, columns = 10.0 ** rng.uniform(-3, 3, n), 10.0 ** rng.uniform(-2, 2, n)
+    wide = kind == "worse scaled"
+    rows, columns = 10.0 ** rng.uniform(-3 - wide, 3 + wide, n), 10.0 ** rng.uniform(-2 - wide, 2 + wide, n)
     few = sp.csr_array(sp.diags_array(np.where(rng.random(n) < 0.1, 1.0, 0.0)))
     scale = sp.diags_array(columns)
     return planted(scale @ few @ scale, x / columns, rng, G=sp.diags_array(rows) @ G @ scale, A=A @ scale)
@@ -172,6 +173,16 @@ def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
         assert solution.is_stationary(1e-6), (seed, result, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
         assert result.iterations <= 80
+
+
+@pytest.mark.parametrize(("n", "seeds"), [(60, 8), (240, 4)])
+def test_rows_over_eight_and_columns_over_six_orders_of_magnitude(n: int, seeds: int) -> None:
+    """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
+    for seed in range(seeds):
+        program, value = hard("worse scaled", n, np.random.default_rng([seed, n]))
+        _, solution = solve_quadratic_program(program)
+        assert solution.is_stationary(1e-6), (seed, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:
@@ -219,6 +230,19 @@ def test_rounding_is_no_multiplier() -> None:
     solution = lcp_from_qp(program, "kkt").origin.recover([x, 0.0, v])
     assert solution.lower[0] == solution.upper[0] == 0.0
     assert solution.row_residual <= 1e-9
+
+
+def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
+    """Far from the bound 1e-6 beside terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
+    program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
+    solution = lcp_from_qp(program).origin.recover([62.0])
+    assert solution.lower[0] == 0.0
+    assert solution.row_residual <= 2e-8
+    solution = lcp_from_qp(QuadraticProgram([[1.0]], [3.0], lower=0.0)).origin.recover([1e-9])
+    assert solution.lower[0] == pytest.approx(3.0)
+    assert solution.row_residual <= 1e-8
+    assert lcp_from_qp(program).origin.recover([40.0]).row_residual > 0.1
+    assert lcp_from_qp(program).origin.recover([80.0]).row_residual > 0.1
 
 
 def test_the_dual_form_is_for_good_condition_only() -> None:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import DENSE_UP_TO_SIZE, FloatVector, checked_answer
+from ..checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ..errors import UnsuitableMatrix, UnsuitableProblem
-from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_diagonal
 from ..matrix.factors import factor_fits
 from ..problem.lcp import LCP
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
-ROUNDING = 8.0 * EPSILON  # of the sum of all terms
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
 
@@ -71,11 +69,9 @@ class QPOrigin:
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         # What the bounds have to balance, μ_lower − μ_upper.
         reduced_cost = folded.P @ x + folded.c + y @ folded.matrices.rows
-        # Within the bounds what rounding leaves is no multiplier: beside a large distance it would be a large product.
         of_P, of_rows = folded.matrices.magnitudes
-        size = of_P @ np.abs(x) + np.abs(folded.c) + np.abs(y) @ of_rows
-        is_rounding = (folded.lower < x) & (x < folded.upper) & (np.abs(reduced_cost) <= ROUNDING * size)
-        reduced_cost[is_rounding] = 0.0
+        terms = of_P @ np.abs(x) + np.abs(folded.c) + np.abs(y) @ of_rows
+        reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
         return QPSolution(self.program, x, *rows.split(self.rows.unfold(np.concatenate([y, at_lower, at_upper]))))
@@ -216,6 +212,20 @@ class DualForm(QPOrigin):
 
 
 FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
+
+
+def _is_better_left(
+    program: QuadraticProgram, x: FloatVector, reduced_cost: FloatVector, terms: FloatVector
+) -> BoolVector:
+    """Return where a reduced cost is a smaller error as a dual residual than as a multiplier of a bound not reached.
+
+    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to those of that row.
+    """
+    size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
+    with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
+        as_multiplier = size * np.abs(x - bound) / (1.0 + size * np.maximum(np.abs(x), np.abs(bound)))
+        as_residual = size / np.minimum(1.0 + terms, program.dual_unit)
+        return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
 
 
 def _bound_rows(program: QuadraticProgram) -> list[Indices]:

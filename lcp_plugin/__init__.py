@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .modeling.registration import is_complementarity_problem as is_complementarity_problem
     from .modeling.registration import register as register
     from .problem.lcp import LCP as LCP
+    from .problem.nonlinear import NonlinearProblem as NonlinearProblem
     from .settings import Status as Status
     from .solving.batch import prepare as prepare
     from .solving.batch import solve_batch as solve_batch
@@ -57,12 +58,15 @@ if TYPE_CHECKING:
     from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
     from .solving.least_squares import bounded_least_squares as bounded_least_squares
     from .solving.march import march as march
+    from .solving.nonlinear import solve_nonlinear as solve_nonlinear
     from .solving.program_proofs import Certification as Certification
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
 _HOME = {
     "LCP": "problem.lcp",
+    "NonlinearProblem": "problem.nonlinear",
+    "solve_nonlinear": "solving.nonlinear",
     "Certificate": "certificates.residuals",
     "ErrorBound": "certificates.error_bounds",
     "error_bound": "certificates.error_bounds",

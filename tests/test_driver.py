@@ -354,7 +354,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 
 PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
-    "auto": ("solving.driver._Run.__init__", "solving.judge.reference_residual", "policy.choice.Single.first"),
+    "auto": ("solving.driver.Run.__init__", "solving.judge.reference_residual", "policy.choice.Single.first"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }
@@ -366,7 +366,7 @@ PASSED_BY = {  # the automatic choice sprints here, and its first choice is not 
     [
         ("solving.driver.rehearse", {}),
         ("solving.driver.sprinted", {}),
-        ("solving.driver._Run.__init__", {}),
+        ("solving.driver.Run.__init__", {}),
         ("solving.judge.reference_residual", {}),
         ("solving.driver.warn_where_known_to_be_uncovered", {}),
         ("solving.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),

@@ -153,11 +153,19 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """‖r(z)‖∞ / ‖r(z°)‖∞, rounded upwards; 0 for 0/0."""
-        least, most = reference_ends(self.problem)
+        least, most = self.reference_ends
         largest = self._largest(self._scaled_ends[1])
         if least == 0.0 < largest < np.inf:  # only what is exactly 0 will do
-            largest = self._largest(sharp_residual_ends(self.problem, self.z)[1])
+            largest = self._largest(self._sharp_ends())
         return np.nan if most == np.inf else ratio_upwards(largest, least)
+
+    @property
+    def reference_ends(self) -> Ends:
+        """Bounds of ‖r(z°)‖∞."""
+        return reference_ends(self.problem)
+
+    def _sharp_ends(self) -> FloatVector:
+        return sharp_residual_ends(self.problem, self.z)[1]
 
     @cached_property
     def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
@@ -236,7 +244,7 @@ class Certificate:
     @cached_property
     def relative_complementarity(self) -> float:
         """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
-        reference = reference_residual(self.problem)
+        reference = self.reference_ends[1]
         with np.errstate(all="ignore"):
             return ratio(ratio(self._largest(self._products / self.problem.residual_scale), reference), reference)
 

@@ -113,7 +113,7 @@ def solve(
         ))
         asked = policy.chosen, settings
         peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
-        run: _Run | None = None
+        run: Run | None = None
         try:
             with clock.paused(to_compile=True):
                 rehearse(None, problem)  # the judge
@@ -121,7 +121,7 @@ def solve(
             first = policy.first(problem)
             if callers is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
                 return arrived
-            run = _Run(problem, policy, settings, callers, clock)
+            run = Run(problem, policy, settings, callers, clock)
             if settings.is_on_error:
                 run.judge.require_rigorous_bounds()
             with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
@@ -130,7 +130,7 @@ def solve(
         except KeyboardInterrupt:
             if problem.is_distributed:
                 raise  # the second one: the other ranks have not heard of it
-            run = run or _Run(problem, policy, settings, callers, clock)
+            run = run or Run(problem, policy, settings, callers, clock)
             return run.judged(start, Status.INTERRUPTED)
 
 
@@ -138,14 +138,19 @@ def _remedy(given: Any) -> str:
     return "solve(scene.problem)" if isinstance(getattr(given, "problem", None), LCP) else "solve(LCP(M, q))"
 
 
-class _Run:
-    """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it."""
+class Run:
+    """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
+
+    A judge of another problem than the one that the algorithms take may be given: of a nonlinear problem, of which
+    that one is the linearisation at the start.
+    """
 
     def __init__(
-        self, problem: LCP, policy: Policy, settings: Settings, callback: CallersOwn | None, clock: Clock
+        self, problem: LCP, policy: Policy, settings: Settings, callback: CallersOwn | None, clock: Clock,
+        judge: Judge | None = None,
     ) -> None:
         self.problem, self.policy, self.settings, self.callback, self.clock = problem, policy, settings, callback, clock
-        self.judge, self.incumbent, self.ledger = Judge(problem, settings), Incumbent(), Ledger()
+        self.judge, self.incumbent, self.ledger = judge or Judge(problem, settings), Incumbent(), Ledger()
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
         self._is_watched = settings.record or not problem.peers.everywhere(callback is None)
@@ -292,5 +297,5 @@ class _Run:
             algorithm=name_of(self.policy.name, stages), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
             stages=stages, infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.errors.final(certificate.z) if self.judge.errors and ledger.stages else BoundOrReason(),
+            bounded=self.judge.bound_at_the_end(certificate) if ledger.stages else BoundOrReason(), words=self.judge.words,
         )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..certificates.row_residuals import measured_residual
 from ..checks import FloatVector
 from ..problem.lcp import LCP
 from ..settings import PROVEN, Settings, Status
-from .error_watch import ErrorWatch
+from .error_watch import BoundOrReason, ErrorWatch
 
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
@@ -28,7 +29,11 @@ class Judge:
         ‖r(z°)‖∞; where it is 0, z° solves the problem and no other point can be measured against it.
     proof : object or None
         Of the proofs that the problem has no solution, the one with the largest margin.
+    words : mapping from Status to str
+        The advice of a status where another than its own is right.
     """
+
+    words: ClassVar[Mapping[Status, str]] = {}
 
     def __init__(self, problem: LCP, settings: Settings) -> None:
         self.problem, self.settings = problem, settings
@@ -36,6 +41,10 @@ class Judge:
         self.errors = ErrorWatch(problem, settings) if settings.error_bound or settings.is_on_error else None
         self.proof: Any = None
         self._certificate: Certificate | None = None
+
+    def certificate_of(self, z: FloatVector) -> Certificate:
+        """Return the certificate of z on the caller's own data."""
+        return Certificate.of(self.problem, z)
 
     @property
     def per_increment(self) -> float:
@@ -53,12 +62,12 @@ class Judge:
     def measure(self, z: FloatVector) -> float:
         """Return the residual of z in the measure of the run, as double precision gives it."""
         if self.settings.measure == "euclidean":
-            return Certificate.of(self.problem, z).euclidean_residual
+            return self.certificate_of(z).euclidean_residual
         return ratio(measured_residual(self.problem, z), self.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return an upper bound of the residual of z in the measure of the run."""
-        self._certificate = Certificate.of(self.problem, z)
+        self._certificate = self.certificate_of(z)
         return self._certificate.measured(self.settings.measure)
 
     @cached_property
@@ -71,7 +80,7 @@ class Judge:
         if self.errors is None or not self.settings.is_on_error:
             return bool(residual <= self.settings.tolerance)
         if self.settings.measure == "euclidean":  # another norm, in another unit
-            residual = Certificate.of(self.problem, z).relative_residual
+            residual = self.certificate_of(z).relative_residual
         return self.errors.proves(z, residual * self.reference, iteration)
 
     def require_rigorous_bounds(self) -> None:
@@ -83,9 +92,13 @@ class Judge:
         """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
         return None if self.errors is None else self.errors.along_the_run(z, work)
 
+    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+        """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
+        return BoundOrReason() if self.errors is None else self.errors.final(certificate.z)
+
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether the residual of z is no larger than rounding explains."""
-        return z is not None and _is_at_floor(Certificate.of(self.problem, z))
+        return z is not None and _is_at_floor(self.certificate_of(z))
 
     def counts(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
@@ -108,12 +121,12 @@ class Judge:
             z = self.errors.proof[0]
         everywhere, certificate = self.problem.peers.everywhere, self._certificate
         if certificate is None or not everywhere(np.array_equal(certificate.z, z)):
-            certificate = Certificate.of(self.problem, z)
+            certificate = self.certificate_of(z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
         if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.problem, z)
-        cleaned = certificate if finished is z else Certificate.of(self.problem, finished)
+        cleaned = certificate if finished is z else self.certificate_of(finished)
         return cleaned if cleaned.relative_residual <= certificate.relative_residual < math.inf else certificate
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import index
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 import numpy as np
 
 from ..certificates.conditioning import estimated_error
-from ..certificates.residuals import Certificate, reference_residual
+from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
 from ..errors import NotConverged
 from ..settings import PROVEN, Status
@@ -130,6 +130,8 @@ class Result:
         The error bound, or how it is computed once somebody looks at it.
     chosen : str or Algorithm
         What the caller asked for.
+    words : mapping from Status to str
+        The advice of a status where another than its own is right.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
     infeasibility : Refutation or None
@@ -155,6 +157,7 @@ class Result:
     tolerance_on: str = "residual"
     chosen: Any = field(default="auto", repr=False)
     bounded: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
+    words: Mapping[Status, str] = field(default_factory=dict, repr=False)
 
     __setstate__ = restored
 
@@ -198,7 +201,8 @@ class Result:
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        advice = ON_ERROR.get(self.status, self.status.value) if self.tolerance_on == "error" else self.status.value
+        words = ON_ERROR if self.tolerance_on == "error" else self.words
+        advice = words.get(self.status, self.status.value)
         if self.is_solved or self.is_refuted:
             return advice
         remarks = [stage.remark for stage in self.stages if stage.remark]
@@ -303,7 +307,7 @@ class Result:
         certificate, problem = self.certificate, self.certificate.problem
         if problem.is_distributed:
             return []
-        residual = certificate.relative_residual * reference_residual(problem)
+        residual = certificate.relative_residual * certificate.reference_ends[1]
         error = estimated_error(problem, self.z, self.w, residual)
         size = float(np.abs(self.z).max(initial=0.0))
         if error is None or not error > FAR * size:

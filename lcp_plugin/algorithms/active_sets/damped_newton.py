@@ -123,7 +123,7 @@ def _full_step(state: NewtonState, phi: Linearised) -> tuple[Linearised, bool] |
 
 def _searched(state: NewtonState, phi: Linearised, reference: float) -> Linearised | None:
     """Move along the Newton direction of Φ, or its steepest descent, until ½‖Φ‖² falls enough."""
-    jacobian = _jacobian(state.problem, phi, 0.0)
+    jacobian = phi_jacobian(state.problem, phi, 0.0)
     gradient = jacobian.T @ phi.value
     for direction in (_newton_direction(state, phi), -gradient):
         if direction is None:
@@ -145,7 +145,7 @@ def _searched(state: NewtonState, phi: Linearised, reference: float) -> Linearis
 def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None:
     largest = float(np.max(np.abs(phi.value), initial=0.0))
     shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
-    jacobian = _jacobian(state.problem, phi, min(shift, SHIFT))
+    jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
     factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
     if factor is None:
         return None
@@ -154,7 +154,8 @@ def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None
     return direction if np.isfinite(direction).all() else None
 
 
-def _jacobian(problem: LCP, phi: Linearised, shift: float) -> Any:
+def phi_jacobian(problem: LCP, phi: Linearised, shift: float) -> Any:
+    """Return the Jacobian of Φ plus shift times the identity, dense or CSR as M is."""
     M = problem.M
     rows, diagonal = phi.by_w / problem.residual_scale, phi.by_z + shift
     if sp.issparse(M):

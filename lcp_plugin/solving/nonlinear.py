@@ -1,0 +1,196 @@
+"""solve_nonlinear(): Josephy–Newton on the one loop, judged by the residual of F."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..algorithms import Algorithm
+from ..algorithms.rehearsal import rehearse
+from ..certificates.nonlinear import NonlinearCertificate, Reference
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, checked_vector, read_only
+from ..deadline import time_limit
+from ..errors import InvalidOption, InvalidProblem
+from ..policy.choice import Single, policy_for
+from ..policy.stages import Choice, Stage
+from ..problem.lcp import LCP
+from ..problem.nonlinear import Linearisations, NonlinearProblem
+from ..settings import Settings, Status, checked_callback
+from .driver import Callback, Run
+from .error_watch import BoundOrReason
+from .jacobian_check import check_jacobian as checked_jacobian
+from .josephy_newton import JosephyNewton
+from .judge import Judge
+from .result import Result
+from .state import Clock
+
+
+def solve_nonlinear(
+    problem: NonlinearProblem,
+    x0: ArrayLike,
+    algorithm: str | Algorithm = "auto",
+    *,
+    tolerance: float = 1e-8,
+    measure: str = "relative",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    record: bool = False,
+    callback: Callback | None = None,
+    error_bound: bool = False,
+    check_jacobian: bool = True,
+) -> Result:
+    """Return the best x that Josephy–Newton finds, judged by a certificate on F.
+
+    Parameters
+    ----------
+    problem : NonlinearProblem
+    x0 : array, shape (n,)
+        Where to begin, projected onto the bounds. F must be defined there.
+    algorithm : str or Algorithm
+        What solves the linear complementarity problem of each step.
+    tolerance : float
+        SOLVED means that the measured residual of the returned x is at most this.
+    measure : {"relative", "euclidean"}
+        As for :func:`lcp_plugin.solve`, with F(x) for w: relative to the residual of F at the point of the bounds
+        nearest to 0, or where F is not defined there, of the projected start (``certificate.reference.name``).
+    max_iterations : int, default 100 000
+        Newton steps.
+    max_seconds : float, optional
+        Wall-clock limit in seconds, obeyed at the end of the step under way.
+    record, callback
+        As for :func:`lcp_plugin.solve`, a sample each Newton step.
+    error_bound : bool
+        Prove a solution near x and bound its distance, where the problem has an enclosure; computed when it is looked
+        at. It speaks of the one solution within that distance of x.
+    check_jacobian : bool
+        Compare a `jacobian` that was given with differences of F near the start.
+
+    Returns
+    -------
+    Result
+        With z = x and w = F(x), whatever the status. INFEASIBLE is never claimed. STALLED: x is a stationary point of
+        the merit, or steps no longer gain; another start may find a solution. PRECISION_LIMIT rests on an estimate of
+        what rounding does in F. The error of an inner Ctrl-C is none: the best x is returned.
+
+    Raises
+    ------
+    InvalidProblem
+        Where F or its derivative is not finite at the start, has another shape, or `jacobian` is clearly wrong.
+    InvalidOption, UnknownAlgorithm
+        For a wrong option.
+
+    Notes
+    -----
+    Works as long as the linearisations are solved; see
+    :class:`lcp_plugin.solving.josephy_newton.JosephyNewton` for what follows where they are not.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[0] - x[1] + 2]))
+    >>> result = solve_nonlinear(problem, [0.0, 0.0])
+    >>> result.status.name, result.z.round(4), result.w.round(4)
+    ('SOLVED', array([0., 2.]), array([0., 0.]))
+    """
+    if not isinstance(problem, NonlinearProblem):
+        raise InvalidOption(
+            f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
+            "solve(problem) for an LCP"
+        )
+    settings = Settings(tolerance, "residual", measure, max_iterations, max_seconds, record, error_bound)
+    policy_for(algorithm, {})
+    callers, start = checked_callback(callback), _checked_start(problem, x0)
+    problem = problem.sized(start.size)
+    start = read_only(np.clip(start, problem.lower, problem.upper))
+    with np.errstate():
+        points = Linearisations(problem)
+        reference = Reference.of(problem, start)
+        first = points.at(start)
+        if check_jacobian and problem.jacobian is not None:
+            checked_jacobian(first)
+        clock = Clock(first.lcp.peers)
+        with clock.paused(to_compile=True):
+            rehearse(None, first.lcp)
+        newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm)
+        judge = NonlinearJudge(points, reference, first.lcp, settings)
+        run = Run(first.lcp, _Alone(newton), settings, callers, clock, judge)
+        try:
+            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
+                reason = run.drive(start, Choice(newton))
+            return run.judged(start, reason)
+        except KeyboardInterrupt:
+            return run.judged(start, Status.INTERRUPTED)
+
+
+def _checked_start(problem: NonlinearProblem, x0: ArrayLike) -> FloatVector:
+    try:
+        return checked_vector(x0, "x0", problem.n)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+
+
+class _Alone(Single):
+    """One algorithm, and no look at feasibility after it: that speaks of linear constraints."""
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return None."""
+        return None
+
+
+class NonlinearJudge(Judge):
+    """Measures by F; see :class:`Judge`."""
+
+    words = {  # noqa: RUF012 - read only
+        Status.SOLVED: "within the tolerance, as measured on F",
+        Status.PRECISION_LIMIT: (
+            "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at points "
+            "nearby: accept z, or scale F"
+        ),
+        Status.STALLED: (
+            "no step reduces the residual further: z is a stationary point that is no solution, or F has none, is not "
+            "smooth here, or its jacobian is wrong; try another start x0"
+        ),
+        Status.DIVERGED: "the residual left every reasonable range; try another start x0, or bounds that keep it near",
+        Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.z",
+        Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.z",
+        Status.INTERRUPTED: "stopped from outside (Ctrl-C or the callback); z is the best iterate so far",
+    }
+
+    def __init__(self, points: Linearisations, reference: Reference, problem: LCP, settings: Settings) -> None:
+        self.points, self.compared_with = points, reference
+        self.problem, self.settings = problem, settings
+        self.reference = reference.ends(problem)[1]
+        self.errors = self.proof = self._certificate = None
+
+    def certificate_of(self, z: FloatVector) -> Certificate:
+        """Return the certificate of z by F(z) and F′(z)."""
+        if self._certificate is None or not np.array_equal(self._certificate.z, z):
+            self._certificate = NonlinearCertificate.at(self.points.at(z), self.compared_with)
+        return self._certificate
+
+    def measure(self, z: FloatVector) -> float:
+        """Return the residual of z in the measure of the run."""
+        return self.certificate_of(z).measured(self.settings.measure)
+
+    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+        """Return how a solution near the answer is proved."""
+        return partial(_proved, certificate) if self.settings.error_bound else BoundOrReason()
+
+
+def _proved(certificate: Any) -> BoundOrReason:
+    from ..certificates.krawczyk import krawczyk_bound
+
+    enclosure = certificate.nonlinear.enclosure
+    if enclosure is None:
+        return BoundOrReason(None, "nothing bounds the derivatives of F; give NonlinearProblem an enclosure")
+    bound = krawczyk_bound(certificate.problem, certificate.z, enclosure)
+    if bound is None:
+        return BoundOrReason(None, "no box around z could be proved to hold exactly one solution")
+    return BoundOrReason(bound)

@@ -1,9 +1,9 @@
 """How wrong an x is for a nonlinear problem: the residuals of its linearisation at x, with F(x) for w.
 
 The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
-(the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(z°), F(z°) for w:
-both change alike with the units of F and of x. Where F is not defined at z°, the projected start takes its place. On an
-affine F these are the residuals of the LCP.
+(the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(z°), F(z°) for
+w: both change alike with the units of F and of x. Where F is not defined at z°, the projected start takes its place. On
+an affine F these are the residuals of the LCP.
 
 F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
 so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
@@ -57,8 +57,8 @@ class Reference:
         if not np.isfinite(value).all():
             i = int(np.flatnonzero(~np.isfinite(value))[0])
             raise InvalidProblem(
-                f"F must be finite at the start, but F(x0)[{i}] = {value[i]} with x0[{i}] = {start[i]} after projection "
-                "onto the bounds; start where F is defined, or tighten the bounds"
+                f"F must be finite at the start, but F(x0)[{i}] = {value[i]} with x0[{i}] = {start[i]} after "
+                "projection onto the bounds; start where F is defined, or tighten the bounds"
             )
         origin = read_only(np.clip(0.0, problem.lower, problem.upper))
         at_origin = value if np.array_equal(origin, start) else problem.value(origin)

@@ -181,7 +181,7 @@ class NonlinearProblem:
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
-                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to the solution, or scale F and x")
+                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0, or scale F and x")
             return LCP(M, q, lower=problem.lower, upper=problem.upper)
 
     def _point(self, x: ArrayLike) -> FloatVector:
@@ -194,7 +194,7 @@ class NonlinearProblem:
 
 
 def _finite(derivative: Any, name: str, n: int) -> Any:
-    """Return the checked derivative; raise UndefinedDerivativeError where its kind and shape are right, its numbers not."""
+    """Return the checked derivative; UndefinedDerivativeError where only its numbers are wrong."""
     try:
         return rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:

@@ -297,5 +297,6 @@ class Run:
             algorithm=name_of(self.policy.name, stages), iterations=max(ledger.iteration, 0), work=ledger.work,
             seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
             stages=stages, infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.bound_at_the_end(certificate) if ledger.stages else BoundOrReason(), words=self.judge.words,
+            bounded=self.judge.bound_at_the_end(certificate) if ledger.stages else BoundOrReason(),
+            words=self.judge.words,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -13,16 +13,24 @@ import scipy.sparse as sp
 
 from ..algorithms import Algorithm, Step
 from ..algorithms.active_sets.damped_newton import fischer_burmeister, phi_jacobian
+from ..algorithms.base import without_warnings
+from ..algorithms.rehearsal import rehearse
+from ..algorithms.search.stages import ExhaustiveSearch, FeasibilityCheck
 from ..certificates.nonlinear import Reference
 from ..certificates.residuals import reference_residual
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..deadline import is_over, seconds_left
 from ..matrix.factors import factorise
+from ..policy.choice import Policy, policy_for
+from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations
-from ..settings import Status
-from .driver import solve
+from ..settings import Settings
+from .driver import Run
+from .result import Result
+from .sprint import sprinted
+from .state import Clock
 
 SUFFICIENT = 1e-4
 HALVINGS, HALVINGS_OF_DESCENT = 12, 30
@@ -77,13 +85,49 @@ class JosephyNewton(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until nothing more can be done."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         run = _Newton(self, self.points.at(z0))
         yield run.step()
-        for _ in range(1 + (RESTARTS if problem.n <= SMALL else 0)):
+        for _ in range(RESTARTS if problem.n <= SMALL else 0):
             yield from run.steps()
             if not run.start_elsewhere(problem):
                 return
             yield run.step()
+        yield from run.steps()
+
+
+class _Briefly:
+    """A policy without its last resorts: whether a linearisation has a solution at all is not worth much work."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy, self.name, self.chosen = policy, policy.name, policy.chosen
+
+    def first(self, problem: LCP) -> Choice:
+        """Return what the policy begins with."""
+        return self._policy.first(problem)
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return the policy's next choice that asks for no proof; None in place of what has had its turn."""
+        choice = self._policy.next_step(problem, stages, target, failed)
+        while choice is not None and isinstance(choice.algorithm, (FeasibilityCheck, ExhaustiveSearch)):
+            choice = self._policy.next_step(problem, stages, target, True)
+        has_had_its_turn = choice is not None and any(stage.algorithm == choice.algorithm for stage in stages)
+        return None if has_had_its_turn else choice
+
+
+def _solved(problem: LCP, policy: Policy, start: FloatVector, tolerance: float) -> Result:
+    """Return the result of a run within this one, whose limits hold for it and whose Ctrl-C ends both."""
+    left, clock = seconds_left(), Clock(problem.peers)
+    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
+    with clock.paused(to_compile=True):
+        rehearse(None, problem)
+    first = policy.first(problem)
+    if (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
+        return arrived
+    run = Run(problem, policy, settings, None, clock)
+    return run.judged(start, run.drive(start, first))
 
 
 class _Newton:
@@ -210,8 +254,7 @@ class _Newton:
 
     @staticmethod
     def _residual(point: Linearisation) -> float:
-        with np.errstate(all="ignore"):
-            return float(np.abs(scaled_residual(point.lcp, point.x, point.value)).max(initial=0.0))
+        return float(np.abs(scaled_residual(point.lcp, point.x, point.value)).max(initial=0.0))
 
     def _relative(self, point: Linearisation) -> float:
         reference = self.options.compared_with.ends(point.lcp)[1]
@@ -224,12 +267,8 @@ class _Newton:
             return lcp.nearest_to_zero
         aim = min(FORCING, self._relative(self.here)) * residual / unit
         tolerance = min(max(aim, SMALLEST_TOLERANCE), FORCING)
-        left = seconds_left()
-        result = solve(lcp, self.options.linear, z0=self.here.x, tolerance=tolerance,
-                       max_seconds=None if left == math.inf else left)
+        result = _solved(lcp, _Briefly(policy_for(self.options.linear, {})), self.here.x, tolerance)
         self.work += result.work
-        if result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
         is_near = result.residual * unit <= 0.5 * residual
         return result.z if result.is_solved or is_near else None
 

@@ -150,8 +150,8 @@ class NonlinearJudge(Judge):
     words = {  # noqa: RUF012 - read only
         Status.SOLVED: "within the tolerance, as measured on F",
         Status.PRECISION_LIMIT: (
-            "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at points "
-            "nearby: accept z, or scale F"
+            "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
+            "points nearby: accept z, or scale F"
         ),
         Status.STALLED: (
             "no step reduces the residual further: z is a stationary point that is no solution, or F has none, is not "

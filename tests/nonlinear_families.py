@@ -1,0 +1,120 @@
+"""Random monotone and P₀ nonlinear problems with a planted solution, and their residual in sixty digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lcp_plugin import NonlinearProblem
+
+KINDS = ("monotone polynomial", "monotone exponential", "scaled rows", "triangular polynomial", "triangular exponential")
+DIGITS = 60
+
+
+@dataclass(frozen=True)
+class Planted:
+    """F(x) = s (M x + Bᵀ g(B x) + L g(x) + c), by rows, with a solution x.
+
+    g is t + t³ or exp t, increasing. M positive semidefinite and L = 0: F is monotone; s > 0 by rows: P₀ as before. M
+    and L lower triangular, the diagonals ≥ 0: F is P₀.
+    """
+
+    M: np.ndarray
+    B: np.ndarray
+    L: np.ndarray
+    c: np.ndarray
+    s: np.ndarray
+    is_exponential: bool
+    lower: np.ndarray
+    upper: np.ndarray
+    x: np.ndarray
+
+    @cached_property
+    def problem(self) -> NonlinearProblem:
+        return NonlinearProblem(self.F, self.jacobian, self.lower, self.upper)
+
+    def F(self, x: np.ndarray) -> np.ndarray:
+        g = np.exp if self.is_exponential else lambda t: t + t**3
+        return self.s * (self.M @ x + self.B.T @ g(self.B @ x) + self.L @ g(x) + self.c)
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        dg = np.exp if self.is_exponential else lambda t: 1 + 3 * t**2
+        return self.s[:, None] * (self.M + (self.B.T * dg(self.B @ x)) @ self.B + self.L * dg(x))
+
+    def sharp_F(self, x: np.ndarray) -> np.ndarray:
+        """F at a point of doubles, in sixty digits."""
+        with localcontext() as context:
+            context.prec = DIGITS
+            M, B, L, c, s, x = (exact(array) for array in (self.M, self.B, self.L, self.c, self.s, x))
+            g = np.vectorize((lambda t: t.exp()) if self.is_exponential else (lambda t: t + t * t * t), otypes=[object])
+            return s * (M.dot(x) + B.T.dot(g(B.dot(x))) + L.dot(g(x)) + c)
+
+    def sharp_relative_residual(self, x: np.ndarray, scale: np.ndarray, reference: np.ndarray) -> Decimal:
+        """‖r(x)‖∞/‖r(reference)‖∞ in the given scale d, in sixty digits."""
+        return sharp_relative_residual(self.sharp_F, self.lower, self.upper, x, scale, reference)
+
+
+def exact(values: np.ndarray) -> np.ndarray:
+    return np.vectorize(lambda value: Decimal(float(value)), otypes=[object])(values)
+
+
+def sharp_relative_residual(
+    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray,
+    reference: np.ndarray,
+) -> Decimal:
+    """‖r(x)‖∞/‖r(reference)‖∞ in the given scale d, F in sixty digits."""
+    def residual(point: np.ndarray) -> Decimal:
+        values = zip(exact(point), exact(lower), exact(upper), F(point), exact(scale), strict=True)
+        return max((abs(min(max(p - u, w / d), p - l)) for p, l, u, w, d in values), default=Decimal(0))
+
+    with localcontext() as context:
+        context.prec = DIGITS
+        return residual(x) / residual(reference)
+
+
+def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
+    """A random problem of that kind and size."""
+    is_exponential, is_triangular = "exp" in kind or ("scaled" in kind and rng.random() < 0.5), "triangular" in kind
+    density = min(1.0, 5.0 / n)
+    with np.errstate(invalid="ignore"):
+        lower, upper, x, w = _bounds(rng, n)
+    rank = int(rng.integers(max(1, n // 2), n + 1))
+    B = np.where(rng.random((rank, n)) < density, rng.standard_normal((rank, n)), 0.0) / np.sqrt(density * n)
+    L = np.zeros((n, n))
+    if is_triangular:
+        M = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1)
+        L = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.3
+        M += np.diag(np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.1, 2.0, n)))
+        L += np.diag(np.where((rng.random(n) < 0.2) & (M.diagonal() > 0.0), 0.0, rng.uniform(0.1, 1.0, n)))
+        is_flat = (w != 0.0) & (rng.random(n) < 0.3)  # F_i does not depend on x_i: P₀ and no more
+        M[is_flat, is_flat] = L[is_flat, is_flat] = 0.0
+        B[:] = 0.0
+    else:
+        A = np.where(rng.random((n, rank)) < density, rng.standard_normal((n, rank)), 0.0)
+        skew = np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0)
+        M = A @ A.T * rng.choice([0.0, 1.0]) + skew - skew.T
+    s = 10.0 ** rng.uniform(-3, 3, n) if "scaled" in kind else np.ones(n)
+    blank = Planted(M, B, L, np.zeros(n), s, is_exponential, lower, upper, x)
+    return Planted(M, B, L, w / s - blank.F(x) / s, s, is_exponential, lower, upper, x)
+
+
+def _bounds(rng: np.random.Generator, n: int) -> tuple[Any, ...]:
+    """Bounds of all kinds, and a solution with its slack: at a bound, inside, a few degenerate."""
+    kind = rng.choice(5, n, p=rng.dirichlet(np.ones(5)))
+    lower = np.where(np.isin(kind, (0, 1, 2)), np.where(kind == 0, 0.0, rng.uniform(-2, 1, n)), -np.inf)
+    upper = np.where(np.isin(kind, (1, 3)), np.where(np.isfinite(lower), lower, 0.0) + rng.uniform(0.1, 3, n), np.inf)
+    state = rng.choice(4, n, p=[0.4, 0.25, 0.3, 0.05])
+    middle = rng.uniform(0.05, 0.95, n)
+    inside = np.where(np.isfinite(lower) & np.isfinite(upper), lower + middle * (upper - lower), np.nan)
+    inside = np.where(np.isnan(inside) & np.isfinite(lower), lower + 2 * middle, inside)
+    inside = np.where(np.isnan(inside) & np.isfinite(upper), upper - 2 * middle, inside)
+    inside = np.where(np.isnan(inside), rng.uniform(-2, 2, n), inside)
+    at_lower, at_upper = np.isin(state, (1, 3)) & np.isfinite(lower), (state == 2) & np.isfinite(upper)
+    x = np.where(at_lower, lower, np.where(at_upper, upper, inside))
+    size = rng.uniform(0.01, 2, n) * (state != 3)
+    return lower, upper, x, np.where(at_lower, size, np.where(at_upper, -size, 0.0))

@@ -87,8 +87,8 @@ def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
     B = np.where(rng.random((rank, n)) < density, rng.standard_normal((rank, n)), 0.0) / np.sqrt(density * n)
     L = np.zeros((n, n))
     if is_triangular:
-        M = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1)
-        L = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.3
+        M = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.3
+        L = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.1
         M += np.diag(np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.1, 2.0, n)))
         L += np.diag(np.where((rng.random(n) < 0.2) & (M.diagonal() > 0.0), 0.0, rng.uniform(0.1, 1.0, n)))
         is_flat = (w != 0.0) & (rng.random(n) < 0.3)  # F_i does not depend on x_i: P₀ and no more

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from ..algorithms import Algorithm, Step
 from ..algorithms.active_sets.damped_newton import fischer_burmeister, phi_jacobian
 from ..algorithms.base import without_warnings
+from ..algorithms.pivots.lemke import Lemke
 from ..algorithms.rehearsal import rehearse
 from ..algorithms.search.stages import ExhaustiveSearch, FeasibilityCheck
 from ..certificates.nonlinear import Reference
@@ -109,7 +110,9 @@ class _Briefly:
         return self._policy.first(problem)
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the policy's next choice that asks for no proof; None in place of what has had its turn."""
+        """Return the policy's next choice that asks for no proof; None after pivots, or for what has had its turn."""
+        if failed and isinstance(stages[-1].algorithm, Lemke):
+            return None
         choice = self._policy.next_step(problem, stages, target, failed)
         while choice is not None and isinstance(choice.algorithm, (FeasibilityCheck, ExhaustiveSearch)):
             choice = self._policy.next_step(problem, stages, target, True)
@@ -137,6 +140,7 @@ class _Newton:
         self.options, self.first, self.here = options, start, start
         self.recent: deque[Linearisation] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
+        self.is_regularised = False  # since a linearisation was not solved
         self.random = np.random.default_rng(0)
 
     def step(self) -> Step:
@@ -188,11 +192,17 @@ class _Newton:
         return None
 
     def _newton(self, lcp: LCP, worst: float) -> Linearisation | None:
-        target = self._solution(lcp)
+        if self.is_regularised:
+            target = self._proximal_point(lcp, min(SHIFTS[1], self._relative(self.here)))
+        else:
+            target = self._solution(lcp)
+            self.is_regularised = target is None
         return None if target is None else self._searched(target, worst)
 
     def _on_path(self, lcp: LCP, worst: float) -> Linearisation | None:
         """Return a point of the path: at its start, slack that x has and should not have is given; at its end none."""
+        if self.is_regularised:
+            return None
         x, w = self.here.x, self.here.value
         given = np.where(x <= lcp.lower, np.minimum(w, 0.0), np.where(x >= lcp.upper, np.maximum(w, 0.0), w))
         for length in ON_PATH:
@@ -203,12 +213,16 @@ class _Newton:
 
     def _proximal(self, lcp: LCP, worst: float) -> Linearisation | None:
         for shift in SHIFTS:
-            added = shift * lcp.residual_scale
-            M = lcp.M + sp.diags_array(added) if sp.issparse(lcp.M) else lcp.M + np.diag(added)
-            target = self._solution(LCP(M, lcp.q - added * self.here.x, lower=lcp.lower, upper=lcp.upper))
+            target = self._proximal_point(lcp, shift)
             if target is not None and (found := self._searched(target, worst)) is not None:
                 return found
         return None
+
+    def _proximal_point(self, lcp: LCP, shift: float) -> FloatVector | None:
+        """Return the solution of the LCP of F′(x) + shift D, which leaves F(x) as it is."""
+        added = shift * lcp.residual_scale
+        M = lcp.M + sp.diags_array(added) if sp.issparse(lcp.M) else lcp.M + np.diag(added)
+        return self._solution(LCP(M, lcp.q - added * self.here.x, lower=lcp.lower, upper=lcp.upper))
 
     def _descended(self, lcp: LCP, worst: float) -> Linearisation | None:
         """Return a point along the Newton direction of Φ, or its steepest descent."""

@@ -110,8 +110,8 @@ class _Briefly:
         return self._policy.first(problem)
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the policy's next choice that asks for no proof; None after pivots, or for what has had its turn."""
-        if failed and isinstance(stages[-1].algorithm, Lemke):
+        """Return the policy's next choice that asks for no proof; pivots are the last, and nothing has two turns."""
+        if isinstance(stages[-1].algorithm, Lemke):
             return None
         choice = self._policy.next_step(problem, stages, target, failed)
         while choice is not None and isinstance(choice.algorithm, (FeasibilityCheck, ExhaustiveSearch)):

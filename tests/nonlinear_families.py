@@ -74,7 +74,8 @@ def sharp_relative_residual(
 
     with localcontext() as context:
         context.prec = DIGITS
-        return residual(x) / residual(reference)
+        left = residual(x)
+        return left / residual(reference) if left else left
 
 
 def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:

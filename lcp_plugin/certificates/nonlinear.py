@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -97,6 +98,8 @@ class NonlinearCertificate(Certificate):
     >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.reference.name
     (array([0.004]), 0.001, 'the point of the bounds nearest to 0')
     """
+
+    is_linearised: ClassVar[bool] = True
 
     nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
     value: FloatVector = field(kw_only=True, repr=False)

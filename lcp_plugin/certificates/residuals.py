@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -78,6 +78,8 @@ class Certificate:
 
     problem: LCP = field(repr=False)
     z: FloatVector = field(repr=False)
+
+    is_linearised: ClassVar[bool] = False  # whether `problem` is only what a nonlinear one looks like near z
 
     __setstate__ = restored
 

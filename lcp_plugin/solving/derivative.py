@@ -105,7 +105,8 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
         raise UnsuitableProblem(
             f"only a solution has a derivative, and this run ended {result.status.name}: {result.advice}"
         )
-    return Derivative(result.certificate.problem, result.z, result.w)
+    certificate = result.certificate
+    return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
 
 
 class Derivative:
@@ -116,6 +117,8 @@ class Derivative:
     problem : LCP
     z, w : array, shape (n,)
         Its solution and slack.
+    is_linearised : bool
+        Whether the problem is a nonlinear one near z: a change dF of F is dq then, and nothing is proved.
 
     Notes
     -----
@@ -126,8 +129,8 @@ class Derivative:
     There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
 
-    def __init__(self, problem: LCP, z: FloatVector, w: FloatVector) -> None:
-        self.problem = problem
+    def __init__(self, problem: LCP, z: FloatVector, w: FloatVector, *, is_linearised: bool = False) -> None:
+        self.problem, self.is_linearised = problem, is_linearised
         self._found = z, w
 
     @cached_property
@@ -156,6 +159,8 @@ class Derivative:
     @cached_property
     def bound(self) -> ErrorBound | None:
         """The error bound of z, None where M allows none."""
+        if self.is_linearised:
+            return None
         try:
             return error_bound(self.problem, self.z)
         except UnsuitableMatrix:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -77,7 +77,8 @@ def solve_nonlinear(
     Result
         With z = x and w = F(x), whatever the status. INFEASIBLE is never claimed. STALLED: x is a stationary point of
         the merit, or steps no longer gain; another start may find a solution. PRECISION_LIMIT rests on an estimate of
-        what rounding does in F. The error of an inner Ctrl-C is none: the best x is returned.
+        what rounding does in F. Ctrl-C ends the run, and the best x is returned. ``derivative(result)`` takes a change
+        of F as dq.
 
     Raises
     ------
@@ -168,6 +169,13 @@ class NonlinearJudge(Judge):
         self.problem, self.settings = problem, settings
         self.reference = reference.ends(problem)[1]
         self.errors = self.proof = self._certificate = None
+
+    @cached_property
+    def unit(self) -> float:
+        """The size of a residual that is nothing to worry about: that of the reference."""
+        x, problem = self.compared_with.x, self.problem
+        natural = x - np.clip(x - self.compared_with.value, problem.lower, problem.upper)
+        return 1.0 if self.settings.measure == "relative" else float(np.linalg.norm(natural))
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""

@@ -1,0 +1,135 @@
+"""Nonlinear complementarity problems of the literature, with their published starts and solutions, and a membrane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import NonlinearProblem
+
+Function = Callable[[np.ndarray], np.ndarray]
+
+
+def kojima_shindo(x: np.ndarray) -> np.ndarray:
+    """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; solutions (√6/2, 0, 0, 1/2), (1, 0, 3, 0)."""
+    a, b, c, d = x
+    return np.array([
+        3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6, 2 * a * a + a + b * b + 10 * c + 2 * d - 2,
+        3 * a * a + a * b + 2 * b * b + 2 * c + 9 * d - 9, a * a + 3 * b * b + 2 * c + 3 * d - 3,
+    ])
+
+
+def josephy(x: np.ndarray) -> np.ndarray:
+    """N. H. Josephy, MRC report 1965, Wisconsin 1979: as Kojima and Shindo's but for four numbers; (√6/2, 0, 0, 1/2)."""
+    a, b, c, d = x
+    return np.array([
+        3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6, 2 * a * a + a + b * b + 3 * c + 2 * d - 2,
+        3 * a * a + a * b + 2 * b * b + 2 * c + 3 * d - 1, a * a + 3 * b * b + 2 * c + 3 * d - 3,
+    ])
+
+
+def mathiesen(x: np.ndarray) -> np.ndarray:
+    """A Walrasian equilibrium, L. Mathiesen, Math. Programming 37 (1987) 1–18; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
+    a, b, c, d = x
+    return np.array([
+        -b + c + d, a - (4.5 * c + 2.7 * d) / (b + 1), 5 - a - (0.5 * c + 0.3 * d) / (c + 1), 3 - a,
+    ])
+
+
+def nash_cournot(cost: list[float], scale: float, beta: list[float], gamma: float) -> Function:
+    """An oligopoly with the demand (5000/Q)^{1/γ} and the marginal costs cost + (x/scale)^{1/β}.
+
+    F. H. Murphy, H. D. Sherali, A. L. Soyster, Math. Programming 24 (1982) 92–106; P. T. Harker, Management Science 30
+    (1984) 105–111.
+    """
+    c, exponents = np.array(cost), 1.0 / np.array(beta)
+
+    def F(x: np.ndarray) -> np.ndarray:
+        total = x.sum()
+        price = (5000.0 / total) ** (1.0 / gamma)
+        return c + (x / scale) ** exponents - price + x * price / (gamma * total)
+
+    return F
+
+
+NASH_5 = nash_cournot([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1)
+NASH_5_SOLUTION = [36.9325, 41.8181, 43.7066, 42.6592, 39.1790]
+NASH_10 = nash_cournot(
+    [5, 3, 8, 5, 1, 3, 7, 4, 6, 3], 0.1, [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75], 1.2
+)
+NASH_10_SOLUTION = [7.4415, 4.0978, 2.5906, 0.9354, 17.9490, 4.0978, 1.3047, 5.5901, 3.2222, 1.6771]
+
+
+def billups(x: np.ndarray) -> np.ndarray:
+    """S. C. Billups, PhD thesis, Wisconsin 1995: a line search from 0 meets a local minimum; the solution is 1 + √1.01."""
+    return (x - 1.0) ** 2 - 1.01
+
+
+def scarf() -> tuple[NonlinearProblem, np.ndarray, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]]:
+    """Activity analysis, H. Scarf, T. Hansen, *The Computation of Economic Equilibria*, Yale 1973.
+
+    Six prices, eight activities, five incomes, of which the first is the unit. Returns the problem, its start, and a
+    function x → (prices, excess supply).
+    """
+    # capeop, nondurbl, durable, capbop, skillab, unsklab
+    endowment = np.array([
+        [0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [1, 2, 1.5, 1, 2], [3, 0.1, 2, 1, 6], [5, 0.1, 6, 0.1, 0.1],
+        [0.1, 7, 0.1, 8, 0.5],
+    ])
+    demand = np.array([
+        [4, 0.4, 2, 5, 3], [2, 4, 2, 5, 4], [3.2, 1, 1.5, 4.5, 2], [0, 0, 0, 0, 0], [0.2, 0, 0.5, 0, 0],
+        [0, 0.6, 0, 0.2, 0.2],
+    ])
+    elasticity = np.array([1.2, 1.6, 0.8, 0.5, 0.6])
+    activity = np.array([
+        [4.0, 4.0, 1.6, 1.6, 1.6, 0.9, 7.0, 8.0], [0, 0, 6.0, 8.0, 7.0, 0, 0, 0], [4.0, 3.5, 0, 0, 0, 0, 0, 0],
+        [-5.3, -5.0, -2.0, -2.0, -2.0, -1.0, -4.0, -5.0], [-2.0, -1.0, -2.0, -4.0, -1.0, 0, -3.0, -2.0],
+        [-1.0, -6.0, -3.0, -1.0, -8.0, 0, -1.0, -8.0],
+    ])
+    share = demand / demand.sum(axis=0)
+
+    def excess_supply(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p, y, income = x[:6], x[6:14], x[14:]
+        index = (share * p[:, None] ** (1 - elasticity)).sum(axis=0)
+        return p, activity @ y + endowment.sum(axis=1) - (income / index * share * p[:, None] ** -elasticity).sum(axis=1)
+
+    def F(x: np.ndarray) -> np.ndarray:
+        p, income = x[:6], x[14:]
+        return np.concatenate([excess_supply(x)[1], -activity.T @ p, income - endowment.T @ p])
+
+    start = np.concatenate([np.ones(6), np.ones(8), endowment.sum(axis=0)])
+    lower, upper = np.zeros(19), np.full(19, np.inf)
+    lower[:6] = np.where(share.max(axis=1) > 0.0, 1e-5, 0.0)
+    lower[14] = upper[14] = start[14]
+    return NonlinearProblem(F, lower=lower, upper=upper), start, excess_supply
+
+
+def membrane(size: int) -> tuple[NonlinearProblem, Any]:
+    """−Δu + 5 eᵘ + 10 u³ ≥ f on the unit square, u ≥ a paraboloid, five points; n = size²."""
+    h = 1.0 / (size + 1)
+    ones = np.ones(size)
+    second = sp.diags_array([-ones[:-1], 2.0 * ones, -ones[:-1]], offsets=[-1, 0, 1])
+    A = sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size)))
+    x, y = np.meshgrid(*2 * (np.linspace(h, 1.0 - h, size),))
+    obstacle, force = (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel(), (10.0 * np.sin(2 * np.pi * x)).ravel()
+
+    def F(u: np.ndarray) -> np.ndarray:
+        return A @ u + h * h * (5.0 * np.exp(u) + 10.0 * u**3 - force)
+
+    def jacobian(u: np.ndarray) -> Any:
+        return A + sp.diags_array(h * h * (5.0 * np.exp(u) + 30.0 * u**2))
+
+    return NonlinearProblem(F, jacobian, lower=obstacle), A
+
+
+def bratu(size: int, strength: float, ceiling: float) -> NonlinearProblem:
+    """Bratu's problem −Δu = λ eᵘ under a ceiling: −Δu ≤ λ eᵘ where u reaches it; λ beyond the turning point 6.8 too."""
+    _, A = membrane(size)
+    h2 = 1.0 / (size + 1) ** 2
+    return NonlinearProblem(
+        lambda u: A @ u - strength * h2 * np.exp(u), lambda u: A - sp.diags_array(strength * h2 * np.exp(u)),
+        lower=-np.inf, upper=np.full(size * size, ceiling),
+    )

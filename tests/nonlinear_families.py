@@ -12,7 +12,9 @@ import numpy as np
 
 from lcp_plugin import NonlinearProblem
 
-KINDS = ("monotone polynomial", "monotone exponential", "scaled rows", "triangular polynomial", "triangular exponential")
+KINDS = (
+    "monotone polynomial", "monotone exponential", "scaled rows", "triangular polynomial", "triangular exponential",
+)
 DIGITS = 60
 
 

@@ -23,7 +23,7 @@ def kojima_shindo(x: np.ndarray) -> np.ndarray:
 
 
 def josephy(x: np.ndarray) -> np.ndarray:
-    """N. H. Josephy, MRC report 1965, Wisconsin 1979: as Kojima and Shindo's but for four numbers; (√6/2, 0, 0, 1/2)."""
+    """N. H. Josephy, MRC report 1965, Wisconsin 1979: Kojima and Shindo's but for three numbers; (√6/2, 0, 0, 1/2)."""
     a, b, c, d = x
     return np.array([
         3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6, 2 * a * a + a + b * b + 3 * c + 2 * d - 2,
@@ -32,7 +32,7 @@ def josephy(x: np.ndarray) -> np.ndarray:
 
 
 def mathiesen(x: np.ndarray) -> np.ndarray:
-    """A Walrasian equilibrium, L. Mathiesen, Math. Programming 37 (1987) 1–18; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
+    """A Walrasian equilibrium, L. Mathiesen, Math. Program. 37 (1987) 1–18; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
     a, b, c, d = x
     return np.array([
         -b + c + d, a - (4.5 * c + 2.7 * d) / (b + 1), 5 - a - (0.5 * c + 0.3 * d) / (c + 1), 3 - a,
@@ -64,7 +64,7 @@ NASH_10_SOLUTION = [7.4415, 4.0978, 2.5906, 0.9354, 17.9490, 4.0978, 1.3047, 5.5
 
 
 def billups(x: np.ndarray) -> np.ndarray:
-    """S. C. Billups, PhD thesis, Wisconsin 1995: a line search from 0 meets a local minimum; the solution is 1 + √1.01."""
+    """S. C. Billups, PhD thesis, Wisconsin 1995: a line search from 0 meets a local minimum; solution 1 + √1.01."""
     return (x - 1.0) ** 2 - 1.01
 
 
@@ -94,7 +94,8 @@ def scarf() -> tuple[NonlinearProblem, np.ndarray, Callable[[np.ndarray], tuple[
     def excess_supply(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, y, income = x[:6], x[6:14], x[14:]
         index = (share * p[:, None] ** (1 - elasticity)).sum(axis=0)
-        return p, activity @ y + endowment.sum(axis=1) - (income / index * share * p[:, None] ** -elasticity).sum(axis=1)
+        demanded = (income / index * share * p[:, None] ** -elasticity).sum(axis=1)
+        return p, activity @ y + endowment.sum(axis=1) - demanded
 
     def F(x: np.ndarray) -> np.ndarray:
         p, income = x[:6], x[14:]

@@ -81,7 +81,8 @@ class Polynomial:
         n = low.size
         x = np.tile(low, (n, 1)), np.tile(high, (n, 1))
         square = times(x, x)
-        total = plus(plus((self.a, self.a), times((2 * self.b, 2 * self.b), x)), times((3 * self.d, 3 * self.d), square))
+        total = plus((self.a, self.a), times((2 * self.b, 2 * self.b), x))
+        total = plus(total, times((3 * self.d, 3 * self.d), square))
         i, j = np.arange(n), (np.arange(n) + 1) % n
         e = self.e, self.e
         for rows, columns, factor in ((i, i, (low[j], high[j])), (i, j, (low, high))):

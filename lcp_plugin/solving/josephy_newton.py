@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -38,10 +38,11 @@ HALVINGS, HALVINGS_OF_DESCENT = 12, 30
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 ON_PATH = (0.5, 0.125)
-FORCING = 0.1  # of the residual here, that a linearisation is solved to while far away
+FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
 PATIENCE = 25  # steps without a better residual
 GAIN = 0.95
+PATHS = 2  # of pivots, on a linearisation
 RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start is too expensive
 
 
@@ -116,8 +117,10 @@ class _Briefly:
         choice = self._policy.next_step(problem, stages, target, failed)
         while choice is not None and isinstance(choice.algorithm, (FeasibilityCheck, ExhaustiveSearch)):
             choice = self._policy.next_step(problem, stages, target, True)
-        has_had_its_turn = choice is not None and any(stage.algorithm == choice.algorithm for stage in stages)
-        return None if has_had_its_turn else choice
+        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
+            return None
+        is_pivoting = isinstance(choice.algorithm, Lemke)
+        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
 
 
 def _solved(problem: LCP, policy: Policy, start: FloatVector, tolerance: float) -> Result:

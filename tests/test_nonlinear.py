@@ -1,0 +1,471 @@
+"""Nonlinear complementarity: published and planted answers, honest statuses, proofs, derivatives, refusals in words."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import nonlinear_models as models
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nonlinear_families import KINDS, planted
+from polynomial_families import Polynomial, is_violated, polynomial
+
+from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve, solve_nonlinear
+from lcp_plugin.certificates.krawczyk import krawczyk_bound
+from lcp_plugin.errors import InvalidOption, InvalidProblem, NotConverged, UnknownAlgorithm, UnsuitableProblem
+from lcp_plugin.problem.differences import Differences
+
+INF = np.inf
+ROOTS = {(round(np.sqrt(6) / 2, 6), 0.0, 0.0, 0.5), (1.0, 0.0, 3.0, 0.0)}
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def solved(result: Result) -> np.ndarray:
+    assert result.status is Status.SOLVED, result.explain()
+    return result.z
+
+
+# --- published ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "x0", [(0, 0, 0, 0), (1, 1, 1, 1), (100, 100, 100, 100), (1, 0, 1, 0), (1, 0, 0, 0), (0, 1, 1, 0)]
+)
+@pytest.mark.parametrize(("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})])
+def test_kojima_shindo_and_josephy(F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]) -> None:
+    """From the starts of the literature the published solutions are found."""
+    x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
+    assert min(np.abs(x - root).max() for root in roots) < 1e-6
+
+
+def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
+    """Which of the two solutions is found depends on the start, and both are."""
+    starts = np.random.default_rng(0).uniform(0, 3, (12, 4))
+    found = {tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0) for x0 in starts}
+    assert found == {tuple(np.round(root, 4)) for root in ROOTS}
+
+
+@pytest.mark.parametrize("start", [1.0, 10.0])
+@pytest.mark.parametrize(
+    ("F", "published"), [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)]
+)
+def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
+    """Oligopolies of 5 and 10 firms have their published equilibria; F is undefined at 0, and the result says so."""
+    result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
+    np.testing.assert_allclose(solved(result), published, rtol=1e-4)
+    assert "projected start" in str(result.certificate)
+    assert result.iterations <= 12
+
+
+def test_mathiesen() -> None:
+    """Mathiesen's equilibrium is one of the published (λ, 0, 0, 0), 0 ≤ λ ≤ 3, also where 0 is excluded."""
+    for lower in (0.0, [0.5, 0, 0, 0]):
+        x = solved(solve_nonlinear(NonlinearProblem(models.mathiesen, lower=lower), np.ones(4)))
+        assert np.abs(x[1:]).max() < 1e-7
+        assert -1e-7 <= x[0] <= 3 + 1e-7
+
+
+@pytest.mark.parametrize("x0", [0.0, 0.5, 5.0])
+def test_billups(x0: float) -> None:
+    """A local minimum of every merit function is left by another start."""
+    x = solved(solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0]))
+    assert x[0] == pytest.approx(1 + np.sqrt(1.01), abs=1e-6)
+
+
+def test_scarf() -> None:
+    """In Scarf's economy no good is in short supply, what is left over is free, and no activity makes a profit."""
+    problem, start, excess_supply = models.scarf()
+    result = solve_nonlinear(problem, start)
+    prices, excess = excess_supply(solved(result))
+    assert excess.min() > -1e-6
+    assert np.abs(prices * excess).max() < 1e-5
+    assert result.w[6:14].min() > -1e-7
+    assert result.iterations <= 10
+
+
+@pytest.mark.parametrize("strength", [1.0, 6.0, 50.0])
+def test_bratu_with_a_ceiling(strength: float) -> None:
+    """Bratu's problem has an answer under a ceiling, beyond its turning point λ = 6.81 as well; below it is smooth."""
+    x = solved(solve_nonlinear(models.bratu(20, strength, 1.0), np.zeros(400)))
+    assert (x.max() == 1.0) == (strength > 6.81)
+    if strength == 1.0:
+        assert x.max() == pytest.approx(0.0781, abs=2e-3)  # of the continuous problem
+
+
+# --- planted -----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from(KINDS), st.integers(1, 30), st.booleans())
+def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
+    """SOLVED is true in sixty digits, and nothing else is claimed of problems with a solution but honest failures."""
+    rng = np.random.default_rng(seed)
+    one = planted(rng, kind, n)
+    result = solve_nonlinear(one.problem, rng.standard_normal(n) * is_far)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED)
+    certificate = result.certificate
+    if result.is_solved and certificate.reference_ends[1] > 0.0:
+        scale, reference = certificate.problem.residual_scale, certificate.reference.x
+        assert one.sharp_relative_residual(result.z, scale, reference) <= 1e-8
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("n", [2, 20, 100])
+def test_planted_problems_are_solved(kind: str, n: int) -> None:
+    """Monotone and P₀ problems of every kind are solved from the point nearest to 0."""
+    for seed in range(3):
+        solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 8))
+def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
+    """On F(x) = M x + q every residual is that of the LCP, up to the rounding of F; at most three steps are taken."""
+    rng = np.random.default_rng(seed)
+    M = rng.standard_normal((n, n))
+    M = M @ M.T + np.eye(n)
+    q = rng.standard_normal(n)
+    result = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), rng.standard_normal(n), tolerance=1e-6)
+    assert solved(result) is result.z
+    assert result.iterations <= 3
+    x = rng.standard_normal(n)
+    one = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), x, max_iterations=0).certificate
+    other = solve(LCP(M, q), z0=x, max_iterations=0, record=True).certificate
+    if np.array_equal(one.z, other.z):
+        for name in ("relative_residual", "natural_residual", "euclidean_residual", "complementarity"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9, abs=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 6))
+def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
+    """Multiplying rows of F, and measuring x in another unit, leaves the relative residual as it is."""
+    rng = np.random.default_rng(seed)
+    one = planted(rng, "monotone polynomial", n)
+    x, rows, unit = rng.standard_normal(n), 2.0 ** rng.integers(-20, 20, n), 2.0 ** int(rng.integers(-20, 20))
+    other = NonlinearProblem(
+        lambda y: rows * one.F(y / unit), lambda y: rows[:, None] * one.jacobian(y / unit) / unit,
+        one.lower * unit, one.upper * unit,
+    )
+    first = solve_nonlinear(one.problem, x, max_iterations=0)
+    second = solve_nonlinear(other, x * unit, max_iterations=0)
+    assert first.residual == second.residual
+
+
+def test_equations() -> None:
+    """With free rows alone it is Newton's method for equations."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] ** 2 + x[1] ** 2 - 5, x[0] * x[1] - 2]), lower=[-INF, -INF]
+    )
+    x = solved(solve_nonlinear(problem, [3.0, 0.5], tolerance=1e-10))
+    np.testing.assert_allclose(x, [2.0, 1.0], atol=1e-6)
+
+
+def test_no_unknowns() -> None:
+    """The empty problem is solved."""
+    assert solved(solve_nonlinear(NonlinearProblem(lambda x: x), [])).size == 0
+
+
+def test_steps_into_the_undefined_are_shortened() -> None:
+    """The root of log x − 1, x ≥ 0, is found from both sides, although full steps lead to where log is undefined."""
+    for start in (0.01, 100.0):
+        assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[0] == pytest.approx(np.e)
+
+
+@pytest.mark.parametrize("size", [32, 100, 316])
+def test_steps_do_not_grow_under_refinement(size: int) -> None:
+    """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
+    result = solve_nonlinear(models.membrane(size)[0], np.zeros(size * size))
+    assert 0.2 < (solved(result) == models.membrane(size)[0].lower).mean() < 0.4
+    assert result.iterations <= 5
+
+
+# --- differences -------------------------------------------------------------------------------------------------
+
+
+def test_differences_on_a_pattern() -> None:
+    """Differences on a five-point pattern take at most 7 evaluations, and the answer is that of the derivative."""
+    problem, A = models.membrane(15)
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        return problem.F(x)
+
+    by_differences = NonlinearProblem(F, lower=problem.lower, pattern=A)
+    x = np.random.default_rng(0).standard_normal(225)
+    found = by_differences.derivative(x)
+    assert len(calls) <= 8
+    np.testing.assert_allclose(found.toarray(), problem.derivative(x).toarray(), atol=1e-6)
+    np.testing.assert_allclose(
+        solved(solve_nonlinear(by_differences, np.zeros(225))), solve_nonlinear(problem, np.zeros(225)).z, atol=1e-8
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 30))
+def test_columns_of_a_group_share_no_row(seed: int, n: int) -> None:
+    """Each group of columns that are moved together has at most one entry a row."""
+    pattern = sp.random_array((n, n), density=0.2, rng=np.random.default_rng(seed), format="csc")
+    groups = Differences.on(pattern, n).groups
+    assert (groups >= 0).all()
+    for k in range(groups.max() + 1):
+        assert np.diff(pattern[:, groups == k].tocsr().indptr).max(initial=0) <= 1
+
+
+def test_differences_stay_within_the_bounds() -> None:
+    """Where x is at its upper bound F is asked below it, and where it is not defined above x also without a bound."""
+    problem = NonlinearProblem(lambda x: np.sqrt(2.0 - x), upper=[2.0, 3.0])
+    assert problem.derivative([1.0, 2.0 - 1e-9])[0, 0] == pytest.approx(-0.5)
+    assert np.isfinite(problem.derivative([1.0, 2.0 - 1e-9]).toarray()).all()
+
+
+# --- how a run ends ----------------------------------------------------------------------------------------------
+
+
+def test_no_solution_is_said_honestly() -> None:
+    """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
+    result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
+    assert result.status is Status.STALLED
+    assert "another start" in result.explain()
+    with pytest.raises(NotConverged, match="stationary"):
+        result.require_solved()
+
+
+def test_rounding_in_f_is_a_precision_limit() -> None:
+    """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
+    noisy = NonlinearProblem(
+        lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3, lambda x: np.diag(3 * x**2), lower=-INF
+    )
+    result = solve_nonlinear(noisy, [3.0], tolerance=1e-12, check_jacobian=False)
+    assert result.status is Status.PRECISION_LIMIT
+    wrong = NonlinearProblem(lambda x: np.array([x[0] ** 3 - 7.3]), lambda x: [[-1.0]], lower=-INF)
+    assert solve_nonlinear(wrong, [3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
+
+
+def test_limits_record_and_callback() -> None:
+    """max_iterations, max_seconds, a callback that says stop, and record mean what they mean in solve."""
+    problem, start, _ = models.scarf()
+    assert solve_nonlinear(problem, start, max_iterations=2).status is Status.MAX_ITERATIONS
+    assert solve_nonlinear(problem, start, max_seconds=0.0).status is Status.MAX_SECONDS
+    seen: list[Any] = []
+
+    def stop(sample: Any, x: np.ndarray) -> bool:
+        seen.append(sample)
+        assert not x.flags.writeable
+        return len(seen) == 3
+
+    assert solve_nonlinear(problem, start, callback=stop).status is Status.INTERRUPTED
+    recorded = solve_nonlinear(problem, start, record=True)
+    assert len(recorded.history) == recorded.iterations + 1
+    assert recorded.history[-1].residual <= 1e-8
+    np.testing.assert_array_equal(recorded.z, solve_nonlinear(problem, start).z)
+
+
+def test_a_callback_that_raises_is_heard() -> None:
+    """What the callback and F raise reaches the caller."""
+    def broken(*_: Any) -> Any:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), callback=broken)
+    with pytest.raises(ZeroDivisionError):
+        solve_nonlinear(NonlinearProblem(broken), np.ones(5))
+
+
+def test_ctrl_c_keeps_the_best() -> None:
+    """SIGINT inside F, in the middle of a run, gives INTERRUPTED with the best x so far."""
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        if len(calls) == 60:
+            signal.raise_signal(signal.SIGINT)
+        return models.NASH_10(x)
+
+    result = solve_nonlinear(NonlinearProblem(F), np.ones(10))
+    assert result.status is Status.INTERRUPTED
+    assert result.residual < 1.0
+
+
+def test_euclidean_measure() -> None:
+    """measure="euclidean" stops on the unscaled norm."""
+    result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), measure="euclidean", tolerance=1e-6)
+    solved(result)
+    assert np.linalg.norm(np.minimum(result.z, result.w)) <= 1e-6
+
+
+def test_nothing_of_the_callers_is_changed() -> None:
+    """x0, bounds and what F returns stay as they are, and F gets no array that it could write to."""
+    x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])
+
+    def F(x: np.ndarray) -> np.ndarray:
+        assert not x.flags.writeable
+        return kept
+
+    solve_nonlinear(NonlinearProblem(F, lambda x: np.eye(2), lower), x0, check_jacobian=False, max_iterations=3)
+    assert x0.tolist() == [1, 1]
+    assert lower.tolist() == [0, 0]
+    assert kept.tolist() == [-1, 2]
+
+
+def test_the_lcp_solver_can_be_chosen() -> None:
+    """A named algorithm, or an object, solves the linearisations; a wrong name is refused."""
+    for algorithm in ("lemke", "newton"):
+        solved(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), algorithm))
+    with pytest.raises(UnknownAlgorithm, match="lemke"):
+        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), "lemk")
+
+
+# --- mistakes ----------------------------------------------------------------------------------------------------
+
+NP, run = NonlinearProblem, solve_nonlinear
+MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
+    (lambda: NP(np.eye(2)), InvalidProblem, r"F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)"),
+    (lambda: NP(np.sin, 3), InvalidProblem, "jacobian must be callable"),
+    (lambda: NP(np.sin, np.diag, pattern=np.eye(2)), InvalidProblem, "leave one out"),
+    (lambda: NP(np.sin, pattern=np.ones((2, 3))), InvalidProblem, "square"),
+    (lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]), InvalidProblem, "upper must be a number or a vec"),
+    (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
+    (lambda: NP(np.sin, enclosure=3), InvalidProblem, "enclosure.interval_F must be callable"),
+    (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
+    (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
+    (lambda: run(NP(np.sin), [np.nan]), InvalidOption, r"x0\[0\] = nan"),
+    (lambda: run(NP(np.sin), np.ones((2, 2))), InvalidOption, "shape"),
+    (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
+    (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
+    (lambda: run(NP(lambda x: 1j * x), np.ones(2)), InvalidProblem, "complex"),
+    (lambda: run(NP(np.log, lower=-INF), [-1.0]), InvalidProblem, r"F\(x0\)\[0\] = nan"),
+    (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
+    (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
+    (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),
+    (lambda: run(NP(np.sin), [1.0], tolerance=-1), InvalidOption, "tolerance"),
+]
+
+
+@pytest.mark.parametrize(("mistake", "error", "words"), MISTAKES)
+def test_mistakes_are_refused_in_words(mistake: Callable[[], Any], error: type[Exception], words: str) -> None:
+    """Every mistake is named, with what is needed instead."""
+    with pytest.raises(error, match=words):
+        mistake()
+
+
+def test_a_wrong_jacobian_is_named() -> None:
+    """The worst entry of a derivative that contradicts F is named; the check can be switched off."""
+    problem, _ = models.membrane(10)
+
+    def wrong(x: np.ndarray) -> Any:
+        J = sp.lil_array(problem.jacobian(x))
+        J[37, 38] = 5.0
+        return J.tocsr()
+
+    mistaken = NonlinearProblem(problem.F, wrong, problem.lower)
+    words = r"jacobian\(x0\)\[37, 38\] = 5, and differences of F give -1; .*check_jacobian=False"
+    with pytest.raises(InvalidProblem, match=words):
+        solve_nonlinear(mistaken, np.zeros(100))
+    solve_nonlinear(mistaken, np.zeros(100), check_jacobian=False)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
+def test_a_right_jacobian_is_never_refused(seed: int, kind: str, n: int) -> None:
+    """The check finds no fault in derivatives that are right, wherever the start is."""
+    rng = np.random.default_rng(seed)
+    solve_nonlinear(planted(rng, kind, n).problem, rng.standard_normal(n), max_iterations=0)
+
+
+# --- proofs ------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.booleans())
+def test_proofs_hold(seed: int, is_dominant: bool) -> None:
+    """A bound holds the exact rational solution, and a solution that is the only one nearby is proved."""
+    one = polynomial(np.random.default_rng(seed), is_dominant=is_dominant)
+    result = solve_nonlinear(one.problem, one.x, error_bound=True)
+    solved(result)
+    if np.abs(result.z - one.x).max() < 1e-6 and result.error_bound is not None:
+        assert not is_violated(one, result.z, result.error_bound.componentwise)
+    assert not is_dominant or result.error_bound is not None
+
+
+def square(lower: float) -> Polynomial:
+    none, zero, one = np.zeros(1), np.zeros((1, 1)), np.ones((1, 1))
+    return Polynomial(zero, one, zero, none, none - 1e-4, none + lower, none + INF, none + 0.01)
+
+
+def test_a_root_outside_the_bounds_is_not_proved() -> None:
+    """x² = 1e-4 has no solution at 0.01 where x ≥ 0.05: what is proved from there is the one at the bound."""
+    inside = krawczyk_bound(square(0.0).problem.linearised([0.01]), np.array([0.01]), square(0.0))
+    assert inside is not None
+    assert inside.infinity < 1e-16
+    outside = krawczyk_bound(square(0.05).problem.linearised([0.01]), np.array([0.01]), square(0.05))
+    assert outside is not None
+    assert outside.proven_active.all()
+    assert outside.infinity >= 0.04
+    near = krawczyk_bound(square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9))
+    assert near is None or near.infinity >= 0.001 - 1e-9
+
+
+def test_a_double_root_is_not_proved() -> None:
+    """Where the derivative is singular, and where F = 0 at a bound, nothing is claimed."""
+    zero, one = np.zeros((1, 1)), np.ones((1, 1))
+    double = Polynomial(zero, one, zero, np.zeros(1), np.zeros(1), np.array([-INF]), np.array([INF]), np.zeros(1))
+    assert krawczyk_bound(double.problem.linearised([1e-9]), np.array([1e-9]), double) is None
+    degenerate = Polynomial(one, zero, zero, np.zeros(1), np.zeros(1), np.zeros(1), np.array([INF]), np.zeros(1))
+    assert krawczyk_bound(degenerate.problem.linearised([0.0]), np.array([0.0]), degenerate) is None
+
+
+def test_dominance_proves_what_is_too_large_for_an_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second test proves the same solutions, where rows are dominated."""
+    monkeypatch.setattr("lcp_plugin.certificates.krawczyk.DENSE_UP_TO", 0)
+    proved = 0
+    for seed in range(20):
+        one = polynomial(np.random.default_rng(seed), is_dominant=True)
+        x = one.x + 1e-6 * np.random.default_rng(seed).standard_normal(one.x.size)
+        bound = krawczyk_bound(one.problem.linearised(x), x, one)
+        proved += bound is not None
+        assert bound is None or not is_violated(one, x, bound.componentwise)
+    assert proved >= 18
+
+
+def test_without_an_enclosure_nothing_is_claimed() -> None:
+    """error_bound=True on a problem without an enclosure says in words what is missing."""
+    result = solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), error_bound=True)
+    assert result.error_bound is None
+    assert "enclosure" in result.explain()
+    assert derivative(result).is_unique is None
+
+
+# --- derivatives -------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=15, deadline=None)
+@given(SEEDS)
+def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
+    """jvp(dq=dF) is the difference quotient of re-solved problems, and vjp its transpose."""
+    rng = np.random.default_rng(seed)
+    one = polynomial(rng, is_dominant=True)
+    n, step = one.x.size, 2.0**-20
+    dF = rng.standard_normal(n)
+
+    def answer(shift: float) -> Result:
+        moved = NonlinearProblem(lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper)
+        return solve_nonlinear(moved, one.x, tolerance=1e-13)
+
+    found = derivative(answer(0.0))
+    dx = found.jvp(dq=dF)
+    np.testing.assert_allclose(dx, (answer(step).z - answer(-step).z) / (2 * step), rtol=1e-5, atol=1e-6)
+    g = rng.standard_normal(n)
+    assert found.vjp(g).q @ dF == pytest.approx(g @ dx, rel=1e-9, abs=1e-12)
+
+
+def test_only_a_solution_has_a_derivative() -> None:
+    """What is not SOLVED has no derivative."""
+    with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
+        derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=1))

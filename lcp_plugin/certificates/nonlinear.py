@@ -117,7 +117,7 @@ class NonlinearCertificate(Certificate):
         return cls(point.lcp, point.x, nonlinear=point.problem, value=point.value, reference=reference)
 
     @property
-    def w(self) -> FloatVector:  # type: ignore[override]
+    def w(self) -> FloatVector:
         """F(x), shape (n,), read-only."""
         return self.value
 

@@ -12,8 +12,8 @@ Other packages. No package is best at everything. As far as we know, none of the
   adds open source without a licence key, grids with a million unknowns, proofs of infeasibility.
 - Siconos is better at friction and dynamics of many bodies. This one adds one `solve` for dense and sparse LCPs,
   modelling in cvxpy.
-- PETSc SNESVI is better at nonlinear problems. Here are no residual functions and no geometry to write: M and q are
-  enough, on one machine or, through PETSc, on several.
+- PETSc SNESVI is better at nonlinear problems on several machines. Here are no residual functions and no geometry to
+  write where M and q are enough, on one machine or, through PETSc, on several.
 - QuantEcon's ``lcp_lemke`` and lemkelcp have few dependencies. This one adds sparse matrices and every method but
   Lemke's.
 - Pyomo, JuMP and GAMSPy are better at nonlinear and mixed-integer models and know many solvers. This one adds the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..errors import InvalidProblem
@@ -81,7 +82,7 @@ def _direction(point: Linearisation) -> FloatVector:
     return direction
 
 
-def _only(direction: FloatVector, columns: FloatVector) -> FloatVector:
+def _only(direction: FloatVector, columns: NDArray[np.intp]) -> FloatVector:
     kept = np.zeros(direction.size)
     kept[columns] = direction[columns]
     return kept

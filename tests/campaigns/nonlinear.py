@@ -26,10 +26,10 @@ TOLERANCE = 1e-8
 ENOUGH = 0.99
 
 
-def main(cases: int, seed: int) -> int:
+def main(cases: int, seed: int, first: int) -> int:
     statuses: Counter[str] = Counter()
     steps, times, false = [], [], 0
-    for case in range(cases):
+    for case in range(first, first + cases):
         rng = np.random.default_rng([seed, case])
         kind, n = KINDS[case % len(KINDS)], round(2 * 100 ** rng.random())
         one = planted(rng, kind, n)
@@ -62,6 +62,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="the number of the first case")
     given = parser.parse_args()
     warnings.simplefilter("error")
-    sys.exit(main(given.cases, given.seed))
+    sys.exit(main(given.cases, given.seed, given.first))

@@ -442,6 +442,15 @@ def test_without_an_enclosure_nothing_is_claimed() -> None:
     assert derivative(result).is_unique is None
 
 
+def test_an_enclosure_that_contradicts_f_proves_nothing() -> None:
+    """An enclosure of another function is found out at the answer, and nothing is claimed."""
+    one, other = square(0.0), polynomial(np.random.default_rng(0), is_dominant=True)
+    other = Polynomial(*(array[:1, :1] if array.ndim == 2 else array[:1] + 1.0 for array in vars(other).values()))
+    result = solve_nonlinear(NonlinearProblem(one.F, one.jacobian, enclosure=other), [1.0], error_bound=True)
+    assert result.error_bound is None
+    assert "contradicts F" in result.no_error_bound
+
+
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 

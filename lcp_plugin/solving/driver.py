@@ -135,6 +135,8 @@ def solve(
 
 
 def _remedy(given: Any) -> str:
+    if isinstance(given, NonlinearProblem):
+        return "solve_nonlinear(problem, x0)"
     return "solve(scene.problem)" if isinstance(getattr(given, "problem", None), LCP) else "solve(LCP(M, q))"
 
 

@@ -22,7 +22,7 @@ from ..certificates.residuals import reference_residual
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..deadline import is_over, seconds_left
-from ..matrix.factors import factorise
+from ..matrix.factors import factor_fits, factorise
 from ..policy.choice import Policy, policy_for
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
@@ -37,6 +37,7 @@ SUFFICIENT = 1e-4
 HALVINGS, HALVINGS_OF_DESCENT = 12, 30
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
+SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
 ON_PATH = (0.5, 0.125)
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
@@ -232,9 +233,10 @@ class _Newton:
         phi = fischer_burmeister(lcp, self.here.x, self.here.value)
         jacobian = phi_jacobian(lcp, phi, 0.0)
         gradient = jacobian.T @ phi.value
-        factor = factorise(phi_jacobian(lcp, phi, min(1e-3, 1e-3 * phi.norm)))
+        shifted = phi_jacobian(lcp, phi, SHIFT_OF_PHI * min(1.0, phi.norm))
+        factor = factorise(shifted) if lcp.is_dense or factor_fits(shifted) else None
         for direction in (None if factor is None else factor.solve(-phi.value), -gradient):
-            if direction is None or not np.isfinite(direction).all() or not direction.any():
+            if direction is None or not np.isfinite(direction).all():
                 continue
             for k in range(HALVINGS_OF_DESCENT):
                 x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)

@@ -89,8 +89,9 @@ def solve_nonlinear(
 
     Notes
     -----
-    Works as long as the linearisations are solved; see
-    :class:`lcp_plugin.solving.josephy_newton.JosephyNewton` for what follows where they are not.
+    Each step solves the linear complementarity problem of F′(x), as exactly as the residual at x deserves; a line
+    search keeps ‖Φ‖ falling, Φ the Fischer–Burmeister function. What follows where that fails stands in
+    ``help("lcp_plugin.solving.josephy_newton")``.
 
     Examples
     --------
@@ -192,12 +193,22 @@ class NonlinearJudge(Judge):
         return partial(_proved, certificate) if self.settings.error_bound else BoundOrReason()
 
 
+UNLIKELY_ROUNDING = 1e-6  # relative to 1 + |F|
+
+
 def _proved(certificate: Any) -> BoundOrReason:
     from ..certificates.krawczyk import krawczyk_bound
 
-    enclosure = certificate.nonlinear.enclosure
+    enclosure, value = certificate.nonlinear.enclosure, certificate.value
     if enclosure is None:
         return BoundOrReason(None, "nothing bounds the derivatives of F; give NonlinearProblem an enclosure")
+    low, high = enclosure.interval_F(certificate.z, certificate.z)
+    rounding = UNLIKELY_ROUNDING * (1.0 + np.abs(value))
+    outside = ~((low - rounding <= value) & (value <= high + rounding))
+    if outside.any():
+        i = int(np.flatnonzero(outside)[0])
+        return BoundOrReason(None, f"the enclosure contradicts F: F(z)[{i}] = {value[i]} is not in its interval there, "
+                                   f"[{low[i]}, {high[i]}]; correct one of them")
     bound = krawczyk_bound(certificate.problem, certificate.z, enclosure)
     if bound is None:
         return BoundOrReason(None, "no box around z could be proved to hold exactly one solution")

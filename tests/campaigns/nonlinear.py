@@ -4,6 +4,9 @@ Run ``python tests/campaigns/nonlinear.py --cases 2000 --seed 0``. The kinds sta
 and exponential, with bounds of every kind and free rows, n = 2 … 200, started at the point nearest to 0 or at random. A
 SOLVED is judged again with F in sixty digits. Prints what was not solved and how many steps were taken; exits with 1
 where a SOLVED is false, less than 99 % are solved, or anything is raised.
+
+``--membrane 32 100 316 1000`` solves the semilinear obstacle problem of ``nonlinear_models`` on grids of these sizes
+instead, and prints Newton steps and seconds.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from nonlinear_families import KINDS, planted
+from nonlinear_models import membrane
 
 from lcp_plugin import Status, solve_nonlinear
 
@@ -58,11 +62,23 @@ def main(cases: int, seed: int, first: int) -> int:
     return int(false > 0 or solved < ENOUGH * cases)
 
 
+def membranes(sizes: list[int]) -> int:
+    solve_nonlinear(membrane(40)[0], np.zeros(1600))  # compiles
+    for size in sizes:
+        problem, _ = membrane(size)
+        began, worked = time.perf_counter(), time.process_time()
+        result = solve_nonlinear(problem, np.zeros(size * size))
+        seconds = f"{time.perf_counter() - began:.2f} s, {time.process_time() - worked:.2f} s of one processor"
+        print(f"n = {size * size:>8}: {result.status.name}, {result.iterations} Newton steps, {seconds}", flush=True)
+    return 0
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="the number of the first case")
+    parser.add_argument("--membrane", type=int, nargs="+")
     given = parser.parse_args()
     warnings.simplefilter("error")
-    sys.exit(main(given.cases, given.seed, given.first))
+    sys.exit(membranes(given.membrane) if given.membrane else main(given.cases, given.seed, given.first))

@@ -20,6 +20,7 @@ from ..policy.choice import Policy, policy_for
 from ..policy.pacing import CheckSchedule, Progress
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP, checked_start
+from ..problem.nonlinear import NonlinearProblem
 from ..settings import CallersOwn, Settings, Status, checked_callback
 from .error_watch import BoundOrReason
 from .guarantees import warn_where_known_to_be_uncovered

@@ -96,10 +96,10 @@ def solve_nonlinear(
     Examples
     --------
     >>> import numpy as np
-    >>> problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[0] - x[1] + 2]))
-    >>> result = solve_nonlinear(problem, [0.0, 0.0])
-    >>> result.status.name, result.z.round(4), result.w.round(4)
-    ('SOLVED', array([0., 2.]), array([0., 0.]))
+    >>> problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]))
+    >>> result = solve_nonlinear(problem, [0.0, 0.0], tolerance=1e-10)
+    >>> result.status.name, result.z.round(4), result.w.round(4) + 0.0
+    ('SOLVED', array([1.0986, 0.    ]), array([0.    , 0.9014]))
     """
     if not isinstance(problem, NonlinearProblem):
         raise InvalidOption(

@@ -177,6 +177,13 @@ def test_steps_into_the_undefined_are_shortened() -> None:
         assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[0] == pytest.approx(np.e)
 
 
+@pytest.mark.parametrize("start", [0.0, 50.0])
+def test_steps_that_are_far_too_long_are_shortened(start: float) -> None:
+    """From 0 the first step towards exp x = 1e10 overflows for a long way; from beyond it is a long way back."""
+    result = solve_nonlinear(NonlinearProblem(lambda x: np.exp(x) - 1e10), [start])
+    assert solved(result)[0] == pytest.approx(np.log(1e10))
+
+
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""

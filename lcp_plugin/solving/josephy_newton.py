@@ -34,15 +34,16 @@ from .sprint import sprinted
 from .state import Clock
 
 SUFFICIENT = 1e-4
-HALVINGS, HALVINGS_OF_DESCENT = 12, 30
+SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
+HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
 ON_PATH = (0.5, 0.125)
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
-PATIENCE = 25  # steps without a better residual
-GAIN = 0.95
+PATIENCE = 25  # steps without a residual clearly below those of the window before it
+WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
 PATHS = 2  # of pivots, on a linearisation
 RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start is too expensive
 
@@ -64,7 +65,7 @@ class JosephyNewton(Algorithm):
     -----
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, in the scale of the linearisation at hand.
     A step is shortened until F is defined and ‖Φ‖ falls below the worst of the last four points. Where that takes more
-    than 12 halvings, these are tried in turn: points on the path of the linearisation, whose slack at x is given and
+    than 16 trials, these are tried in turn: points on the path of the linearisation, whose slack at x is given and
     taken back in part (Ralph); the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its steepest
     descent. Where nothing helps x is a stationary point of ‖Φ‖, and small problems start again elsewhere.
 
@@ -144,6 +145,7 @@ class _Newton:
         self.options, self.first, self.here = options, start, start
         self.recent: deque[Linearisation] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
+        self.tried = math.inf  # the merit of the last trial
         self.is_regularised = False  # since a linearisation was not solved
         self.random = np.random.default_rng(0)
 
@@ -154,14 +156,15 @@ class _Newton:
 
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
-        best, since = self._relative(self.here), 0
+        latest, since = deque([self._relative(self.here)], maxlen=WINDOW), 0
         while since < PATIENCE and (following := self._following()) is not None:
             self.here = following
             self.recent.append(following)
             self.options.points.keep(following)
             yield self.step()
             size = self._relative(following)
-            best, since = (size, 0) if size < GAIN * best else (best, since + 1)
+            since = 0 if size < GAIN * min(latest) else since + 1
+            latest.append(size)
 
     def start_elsewhere(self, problem: LCP) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
@@ -174,7 +177,7 @@ class _Newton:
                 x = self.first.x + size * self.random.standard_normal(problem.n) * 0.5 * self.starts
             point = self._at(np.clip(x, problem.lower, problem.upper))
             if point.is_defined:
-                self.here = point
+                self.here, self.is_regularised = point, False
                 self.recent.clear()
                 self.recent.append(point)
                 self.options.points.keep(point)
@@ -238,7 +241,7 @@ class _Newton:
         for direction in (None if factor is None else factor.solve(-phi.value), -gradient):
             if direction is None or not np.isfinite(direction).all():
                 continue
-            for k in range(HALVINGS_OF_DESCENT):
+            for k in range(SHORTER_OF_DESCENT):
                 x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)
                 if (found := self._accepted(x, phi.norm, SUFFICIENT * 0.5**k)) is not None:
                     return found
@@ -246,17 +249,19 @@ class _Newton:
 
     def _searched(self, target: FloatVector, worst: float) -> Linearisation | None:
         """Return the first point on the way to the target that is accepted."""
-        direction = target - self.here.x
-        for k in range(HALVINGS):
-            x = target if k == 0 else self.here.x + 0.5**k * direction
-            if (found := self._accepted(x, worst, 0.5**k)) is not None:
+        direction, length = target - self.here.x, 1.0
+        for k in range(SHORTER):
+            x = target if k == 0 else self.here.x + length * direction
+            if (found := self._accepted(x, worst, length)) is not None:
                 return found
+            length *= 0.1 if k >= HALVINGS and self.tried > FAR * worst else 0.5
         return None
 
     def _accepted(self, x: FloatVector, worst: float, length: float) -> Linearisation | None:
         """Return x where F is defined there and the merit falls."""
         point = self._at(x)
-        is_less = self._merit(point) <= (1.0 - SUFFICIENT * length) * worst
+        self.tried = self._merit(point)
+        is_less = self.tried <= (1.0 - SUFFICIENT * length) * worst
         return point if is_less and point.is_defined and not np.array_equal(x, self.here.x) else None
 
     def _at(self, x: FloatVector) -> Linearisation:

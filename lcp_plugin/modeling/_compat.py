@@ -22,13 +22,13 @@ from ..errors import UnsupportedModel
 LONGEST_NAME = 80
 
 
-def _atoms(*places: str) -> tuple[Any, ...]:
+def _atoms(*places: str, below: str = "cvxpy.atoms.affine") -> tuple[Any, ...]:
     """Return the affine atom classes named ``"module.Class"`` that the installed cvxpy has."""
     found: list[Any] = []
     for place in places:
-        module, name = place.split(".")
+        module, _, name = place.rpartition(".")
         try:
-            found.append(getattr(import_module(f"cvxpy.atoms.affine.{module}"), name))
+            found.append(getattr(import_module(f"{below}.{module}"), name))
         except (ImportError, AttributeError):
             continue
     return tuple(found)
@@ -63,6 +63,18 @@ GATHERS = (
     *DIAGONAL,
     *_atoms("reshape.reshape", "concatenate.Concatenate", "diag.diag_vec", "upper_tri.upper_tri"),
     *_atoms("real.real", "conj.conj"),
+)
+
+
+def smooth_atoms(*places: str) -> tuple[Any, ...]:
+    """Return the classes named ``"module.Class"`` among all atoms that the installed cvxpy has."""
+    return tuple(found for found in _atoms(*places, below="cvxpy.atoms") if isinstance(found, type))
+
+
+POWER = smooth_atoms("elementwise.power.Power", "elementwise.power.power")
+NONSMOOTH = smooth_atoms(
+    *("elementwise.abs.abs", "elementwise.maximum.maximum", "elementwise.minimum.minimum", "elementwise.huber.huber"),
+    *("max.max", "min.min", "norm1.norm1", "norm_inf.norm_inf", "pnorm.Pnorm", "sum_largest.sum_largest"),
 )
 
 

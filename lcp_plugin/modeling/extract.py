@@ -51,7 +51,9 @@ class AffineMap:
     shape: tuple[int, ...]
 
 
-def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None) -> AffineMap:
+def affine_map(
+    expression: Any, *, memo: dict[Hashable, Any] | None = None, unknowns: Container[int] = ()
+) -> AffineMap:
     """Return the map x ↦ M x + q that an affine expression states, compared with its value at one more point.
 
     Parameters
@@ -59,6 +61,8 @@ def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None) -> A
     expression : cvxpy expression or constant
     memo : dict, optional
         Keeps what no parameter enters from one call to the next: give the same dict again.
+    unknowns : container of int, optional
+        The ids of nodes that count as variables, whatever they are; `key_of` says where their blocks are.
 
     Raises
     ------
@@ -75,8 +79,8 @@ def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None) -> A
     """
     root = Expression.cast_to_const(expression)
     kept: dict[Hashable, Any] = {} if memo is None else memo
-    tree = _Tree(postorder(root, ()))
-    shapes = {node.id: node.shape for node in tree.nodes if isinstance(node, cp.Variable)}
+    tree = _Tree(postorder(root, unknowns), unknowns)
+    shapes = {key_of(node): node.shape for node in tree.nodes if tree.is_unknown(node)}
     for node in tree.nodes:
         if isinstance(node, cp.Variable):
             _check_attributes(node)
@@ -90,19 +94,33 @@ def affine_map(expression: Any, *, memo: dict[Hashable, Any] | None = None) -> A
     return AffineMap(blocks, offset, root.shape)
 
 
+def key_of(unknown: Any) -> int:
+    """Return the key of a variable's blocks, its id, or of another node's that counts as one."""
+    return int(unknown.id) if isinstance(unknown, cp.Variable) else ~id(unknown)
+
+
+def constant_value(expression: Any) -> Any:
+    """Return the value of an expression without variables, an array or a CSC array; raise where it is none."""
+    value = _fold(postorder(expression, ()), _constant_value, {})
+    _check_constant(expression, value)
+    return value
+
+
 class _Tree:
     """The nodes of an expression, arguments first, and the ids of those that variables or parameters enter."""
 
-    def __init__(self, nodes: list[Any]) -> None:
+    def __init__(self, nodes: list[Any], unknowns: Container[int]) -> None:
         self.nodes = nodes
         self.root = nodes[-1]
+        #: Those that count as variables.
+        self.cuts = {id(node) for node in nodes if id(node) in unknowns}
         self.variable: set[int] = set()
         self.parametric: set[int] = set()
         #: Whose linear part depends on parameters.
         self.varying: set[int] = set()
         for node in nodes:
-            below = [id(argument) for argument in node.args]
-            if isinstance(node, cp.Variable) or not self.variable.isdisjoint(below):
+            below = [] if id(node) in self.cuts else [id(argument) for argument in node.args]
+            if self.is_unknown(node) or not self.variable.isdisjoint(below):
                 self.variable.add(id(node))
             if isinstance(node, cp.Parameter) or not self.parametric.isdisjoint(below):
                 self.parametric.add(id(node))
@@ -113,6 +131,10 @@ class _Tree:
                 for key in below
             ):
                 self.varying.add(id(node))
+
+    def is_unknown(self, node: Any) -> bool:
+        """Return whether the node is a variable, or counts as one."""
+        return isinstance(node, cp.Variable) or id(node) in self.cuts
 
 
 def postorder(root: Any, stop: Container[int]) -> list[Any]:
@@ -201,13 +223,15 @@ def _evaluated(
     `sizes`, where it is given, gets the largest number of each value on the way.
     """
 
+    known = {**constants, **{key: point[~key] for key in tree.cuts}}
+
     def value(node: Any, values: list[Any]) -> Any:
         result = point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
         if sizes is not None:
             sizes.append(float(np.abs(result).max(initial=0.0)))
         return result
 
-    result = _fold(postorder(tree.root, constants), value, constants)
+    result = _fold(postorder(tree.root, known), value, known)
     return np.array(atoms.dense(result), dtype=np.float64).ravel(order="F")
 
 
@@ -234,7 +258,7 @@ def _check(tree: _Tree, constants: Values, blocks: dict[int, sp.csr_array], offs
 
 
 def _linear_part(tree: _Tree, constants: Values, kept: dict[Hashable, Any]) -> dict[int, sp.csr_array]:
-    known: Values = {key: {} for key in constants}
+    known: Values = {**{key: {} for key in constants}, **{key: {~key: 1.0} for key in tree.cuts}}
     for node in tree.nodes:
         if ("linear", id(node)) in kept:
             known[id(node)] = kept["linear", id(node)][1]

@@ -191,11 +191,11 @@ def _rows(block: Block, rows: IndexVector, size: int) -> Block:
 
 def _broadcast(blocks: Blocks, argument: Any, node: Any) -> Blocks:
     """Return the blocks of the argument broadcast to the shape of the node."""
-    rows = _broadcast_rows(argument.shape, node.shape)
+    rows = broadcast_rows(argument.shape, node.shape)
     return blocks if rows is None else {key: _rows(block, rows, argument.size) for key, block in blocks.items()}
 
 
-def _broadcast_rows(shape: tuple[int, ...], target: tuple[int, ...]) -> IndexVector | None:
+def broadcast_rows(shape: tuple[int, ...], target: tuple[int, ...]) -> IndexVector | None:
     """Return which entry of an array of that shape each entry of the broadcast array is; None for the same shape."""
     if shape == target:
         return None
@@ -209,7 +209,7 @@ def _summation(node: Any) -> sp.csr_array:
     axes = range(len(shape)) if node.axis is None else [axis % len(shape) for axis in np.atleast_1d(node.axis)]
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(shape))
     columns = np.arange(node.args[0].size)
-    rows = _broadcast_rows(kept, shape)
+    rows = broadcast_rows(kept, shape)
     entries = (columns if rows is None else rows, columns)
     return sp.csr_array(sp.coo_array((np.ones(columns.size), entries), shape=(node.size, columns.size)))
 

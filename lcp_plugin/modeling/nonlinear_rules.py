@@ -1,0 +1,119 @@
+"""What is known of each elementary function: value, derivative, and intervals of both.
+
+All work entry by entry. Outside its domain a function is NaN or infinite, never an exception.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.special import entr, expit
+
+from ..checks import FloatVector
+from . import nonlinear_intervals as iv
+
+#: By each argument.
+Derivatives = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A function of one or two vectors, entry by entry.
+
+    Attributes
+    ----------
+    name : str
+    arguments : int
+        1 or 2.
+    value, derivatives : callable
+        Of the arguments; `derivatives` returns one vector an argument.
+    interval, interval_derivatives : callable
+        The same of intervals: what they return contains all that the others take on.
+    """
+
+    name: str
+    arguments: int
+    value: Callable[..., FloatVector]
+    derivatives: Callable[..., Derivatives]
+    interval: Callable[..., iv.Interval]
+    interval_derivatives: Callable[..., tuple[iv.Interval, ...]]
+
+
+def _ones(u: iv.Interval) -> iv.Interval:
+    return np.ones_like(u[0]), np.ones_like(u[0])
+
+
+def _entropy(u: iv.Interval) -> iv.Interval:
+    return iv.negated(iv.multiplied(u, iv.logarithm(u)))
+
+
+def _entropy_slope(u: iv.Interval) -> iv.Interval:
+    return iv.negated(iv.added(iv.logarithm(u), _ones(u)))
+
+
+def _quotient_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.Interval]:
+    return iv.reciprocal(v), iv.negated(iv.divided(iv.divided(u, v), v))
+
+
+SAME = Rule("same", 1, lambda u: u, lambda u: (np.ones_like(u),), lambda u: u, lambda u: (_ones(u),))
+EXP = Rule("exp", 1, np.exp, lambda u: (np.exp(u),), iv.exponential, lambda u: (iv.exponential(u),))
+LOG = Rule("log", 1, np.log, lambda u: (1.0 / u,), iv.logarithm, lambda u: (iv.reciprocal(u),))
+LOG1P = Rule(
+    "log1p", 1, np.log1p, lambda u: (1.0 / (1.0 + u),),
+    iv.logarithm_of_one_more, lambda u: (iv.reciprocal(iv.added(_ones(u), u)),),
+)
+LOGISTIC = Rule(
+    "logistic", 1, lambda u: np.logaddexp(0.0, u), lambda u: (expit(u),), iv.softplus, lambda u: (iv.sigmoid(u),)
+)
+ENTROPY = Rule(
+    "entropy", 1, entr, lambda u: (-1.0 - np.log(u),), _entropy, lambda u: (_entropy_slope(u),)
+)
+PRODUCT = Rule(
+    "product", 2, lambda u, v: u * v, lambda u, v: (v, u), iv.multiplied, lambda u, v: (v, u)
+)
+QUOTIENT = Rule(
+    "quotient", 2, lambda u, v: u / v, lambda u, v: (1.0 / v, -(u / v) / v), iv.divided, _quotient_slopes
+)
+SQUARE = Rule(
+    "square", 1, lambda u: u * u, lambda u: (2.0 * u,), iv.squared, lambda u: (iv.scaled(u, 2.0),)
+)
+ROOT = Rule(
+    "root", 1, np.sqrt, lambda u: (0.5 / np.sqrt(u),),
+    iv.root, lambda u: (iv.scaled(iv.reciprocal(iv.root(u)), 0.5),),
+)
+
+
+@cache
+def power(exponent: float) -> Rule:
+    """Return the rule of u ↦ u**exponent; the exponent is not zero.
+
+    Examples
+    --------
+    >>> power(3.0).value(np.array([-2.0])), power(3.0).derivatives(np.array([-2.0]))
+    (array([-8.]), (array([12.]),))
+    """
+    special = {1.0: SAME, 2.0: SQUARE, 0.5: ROOT}
+    if exponent in special:
+        return special[exponent]
+    return Rule(
+        f"power {exponent!r}", 1,
+        lambda u: np.power(u, exponent),
+        lambda u: (exponent * np.power(u, exponent - 1.0),),
+        lambda u: iv.power(u, exponent),
+        lambda u: (_power_slope(u, exponent),),
+    )
+
+
+def _power_slope(u: iv.Interval, exponent: float) -> iv.Interval:
+    """Return exponent · u**(exponent − 1), also where exponent − 1 is no double: between those of its neighbours."""
+    rounded = exponent - 1.0
+    if Fraction(rounded) == Fraction(exponent) - 1:
+        return iv.scaled(iv.power(u, rounded), exponent)
+    ends = [iv.power(u, float(np.nextafter(rounded, end))) for end in (-np.inf, np.inf)]
+    hull = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
+    return iv.scaled(hull, exponent)

@@ -74,4 +74,4 @@ def solve_for(
     finally:
         for parameter, value in before.items():
             parameter.value = value
-    return ModelBatch(solve_batch([model.problem for model in models], **options), models)
+    return ModelBatch(solve_batch([model.lcp("solve_batch") for model in models], **options), models)

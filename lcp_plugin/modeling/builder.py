@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
@@ -17,6 +18,8 @@ from ._compat import attribute_bounds, attribute_expressions
 from .equations import Affine, Elimination, KnownRanges, eliminate_definitions, is_definition, matched_for_monotony
 from .extract import AffineMap, affine_map
 from .model import BoundSource, Model, Report, Sources
+from .nonlinear_expressions import nonlinear_nodes
+from .nonlinear_model import nonlinear_model
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side
@@ -27,14 +30,29 @@ PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of 
 
 
 @dataclass(frozen=True, eq=False)
-class _Function:
-    """Rows matrix · unknowns + offset; an equation of this constraint, of a pair where it is None."""
+class Function:
+    """Rows matrix · unknowns + offset, and what is not affine; an equation of this constraint, of a pair without one.
+
+    Attributes
+    ----------
+    expression : cvxpy expression
+    matrix : CSR array
+    offset : ndarray
+    constraint : cvxpy constraint or None
+    shape : tuple
+    nodes : sequence of cvxpy expression
+        Those that are not affine in their arguments, arguments first.
+    blocks : mapping
+        From the keys of such nodes to the matrices by which their results enter the rows.
+    """
 
     expression: Any
     matrix: sp.csr_array
     offset: FloatVector
     constraint: Any = None
     shape: tuple[int, ...] = ()
+    nodes: Sequence[Any] = ()
+    blocks: Mapping[int, sp.csr_array] = field(default_factory=dict)
 
     def over(self, count: int) -> sp.csr_array:
         """Return the matrix over all unknowns, those included that came later."""
@@ -62,8 +80,8 @@ class Builder:
         )
         self.is_paired, self.is_defined = np.zeros(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
         #: Of each pair: the unknowns, the function that belongs to them, and its sign.
-        self.pairs: list[tuple[NDArray[np.int64], _Function, FloatVector]] = []
-        self.equations: list[_Function] = []
+        self.pairs: list[tuple[NDArray[np.int64], Function, FloatVector]] = []
+        self.equations: list[Function] = []
         self.reports: list[Report] = []
         self.bounds: list[BoundSource] = []
         for variable in self.variables:
@@ -76,29 +94,33 @@ class Builder:
     def add_equation(self, constraint: Any) -> None:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
-        function = affine_map(constraint.expr, memo=self.memo)
-        matrix, shape = self._matrix(function), function.shape
-        self.equations.append(_Function(constraint.expr, matrix, function.offset, constraint, shape))
-        for variable, block in function.blocks.items():
-            if is_definition(block):
+        nodes, found = self._extracted(constraint.expr)
+        self.equations.append(self._function(constraint.expr, nodes, found, constraint))
+        for variable, block in found.blocks.items():
+            if variable in self.offsets and is_definition(block):
                 self.is_defined[self.offsets[variable] + block.indices] = True
 
-    def _function(self, side: Side) -> _Function:
-        function = affine_map(side.expression, memo=self.memo)
-        return _Function(side.expression, self._matrix(function), function.offset)
+    def _extracted(self, expression: Any) -> tuple[list[Any], AffineMap]:
+        """Return the nodes that are not affine in their arguments, and the map that is affine in their results."""
+        nodes = nonlinear_nodes(expression)
+        return nodes, affine_map(expression, memo=self.memo, unknowns=set(map(id, nodes)))
+
+    def _function(self, expression: Any, nodes: list[Any], found: AffineMap, constraint: Any = None) -> Function:
+        others = {key: block for key, block in found.blocks.items() if key not in self.offsets}
+        return Function(expression, self._matrix(found), found.offset, constraint, found.shape, nodes, others)
 
     def _matrix(self, function: AffineMap) -> sp.csr_array:
         """Return the rows of an affine map over the unknowns that variables are."""
         size = function.offset.size
-        if len(self.variables) == len(function.blocks) == 1:
-            return next(iter(function.blocks.values()))  # without a copy
+        if len(self.variables) == len(function.blocks) == 1 and self.variables[0].id in function.blocks:
+            return function.blocks[self.variables[0].id]  # without a copy
         parts = [function.blocks.get(v.id, sp.csr_array((size, v.size))) for v in self.variables]
         return sp.csr_array(sp.hstack(parts, format="csr")) if parts else sp.csr_array((size, 0))
 
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
-        functions = [self._function(side) for side in sides]
+        functions = [self._function(side.expression, *self._extracted(side.expression)) for side in sides]
         singles = [_single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
@@ -132,7 +154,7 @@ class Builder:
         return 3 if (weights == 1.0).all() and not is_bounded else 4
 
     def _pair_variable(
-        self, pair: Complements, side: Side, own: _Function, other: Side, function: _Function,
+        self, pair: Complements, side: Side, own: Function, other: Side, function: Function,
         columns: NDArray[np.int64], weights: FloatVector,
     ) -> None:
         positive = weights > 0.0
@@ -158,7 +180,7 @@ class Builder:
         self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset, side.expression))
 
     def _keep_pair(
-        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: _Function,
+        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: Function,
         sign: FloatVector, value: tuple[Any, Any, Any] = (1.0, 0.0, None),
     ) -> None:
         """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
@@ -193,13 +215,13 @@ class Builder:
             raise UnsupportedModel(f"{side} has a lower bound above its upper bound")
         self.lower[columns], self.upper[columns] = low, high
 
-    def _pair_slack(self, pair: Complements, first: _Function, second: _Function) -> None:
+    def _pair_slack(self, pair: Complements, first: Function, second: Function) -> None:
         """S ≥ 0 ⟂ F ≥ 0 without a variable side: a new unknown s = S, s ≥ 0 ⟂ F ≥ 0."""
         size = first.offset.size
         columns = np.arange(self.count, self.count + size)
         minus = sp.csr_array((np.full(size, -1.0), (np.arange(size), columns)), shape=(size, self.count + size))
         matrix = sp.csr_array(first.over(self.count + size) + minus)
-        self.equations.append(_Function(first.expression, matrix, first.offset))
+        self.equations.append(replace(first, matrix=matrix))
         self.count += size
         self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
@@ -208,12 +230,14 @@ class Builder:
     def finished(self) -> Model:
         """Put definitions in, match the equations left with the unknowns left, and put everything in its place."""
         functions = [*(function for _, function, _ in self.pairs), *self.equations]
-        pairs = self._affine(functions[: len(self.pairs)])
-        equations = self._affine(self.equations)
+        if any(function.nodes for function in functions):
+            return nonlinear_model(self)
+        pairs = self.affine(functions[: len(self.pairs)])
+        equations = self.affine(self.equations)
         before = (pairs.matrix, equations.matrix)
         free = np.flatnonzero(~self.is_paired)
-        self._check_square(free, equations.offset.size)
-        self._drop_implied_bounds(free, equations)
+        self.check_square(free, equations.offset.size)
+        self.drop_implied_bounds(free, equations)
         elimination, left, pairs = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
         kept = elimination.kept
         place = np.zeros(self.count, dtype=np.int64)
@@ -228,7 +252,7 @@ class Builder:
             matrix = sp.csr_array(sp.vstack([pairs.matrix, left.matrix], format="csr"))
             pairs = Affine(matrix, np.append(pairs.offset, left.offset), order)
             columns, sign = np.concatenate([columns, free]), np.concatenate([sign, turned])
-        self._report_equations(elimination, kept[free])
+        self.report_equations(elimination, kept[free])
         M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
         if (sign != 1.0).any():
             M, q = sp.csr_array(sp.diags_array(sign) @ M), sign * q
@@ -246,14 +270,14 @@ class Builder:
         sizes.append(self.count - sum(sizes))
         return np.repeat(np.arange(len(sizes)), sizes).astype(np.int64)
 
-    def _affine(self, functions: list[_Function]) -> Affine:
+    def affine(self, functions: list[Function]) -> Affine:
         """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
         blocks = [function.over(self.count) for function in functions] or [sp.csr_array((0, self.count))]
         matrix = blocks[0] if len(blocks) == 1 else sp.csr_array(sp.vstack(blocks, format="csr"))
         offset = np.concatenate([*(function.offset for function in functions), np.zeros(0)])
         return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.offset.size for one in functions]))
 
-    def _report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
+    def report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
         """Report for each equation the unknown that it defined or was matched with."""
         ends = np.cumsum([function.offset.size for function in self.equations]).tolist()
         columns = np.full(ends[-1] if ends else 0, -1, dtype=np.int64)
@@ -264,7 +288,7 @@ class Builder:
                 part = columns[end - function.offset.size : end]
                 self.reports.append(Report(function.constraint, part, function.shape, False))
 
-    def _drop_implied_bounds(self, free: NDArray[np.int64], equations: Affine) -> None:
+    def drop_implied_bounds(self, free: NDArray[np.int64], equations: Affine) -> None:
         """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
         bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
         if not bounded.size:
@@ -297,7 +321,7 @@ class Builder:
         place = np.unravel_index(column - self.offsets[variable.id], variable.shape, order="F")
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
-    def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
+    def check_square(self, free: NDArray[np.int64], equations: int) -> None:
         if free.size == equations:
             return
         names = [
@@ -311,8 +335,10 @@ class Builder:
         )
 
 
-def _single_columns(function: _Function) -> Single | None:
+def _single_columns(function: Function) -> Single | None:
     """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
+    if function.nodes:
+        return None
     matrix = function.matrix
     is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
     return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
@@ -335,7 +361,10 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
     (columns, function, sign), = builder.pairs
     z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
-    w = sign * (function.matrix @ z + function.offset)
+    if function.nodes:
+        w = sign * np.ravel(function.expression.value, order="F")
+    else:
+        w = sign * (function.matrix @ z + function.offset)
     x, low, high = z[columns], builder.lower[columns], builder.upper[columns]
     residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
     return residual

@@ -1,4 +1,4 @@
-"""The LCP that a model became, the way back to its variables and constraints, and where its data come from."""
+"""The problem that a model became, the way back to its variables and constraints, and where its data come from."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
+from ..problem.nonlinear import NonlinearProblem
 from .equations import Elimination
 
 
@@ -34,14 +36,31 @@ class Report:
 
 @dataclass(eq=False)
 class Model:
-    """An LCP together with the way back to the cvxpy variables and constraints."""
+    """A complementarity problem together with the way back to the cvxpy variables and constraints.
 
-    problem: LCP
+    `problem` is an LCP where everything is affine, else a NonlinearProblem, which has no `sources`.
+    """
+
+    problem: LCP | NonlinearProblem
     variables: list[Any]
     offsets: dict[int, int]
     reports: list[Report] = field(repr=False)
     elimination: Elimination = field(repr=False)
     sources: Sources = field(repr=False)
+
+    def lcp(self, purpose: str) -> LCP:
+        """Return the LCP; raise where there is none.
+
+        Raises
+        ------
+        UnsupportedModel
+            Saying that the purpose needs affine sides.
+        """
+        if isinstance(self.problem, LCP):
+            return self.problem
+        raise UnsupportedModel(
+            f"{purpose} needs affine sides, and this model has nonlinear ones; problem.solve(method=\"LCP\") solves it"
+        )
 
     def values(self, z: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id, in its own shape."""

@@ -7,7 +7,7 @@ matrices, becomes elementary functions of single numbers and a sum of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import cvxpy as cp
@@ -22,6 +22,7 @@ from .nonlinear_atoms import Rows, compiled, exponent_of, refuse_unknown
 from .nonlinear_program import Combination, Indices, Level, Program
 from .nonlinear_rules import Rule
 
+EVERYTHING = -1  # the key of all unknowns together; those of variables are ≥ 0, those of nodes < −1
 ALWAYS_AFFINE = (*atoms.SUM, *atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM)
 
 
@@ -72,14 +73,15 @@ class Compiler:
     """
 
     def __init__(self, first: dict[int, int], count: int, memo: dict[Any, Any]) -> None:
-        self._first, self._level_of = dict(first), dict.fromkeys(first, 0)
+        self._first: dict[int, int] = {EVERYTHING: 0, **first}
+        self._level_of = dict.fromkeys(self._first, 0)
         self._unknowns = self._count = count
         self._memo = memo
         #: Of each group of functions: level, rule, arguments and the number of the first result.
         self._groups: list[tuple[int, Rule, tuple[Rows, ...], int]] = []
         self._nodes: dict[int, Any] = {}  # by their ids, which stay theirs while they are kept
 
-    def add(self, nodes: list[Any]) -> None:
+    def add(self, nodes: Sequence[Any]) -> None:
         """Compile nonlinear nodes, arguments first; those that are known already are not compiled again."""
         for node in nodes:
             if key_of(node) in self._first:
@@ -106,6 +108,12 @@ class Compiler:
         )
         return Rows(sp.csr_array(sp.coo_array((data, (rows, columns)), shape=shape)), offset, level)
 
+    def of_function(
+        self, matrix: sp.csr_array, blocks: Mapping[int, sp.csr_array], offset: FloatVector
+    ) -> Rows:
+        """Return the rows matrix · unknowns + Σ block · results of a node + offset."""
+        return self.rows([(EVERYTHING, matrix), *blocks.items()], offset)
+
     def argument(self, expression: Any) -> Rows:
         """Return the rows of an argument whose nonlinear nodes are compiled."""
         found = affine_map(expression, memo=self._memo, unknowns=self._nodes)
@@ -127,8 +135,8 @@ class Compiler:
             matrix, offset = matrix + factor * rows.over(self._count), offset + factor * rows.offset
         return Rows(sp.csr_array(matrix), offset, max(rows.level for _, rows in terms))
 
-    def program(self, result: Rows) -> Program:
-        """Return the program whose results are these rows."""
+    def program(self, results: list[Rows]) -> Program:
+        """Return the program whose results are these rows, one below the other."""
         groups = sorted(self._groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name))
         renumbered = np.arange(self._count)
         number = self._unknowns
@@ -140,7 +148,7 @@ class Compiler:
             own = [group for group in groups if group[0] == level]
             levels.append(_level(own, renumbered, start))
             start += levels[-1].size
-        return Program(self._unknowns, levels, _combination([result], renumbered, self._count))
+        return Program(self._unknowns, levels, _combination(results, renumbered, self._count))
 
 
 def _level(groups: list[Any], renumbered: Indices, count: int) -> Level:

@@ -123,6 +123,16 @@ class Program:
     def __init__(self, n: int, levels: Sequence[Level], result: Combination) -> None:
         self.n, self._levels, self._result = n, list(levels), result
 
+    @property
+    def size(self) -> int:
+        """The number of results."""
+        return int(self._result.offset.size)
+
+    def rearranged(self, places: Indices, signs: FloatVector) -> Program:
+        """Return the program whose result k is signs[k] times the result places[k] of this one."""
+        matrix = sp.csr_array(sp.diags_array(signs) @ self._result.matrix[places])
+        return Program(self.n, self._levels, Combination(matrix, signs * self._result.offset[places]))
+
     def value(self, x: FloatVector) -> FloatVector:
         """Return F(x), shape (m,)."""
         with np.errstate(all="ignore"):

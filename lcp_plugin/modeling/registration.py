@@ -17,10 +17,12 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..errors import ModelWarning, UnsupportedModel
+from ..errors import InvalidOption, ModelWarning, UnsupportedModel
 from ..problem.lcp import LCP
+from ..problem.nonlinear import NonlinearProblem
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
+from ..solving.nonlinear import solve_nonlinear
 from ..solving.result import Result
 from ._compat import answer_derivatives, clear_answering, refuse_without_derivatives, set_answering
 from .batch import ModelBatch, solve_for
@@ -28,6 +30,7 @@ from .builder import Builder
 from .constraint import Complements, box, complements
 from .gradients import Differentiable, differentiable_parameters, values_of_parameters
 from .model import Model
+from .nonlinear_model import contradiction, start_of
 from .model_derivative import ModelDerivative
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics
@@ -263,9 +266,14 @@ def solve_model(
     known = values_of_parameters(parameters)
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
-    if start is not None and np.isfinite(start).all():
-        options["z0"] = start
-    result = solve_lcp(model.problem, algorithm, **options)
+    if isinstance(model.problem, NonlinearProblem):
+        if requires_grad:
+            model.lcp("requires_grad=True")
+        result = _nonlinear(model.problem, start, {"algorithm": algorithm, **options})
+    else:
+        if start is not None and np.isfinite(start).all():
+            options["z0"] = start
+        result = solve_lcp(model.problem, algorithm, **options)
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
@@ -275,6 +283,17 @@ def solve_model(
         answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
     set_answering(problem, answering)
     return problem.value
+
+
+def _nonlinear(problem: NonlinearProblem, start: Any, options: dict[str, Any]) -> Result:
+    """Solve a model whose sides are not all affine."""
+    known = list(inspect.signature(solve_nonlinear).parameters)[2:]
+    for name in options:
+        if name not in (*known, "z0"):
+            raise InvalidOption(f"a nonlinear model has no option {name!r}; it has z0, {', '.join(known)}")
+    start = options.pop("z0", None) if "z0" in options else start_of(problem, start)
+    # The derivative is ours; what cvxpy itself evaluates is compared at the end.
+    return solve_nonlinear(problem, start, **{"check_jacobian": False, **options})
 
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
@@ -321,6 +340,11 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
         if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
             constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
+    if isinstance(model.problem, NonlinearProblem) and status != settings.INFEASIBLE:
+        what = contradiction(model, result.z, result.w)
+        if what is not None:
+            problem._clear_solution()
+            raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
     if status in settings.INACCURATE:
         warnings.warn(
             f"the solution may be inaccurate ({result.status.name}): {result.advice}", UserWarning, stacklevel=4

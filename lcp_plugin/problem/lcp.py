@@ -324,8 +324,9 @@ class LCP:
         from ..modeling.registration import build_from
 
         model = build_from(problem)
-        model.problem.origin = model
-        return model.problem
+        stated = model.lcp("LCP.from_cvxpy")
+        stated.origin = model
+        return stated
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""

@@ -276,7 +276,7 @@ def with_other_bounds(y: Any) -> Any:
 
 REFUSED: dict[str, tuple[Any, str]] = {
     "shapes": (lambda x: [complements(x >= 0, cp.sum(x) >= 0)], "same shape"),
-    "not affine": (lambda x: [complements(x >= 0, cp.square(x) >= 0)], "affine"),
+    "not smooth": (lambda x: [complements(x >= 0, cp.abs(x) >= 0)], "not smooth"),
     "lonely inequality": (lambda x: [pair_of(x), x <= 3], "stands alone"),
     "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "no other pair"),
     "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),

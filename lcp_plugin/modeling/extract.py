@@ -83,7 +83,7 @@ def affine_map(
     shapes = {key_of(node): node.shape for node in tree.nodes if tree.is_unknown(node)}
     for node in tree.nodes:
         if isinstance(node, cp.Variable):
-            _check_attributes(node)
+            check_attributes(node)
     with np.errstate(all="ignore"):  # what is not finite is refused by name
         constants = _constants(tree, kept)
         blocks = _linear_part(tree, constants, kept)
@@ -278,7 +278,14 @@ def _linear_part(tree: _Tree, constants: Values, kept: dict[Hashable, Any]) -> d
     return {key: as_matrix(block, tree.root.size) for key, block in blocks.items()}
 
 
-def _check_attributes(variable: cp.Variable) -> None:
+def check_attributes(variable: cp.Variable) -> None:
+    """Raise where the entries of a variable are not free.
+
+    Raises
+    ------
+    UnsupportedModel
+        Naming the attribute that ties or restricts them.
+    """
     for attribute in FORBIDDEN_ATTRIBUTES:
         state = variable.attributes.get(attribute)
         if not (state is None or state is False):

@@ -92,11 +92,6 @@ def refuse_unknown(node: Any) -> None:
     )
 
 
-def exponent_of(node: Any) -> float:
-    """Return the exponent of a power."""
-    return float(np.ravel(constant_value(node.p))[0])
-
-
 def _builder_of(node: Any) -> Callable[[Compiler, Any], Rows] | None:
     return next((BUILDERS[kind] for kind in type(node).__mro__ if kind in BUILDERS), None)
 
@@ -106,7 +101,7 @@ def _elementary(rule: Rule) -> Callable[[Compiler, Any], Rows]:
 
 
 def _power(compiler: Compiler, node: Any) -> Rows:
-    exponent, rows = exponent_of(node), compiler.argument(node.args[0])
+    exponent, rows = float(np.ravel(constant_value(node.p))[0]), compiler.argument(node.args[0])
     if exponent == 0.0:  # a parameter may be
         return Rows(sp.csr_array(rows.matrix.shape), np.ones(rows.size), rows.level)
     return compiler.emit(rules.power(exponent), rows)

@@ -8,6 +8,7 @@ matrices, becomes elementary functions of single numbers and a sum of them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import cvxpy as cp
@@ -17,13 +18,12 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from . import _compat as atoms
 from . import nonlinear_rules as rules
-from .extract import affine_map, key_of, postorder
-from .nonlinear_atoms import Rows, compiled, exponent_of, refuse_unknown
+from .extract import affine_map, check_attributes, key_of, postorder
+from .nonlinear_atoms import Rows, compiled, refuse_unknown
 from .nonlinear_program import Combination, Indices, Level, Program
 from .nonlinear_rules import Rule
 
 EVERYTHING = -1  # the key of all unknowns together; those of variables are ≥ 0, those of nodes < −1
-ALWAYS_AFFINE = (*atoms.SUM, *atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM)
 
 
 def nonlinear_nodes(expression: Any) -> list[Any]:
@@ -37,25 +37,32 @@ def nonlinear_nodes(expression: Any) -> list[Any]:
     varying: set[int] = set()
     found = []
     for node in postorder(expression, ()):
+        kind = _kind(type(node))
         varies = [id(argument) in varying for argument in node.args]
-        if not any(varies) and not isinstance(node, cp.Variable):
+        if not any(varies) and kind != "variable":
             continue
         varying.add(id(node))
-        if any(varies) and _is_nonlinear(node, varies):
+        if kind not in ("variable", "affine") and _is_nonlinear(node, kind, varies):
             refuse_unknown(node)
             found.append(node)
     return found
 
 
-def _is_nonlinear(node: Any, varies: list[bool]) -> bool:
-    if isinstance(node, ALWAYS_AFFINE):
-        return False
-    if isinstance(node, atoms.DIVISION):
+@cache
+def _kind(kind: type) -> str:
+    """Return what decides whether atoms of a class are affine; asked once a class, because that takes a while."""
+    kinds = {
+        "variable": (cp.Variable,), "affine": (*atoms.SUM, *atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM),
+        "quotient": atoms.DIVISION, "product": atoms.PRODUCT,
+    }
+    return next((name for name, classes in kinds.items() if issubclass(kind, classes)), "other")
+
+
+def _is_nonlinear(node: Any, kind: str, varies: list[bool]) -> bool:
+    if kind == "quotient":
         return varies[1]
-    if isinstance(node, atoms.PRODUCT):
+    if kind == "product":
         return all(varies)
-    if isinstance(node, atoms.POWER):
-        return exponent_of(node) != 1.0
     return not node.is_atom_affine()
 
 
@@ -116,16 +123,36 @@ class Compiler:
 
     def argument(self, expression: Any) -> Rows:
         """Return the rows of an argument whose nonlinear nodes are compiled."""
+        selected = self._selected(expression)
+        if selected is not None:
+            return selected
         found = affine_map(expression, memo=self._memo, unknowns=self._nodes)
         return self.rows(found.blocks.items(), found.offset)
+
+    def _selected(self, expression: Any) -> Rows | None:
+        """Return the rows of a variable, of a compiled node, or of entries of one: a tenth of the time of a map."""
+        is_selection = isinstance(expression, atoms.SELECTION)
+        node = expression.args[0] if is_selection else expression
+        first = self._first.get(key_of(node))
+        if first is None:
+            return None
+        if isinstance(node, cp.Variable):
+            check_attributes(node)
+        numbers = np.arange(first, first + node.size)
+        if is_selection:
+            numbers = np.ravel(expression.numeric([numbers.reshape(node.shape, order="F")]), order="F")
+        return self._quantities(numbers, self._level_of[key_of(node)])
+
+    def _quantities(self, numbers: Indices, level: int, are_last: bool = False) -> Rows:
+        entries = (np.ones(numbers.size), numbers, np.arange(numbers.size + 1))
+        return Rows(sp.csr_array(entries, shape=(numbers.size, self._count)), np.zeros(numbers.size), level, are_last)
 
     def emit(self, rule: Rule, *arguments: Rows) -> Rows:
         """Add a function of the arguments, row by row, and return its results."""
         size, level = arguments[0].size, 1 + max(rows.level for rows in arguments)
         first, self._count = self._count, self._count + size
         self._groups.append((level, rule, arguments, first))
-        entries = (np.ones(size), np.arange(first, first + size), np.arange(size + 1))
-        return Rows(sp.csr_array(entries, shape=(size, self._count)), np.zeros(size), level, are_last=True)
+        return self._quantities(np.arange(first, first + size), level, are_last=True)
 
     def total(self, *terms: tuple[float, Rows]) -> Rows:
         """Return a linear combination of rows."""

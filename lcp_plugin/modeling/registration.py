@@ -210,6 +210,14 @@ def build_from(problem: Any) -> Model:
     return build(problem.constraints, _memos.setdefault(problem, {}))
 
 
+def lcp_stated_by(problem: Any) -> LCP:
+    """Return the LCP of a cvxpy problem, with the model as its origin."""
+    model = build_from(problem)
+    stated = model.lcp("LCP.from_cvxpy")
+    stated.origin = model
+    return stated
+
+
 def stated_in_cvxpy(problem: LCP) -> Any:
     """Return the ComplementarityProblem in one variable z that states an LCP."""
     if problem.n == 0:  # older versions of cvxpy have no empty variables

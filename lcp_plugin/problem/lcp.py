@@ -321,12 +321,9 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        from ..modeling.registration import build_from
+        from ..modeling.registration import lcp_stated_by
 
-        model = build_from(problem)
-        stated = model.lcp("LCP.from_cvxpy")
-        stated.origin = model
-        return stated
+        return lcp_stated_by(problem)
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""

@@ -322,6 +322,7 @@ class Builder:
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
     def check_square(self, free: NDArray[np.int64], equations: int) -> None:
+        """Raise where there are not as many equations as unknowns without a pair."""
         if free.size == equations:
             return
         names = [

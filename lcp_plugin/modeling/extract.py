@@ -222,7 +222,6 @@ def _evaluated(
 
     `sizes`, where it is given, gets the largest number of each value on the way.
     """
-
     known = {**constants, **{key: point[~key] for key in tree.cuts}}
 
     def value(node: Any, values: list[Any]) -> Any:

@@ -38,7 +38,7 @@ class Report:
 class Model:
     """A complementarity problem together with the way back to the cvxpy variables and constraints.
 
-    `problem` is an LCP where everything is affine, else a NonlinearProblem, which has no `sources`.
+    `problem` is an LCP where everything is affine, else a NonlinearProblem.
     """
 
     problem: LCP | NonlinearProblem
@@ -117,7 +117,8 @@ class Sources:
     functions : list of cvxpy expression
         Those of the pairs, then those of the equations.
     matrices : csr_array, csr_array
-        The entries of the pairs and of the equations, over all unknowns.
+        The entries of the pairs and of the equations, over all unknowns; empty in a nonlinear model, which nothing is
+        eliminated from.
     places : ndarray of int, shape (n,)
         Which row is each row of the LCP, up to `signs`: of the pairs, then of the equations that define nothing.
     signs : ndarray, shape (n,)

@@ -83,8 +83,8 @@ def refuse_unknown(node: Any) -> None:
         return
     if isinstance(node, atoms.NONSMOOTH):
         raise UnsupportedModel(
-            f"{name_of(node)} is not smooth, so that no derivative tells how it goes on; give its kink a variable and a "
-            "complementarity of its own: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
+            f"{name_of(node)} is not smooth, so that no derivative tells how it goes on; give its kink a variable "
+            "and a complementarity of its own: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
         )
     raise UnsupportedModel(
         f"{name_of(node)} is not affine, and of the atom {type(node).__name__} no derivative is known here; write it "
@@ -208,7 +208,7 @@ def _quad_form(compiler: Compiler, node: Any) -> Rows:
 
 
 def _relative_entropy(compiler: Compiler, node: Any) -> Rows:
-    """x log(x/y) = −entr(x) − x log y."""
+    """Write x log(x/y) as −entr(x) − x log y."""
     x, y = _broadcast(compiler, node)
     crossed = compiler.emit(rules.PRODUCT, x, compiler.emit(rules.LOG, y))
     return compiler.total((-1.0, compiler.emit(rules.ENTROPY, x)), (-1.0, crossed))

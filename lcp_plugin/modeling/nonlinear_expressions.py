@@ -37,7 +37,7 @@ def nonlinear_nodes(expression: Any) -> list[Any]:
     varying: set[int] = set()
     found = []
     for node in postorder(expression, ()):
-        kind = _kind(type(node))
+        kind = _kind(node.__class__)
         varies = [id(argument) in varying for argument in node.args]
         if not any(varies) and kind != "variable":
             continue
@@ -49,7 +49,7 @@ def nonlinear_nodes(expression: Any) -> list[Any]:
 
 
 @cache
-def _kind(kind: type) -> str:
+def _kind(kind: Any) -> str:
     """Return what decides whether atoms of a class are affine; asked once a class, because that takes a while."""
     kinds = {
         "variable": (cp.Variable,), "affine": (*atoms.SUM, *atoms.NEGATIVE, *atoms.GATHERS, *atoms.ENTRY_SUM),

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
+from ..errors import InvalidProblem
 from ..problem.nonlinear import NonlinearProblem
 from ._compat import dense, name_of
 from .equations import Elimination, matched_for_monotony
@@ -52,9 +53,9 @@ def nonlinear_model(builder: Builder) -> Model:
     problem = NonlinearProblem(
         program.value, program.jacobian, lower=builder.lower, upper=builder.upper, enclosure=program
     )
-    stored = sp.csr_array((0, builder.count))
+    stored = sp.csr_array((pairs, builder.count)), sp.csr_array((program.size - pairs, builder.count))
     expressions = [function.expression for function in functions]
-    sources = Sources(expressions, (stored, stored), places, signs[places], builder.bounds)
+    sources = Sources(expressions, stored, places, signs[places], builder.bounds)
     return Model(problem, builder.variables, builder.offsets, builder.reports, elimination, sources)
 
 
@@ -63,8 +64,9 @@ def _program(builder: Builder, functions: list[Function]) -> Program:
     compiler = Compiler(builder.offsets, builder.count, builder.memo)
     for function in functions:
         compiler.add(function.nodes)
-    rows = [compiler.of_function(function.over(builder.count), function.blocks, function.offset) for function in functions]
-    return compiler.program(rows)
+    return compiler.program([
+        compiler.of_function(function.over(builder.count), function.blocks, function.offset) for function in functions
+    ])
 
 
 def _matched(
@@ -88,11 +90,19 @@ def start_of(problem: NonlinearProblem, values: FloatVector | None) -> FloatVect
         The present values of the variables, where all have one.
     """
     given = [] if values is None or not np.isfinite(values).all() else [values]
-    points = [np.clip(point, problem.lower, problem.upper) for point in (*given, 0.0, 1.0)]
-    for point in points:
-        if np.isfinite(problem.F(point)).all() and np.isfinite(problem.jacobian(point).data).all():
-            return point
-    return points[0]
+    zero, one = np.zeros_like(problem.lower), np.ones_like(problem.lower)
+    points: list[FloatVector] = [np.clip(point, problem.lower, problem.upper) for point in (*given, zero, one)]
+    return next((point for point in points if _is_smooth_at(problem, point)), points[0])
+
+
+def _is_smooth_at(problem: NonlinearProblem, point: FloatVector) -> bool:
+    if not np.isfinite(problem.value(point)).all():
+        return False
+    try:
+        problem.derivative(point)
+    except InvalidProblem:  # it is not finite
+        return False
+    return True
 
 
 def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
@@ -104,9 +114,12 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
         Nonlinear, its variables having the values of z.
     z, w : array, shape (n,)
     """
+    assert isinstance(model.problem, NonlinearProblem)
     values = [np.ravel(dense(expression.value), order="F") for expression in model.sources.functions]
     theirs = model.sources.signs * np.concatenate(values)[model.sources.places]
-    lower, upper = model.problem.enclosure.interval_F(z, z)
+    enclosure = model.problem.enclosure
+    assert enclosure is not None
+    lower, upper = enclosure.interval_F(z, z)
     allowed = DISAGREEMENT * (1.0 + np.abs(w)) + ROUNDINGS * (upper - lower)
     wrong = np.flatnonzero(np.isfinite(w) & ~(np.abs(theirs - w) <= allowed))
     if not wrong.size:

@@ -39,6 +39,7 @@ class Combination:
     offset: FloatVector
 
     def __call__(self, quantities: FloatVector) -> FloatVector:
+        """Return the combinations of these quantities, of which there may be more."""
         values: FloatVector = self.matrix @ quantities[: self.matrix.shape[1]] + self.offset
         return values
 
@@ -275,8 +276,8 @@ def _terms(known: _Places, matrix: sp.csr_array, n: int) -> tuple[Indices, Indic
     counts = np.diff(known.indptr)[matrix.indices]
     total = int(counts.sum())
     rows = np.repeat(np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)), counts)
-    first = np.repeat(known.indptr[matrix.indices] - np.concatenate([[0], np.cumsum(counts)[:-1]])[: counts.size], counts)
-    sources = first + np.arange(total)
+    before = np.cumsum(counts) - counts
+    sources = np.repeat(known.indptr[matrix.indices] - before, counts) + np.arange(total)
     return rows * n + known.indices[sources], sources, np.repeat(matrix.data, counts)
 
 

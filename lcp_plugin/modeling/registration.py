@@ -30,8 +30,8 @@ from .builder import Builder
 from .constraint import Complements, box, complements
 from .gradients import Differentiable, differentiable_parameters, values_of_parameters
 from .model import Model
-from .nonlinear_model import contradiction, start_of
 from .model_derivative import ModelDerivative
+from .nonlinear_model import contradiction, start_of
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
@@ -275,8 +275,6 @@ def solve_model(
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if isinstance(model.problem, NonlinearProblem):
-        if requires_grad:
-            model.lcp("requires_grad=True")
         result = _nonlinear(model.problem, start, {"algorithm": algorithm, **options})
     else:
         if start is not None and np.isfinite(start).all():

@@ -197,17 +197,18 @@ def test_intervals_hold_values_and_difference_quotients(name: str, seed: int, wi
 
 @pytest.mark.parametrize("name", ["exp", "log", "log1p", "power", "root", "softplus"])
 def test_elementary_intervals_hold_the_true_values(name: str) -> None:
-    """At 2000 doubles of all sizes the true value, to 40 digits, lies in the interval, which is a few ulps wide."""
+    """At 2000 doubles of all sizes the true value, to 50 digits, lies in the interval, which is a few ulps wide."""
     generator = np.random.default_rng(3)
     u = np.exp(generator.uniform(-30, 6, size=2000))
     if name in ("exp", "softplus"):
         u *= generator.choice([-1.0, 1.0], size=2000)
+        u = np.maximum(u, -60.0)  # 1 + exp(u) takes digits from then on
     of_doubles = {
         "exp": iv.exponential, "log": iv.logarithm, "log1p": iv.logarithm_of_one_more, "root": iv.root,
         "softplus": iv.softplus, "power": lambda a: iv.power(a, 0.37),
     }
     with localcontext() as context:
-        context.prec = 40
+        context.prec = 80
         exponent = Decimal.from_float(0.37)
         of_decimals: dict[str, Callable[[Decimal], Decimal]] = {
             "exp": Decimal.exp, "log": Decimal.ln, "log1p": lambda d: (1 + d).ln(), "root": Decimal.sqrt,

@@ -4,7 +4,7 @@
 ``ComplementarityProblem([...])``, which needs neither objective nor method:
 
 - ``complements(x >= 0, F >= 0)``: in either order; both sides have one shape, nothing is broadcast.
-- ``complements(F >= 0, G >= 0)`` with two affine expressions.
+- ``complements(F >= 0, G >= 0)`` with two expressions.
 - ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0.
 - ``complements(x, F)``: the bounds are those of the variable, as in ``cp.Variable(2, nonneg=True)``; where it has none,
   F == 0 is what that means, and a ``ModelWarning`` says so.
@@ -26,6 +26,28 @@ carry the duals that a quadratic program would give them. A model that is proved
 >>> _ = ComplementarityProblem([pair, y == cp.sum(x) / 2]).solve()
 >>> x.value.round(6), pair.dual_value.round(6), pair.violation() < 1e-8
 (array([1., 1.]), array([-2.,  0.]), True)
+
+**Smooth nonlinear expressions** may stand wherever an affine one may, but for the side that is a variable: products and
+quotients of variables, real powers, ``exp log log1p logistic entr xexp rel_entr kl_div``, ``geo_mean prod sum_squares
+quad_form quad_over_lin log_sum_exp``, and whatever is affine around and inside them. Convexity plays no role. Then the
+model is solved by :func:`lcp_plugin.solve_nonlinear`, whose options hold, and ``error_bound=True`` proves a solution
+nearby where it can.
+
+- The run begins at the values of the variables, so set ``x.value``. Where F or its derivative is not finite there, or a
+  variable has no value, it begins at the point of the bounds nearest to 0, or else to 1.
+- What leaves a domain, as ``log`` below zero, shortens a step. State the bound that keeps a solution inside.
+- ``abs``, ``maximum``, norms and integers are refused. ``abs(x)`` is x + 2 s with ``complements(s >= 0, x + s >= 0)``.
+- An expression that enters all rows, as ``cp.power(cp.sum(x), -1.1)``, makes the Jacobian dense. Give it a variable and
+  an equation: ``total == cp.sum(x)``.
+- Write with vectors: thousands of scalar expressions take seconds to read, a vector of them milliseconds.
+
+>>> x = cp.Variable(2, nonneg=True)
+>>> x.value = np.ones(2)
+>>> pair = complements(x, cp.exp(x) + cp.multiply(x, x[::-1]) - [3, 0.5])
+>>> problem = cp.Problem(cp.Minimize(0), [pair])
+>>> _ = problem.solve(method="LCP", tolerance=1e-12)
+>>> x.value.round(6), pair.dual_value.round(6)
+(array([1.098612, 0.      ]), array([0. , 0.5]))
 
 **Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
 included; then ``method="LCP"`` is known too.

@@ -474,7 +474,7 @@ def test_start_is_the_value_of_the_variables() -> None:
 
 
 def test_solutions_have_derivatives_by_parameters() -> None:
-    """backward and derivative agree with differences of solutions; a parameter stands in every kind of atom."""
+    """Backward and derivative agree with differences of solutions; a parameter stands in every kind of atom."""
     x, y, p, r = cp.Variable(2, nonneg=True), cp.Variable(), cp.Parameter(2), cp.Parameter()
     x.value, y.value = np.ones(2), 1.0
     pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / r - 3 * y)

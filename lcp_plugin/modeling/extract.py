@@ -80,10 +80,9 @@ def affine_map(
     root = Expression.cast_to_const(expression)
     kept: dict[Hashable, Any] = {} if memo is None else memo
     tree = _Tree(postorder(root, unknowns), unknowns)
-    shapes = {key_of(node): node.shape for node in tree.nodes if tree.is_unknown(node)}
-    for node in tree.nodes:
-        if isinstance(node, cp.Variable):
-            check_attributes(node)
+    shapes = {key_of(node): node.shape for node in (*tree.variables, *tree.cuts)}
+    for variable in tree.variables:
+        check_attributes(variable)
     with np.errstate(all="ignore"):  # what is not finite is refused by name
         constants = _constants(tree, kept)
         blocks = _linear_part(tree, constants, kept)
@@ -112,15 +111,17 @@ class _Tree:
     def __init__(self, nodes: list[Any], unknowns: Container[int]) -> None:
         self.nodes = nodes
         self.root = nodes[-1]
-        #: Those that count as variables.
-        self.cuts = {id(node) for node in nodes if id(node) in unknowns}
+        self.variables = [node for node in nodes if isinstance(node, cp.Variable)]
+        #: Other nodes that count as variables.
+        self.cuts = [node for node in nodes if id(node) in unknowns]
+        free = {id(node) for node in (*self.variables, *self.cuts)}
         self.variable: set[int] = set()
         self.parametric: set[int] = set()
         #: Whose linear part depends on parameters.
         self.varying: set[int] = set()
         for node in nodes:
-            below = [] if id(node) in self.cuts else [id(argument) for argument in node.args]
-            if self.is_unknown(node) or not self.variable.isdisjoint(below):
+            below = [] if id(node) in free else [id(argument) for argument in node.args]
+            if id(node) in free or not self.variable.isdisjoint(below):
                 self.variable.add(id(node))
             if isinstance(node, cp.Parameter) or not self.parametric.isdisjoint(below):
                 self.parametric.add(id(node))
@@ -131,10 +132,6 @@ class _Tree:
                 for key in below
             ):
                 self.varying.add(id(node))
-
-    def is_unknown(self, node: Any) -> bool:
-        """Return whether the node is a variable, or counts as one."""
-        return isinstance(node, cp.Variable) or id(node) in self.cuts
 
 
 def postorder(root: Any, stop: Container[int]) -> list[Any]:
@@ -222,7 +219,7 @@ def _evaluated(
 
     `sizes`, where it is given, gets the largest number of each value on the way.
     """
-    known = {**constants, **{key: point[~key] for key in tree.cuts}}
+    known = {**constants, **{id(node): point[key_of(node)] for node in tree.cuts}}
 
     def value(node: Any, values: list[Any]) -> Any:
         result = point[node.id] if isinstance(node, cp.Variable) else atoms.dense_numeric(node, values)
@@ -257,7 +254,7 @@ def _check(tree: _Tree, constants: Values, blocks: dict[int, sp.csr_array], offs
 
 
 def _linear_part(tree: _Tree, constants: Values, kept: dict[Hashable, Any]) -> dict[int, sp.csr_array]:
-    known: Values = {**{key: {} for key in constants}, **{key: {~key: 1.0} for key in tree.cuts}}
+    known: Values = {**{key: {} for key in constants}, **{id(node): {key_of(node): 1.0} for node in tree.cuts}}
     for node in tree.nodes:
         if ("linear", id(node)) in kept:
             known[id(node)] = kept["linear", id(node)][1]

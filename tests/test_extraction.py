@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.errors import UnsupportedModel
 from lcp_plugin.modeling.extract import affine_map
+from lcp_plugin.modeling.nonlinear_expressions import nonlinear_nodes
 
 V = np.array([2.0, -1.0, 3.0, 5.0])
 A = np.array([[1.0, 2.0, 0.0, -1.0], [0.0, 3.0, 1.0, 0.0], [4.0, 0.0, -2.0, 1.0]])
@@ -252,6 +253,7 @@ def test_every_affine_form_is_extracted_exactly(name):
     F = expression(name)
     if name == "sum axis -1" and F.shape != (3,):
         pytest.skip(f"cvxpy {cp.__version__} gives it the shape {F.shape}")
+    assert not nonlinear_nodes(F)
     found = affine_map(F)
     twin = F
     if name in DENSE_TWIN:

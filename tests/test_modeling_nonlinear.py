@@ -458,6 +458,16 @@ def test_parameters_are_read_at_every_solve() -> None:
         assert x.value == pytest.approx(answer, abs=1e-9)
 
 
+def test_violation_is_measured_on_the_expressions() -> None:
+    """After a solve the violation is the residual of F; outside a domain it is NaN, and nothing warns."""
+    x = cp.Variable()
+    pair = complements(x >= 0, cp.log(x) - 1 >= 0)
+    x.value = 4.0
+    assert pair.violation() == pytest.approx(math.log(4.0) - 1)
+    x.value = -1.0
+    assert math.isnan(pair.violation())
+
+
 def test_start_is_the_value_of_the_variables() -> None:
     """Of two solutions the one near the start is found; a start where F is not defined is replaced."""
     x = cp.Variable()

@@ -353,7 +353,8 @@ def _states_bounds(side: Side) -> bool:
 
 def pair_residual(pair: Complements) -> FloatVector | None:
     """Return the natural residual of each row of a pair at the present values; None where one is missing."""
-    values = [side.expression.value for side in (pair.first, pair.second)]
+    with np.errstate(all="ignore"):  # outside of a domain
+        values = [side.expression.value for side in (pair.first, pair.second)]
     if any(value is None for value in values):
         return None
     builder = Builder([pair], {})
@@ -363,7 +364,8 @@ def pair_residual(pair: Complements) -> FloatVector | None:
     (columns, function, sign), = builder.pairs
     z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
     if function.nodes:
-        w = sign * np.ravel(function.expression.value, order="F")
+        value = values[function.expression is pair.second.expression]
+        w = sign * np.ravel(value, order="F")
     else:
         w = sign * (function.matrix @ z + function.offset)
     x, low, high = z[columns], builder.lower[columns], builder.upper[columns]

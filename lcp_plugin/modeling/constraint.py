@@ -93,8 +93,9 @@ def complements(first: Any, second: Any) -> Complements:
     ----------
     first, second
         In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F; a variable with
-        bounds of its own with F; a free variable with ``G == 0``. Both sides may be general affine. At a lower
-        bound F ≥ 0, at an upper bound F ≤ 0, between them F = 0.
+        bounds of its own with F; a free variable with ``G == 0``. Both sides may be general expressions, affine
+        or smooth; see ``help("lcp_plugin.modeling")``. At a lower bound F ≥ 0, at an upper bound F ≤ 0, between them
+        F = 0.
 
     Returns
     -------

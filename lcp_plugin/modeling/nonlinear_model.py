@@ -115,7 +115,8 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     z, w : array, shape (n,)
     """
     assert isinstance(model.problem, NonlinearProblem)
-    values = [np.ravel(dense(expression.value), order="F") for expression in model.sources.functions]
+    with np.errstate(all="ignore"):
+        values = [np.ravel(dense(expression.value), order="F") for expression in model.sources.functions]
     theirs = model.sources.signs * np.concatenate(values)[model.sources.places]
     enclosure = model.problem.enclosure
     assert enclosure is not None

@@ -6,8 +6,9 @@ towards the 1 × 1 identity, or the simplest matrix of their class, and small in
 practical: hypothesis draws every entry and refuses what is too much for it.
 
 `lcps` draws problems, `solved_lcps` with the exact answer, `infeasible_lcps` with a Farkas proof, `convex_qps` with x
-and multipliers, `complementarity_models` in cvxpy; each matrix strategy is named after its class. `assert_solves` takes
-any callable (M, q, lower, upper) → z and reports the smallest problem on which it is wrong.
+and multipliers, `complementarity_models` in cvxpy, `solved_nonlinear_problems` with the exact answer; each matrix
+strategy is named after its class. `assert_solves` takes any callable (M, q, lower, upper) → z and reports the smallest
+problem on which it is wrong.
 
 >>> from lcp_plugin import LCP, Status, solve
 >>> def my_solver(M, q, lower, upper):
@@ -26,6 +27,7 @@ except ImportError:
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
 from .dominant import h_plus_matrices, m_matrices, not_h_matrices, p_matrices, strictly_dominant_matrices, z_matrices
 from .judge import assert_solves
+from .nonlinear import solved_nonlinear_problems
 from .problems import infeasible_lcps, lcps, solved_lcps
 from .programs import QPAnswer, complementarity_models, convex_qps
 
@@ -44,6 +46,7 @@ __all__ = [
     "positive_definite_matrices",
     "positive_semidefinite_matrices",
     "solved_lcps",
+    "solved_nonlinear_problems",
     "strictly_dominant_matrices",
     "z_matrices",
 ]

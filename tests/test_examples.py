@@ -35,9 +35,14 @@ CHECKS = [
     ("designed_contact", f"in a random direction the gradient differs from a difference by {NUMBER}, ", 1e-6),
     ("learn_friction", f"without noise the coefficients differ from the planted ones by {NUMBER}, ", 1e-9),
     ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),
+    ("general_equilibrium", f"markets differ from cleared ones by {NUMBER} units", 1e-3),
+    ("cournot_oligopoly", f"the published outputs differ by {NUMBER}", 1e-4),
+    ("cournot_oligopoly", f"alone no firm could earn more than {NUMBER} besides", 1e-6),
+    ("elastic_transport", f"sales differ from those of the greatest surplus by {NUMBER} cases", 0.02),
+    ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {12: "Twelve", 13: "Thirteen", 14: "Fourteen", 15: "Fifteen"}
+NUMBERS = {15: "Fifteen", 17: "Seventeen", 18: "Eighteen", 19: "Nineteen", 20: "Twenty"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

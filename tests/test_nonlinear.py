@@ -58,7 +58,7 @@ def test_nash_cournot(F: Callable[..., Any], published: list[float], start: floa
     """Oligopolies of 5 and 10 firms have their published equilibria; F is undefined at 0, and the result says so."""
     result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
     np.testing.assert_allclose(solved(result), published, rtol=1e-4)
-    assert "projected start" in str(result.certificate)
+    assert "of the way from the start" in str(result.certificate)
     assert result.iterations <= 12
 
 
@@ -169,6 +169,26 @@ def test_equations() -> None:
 def test_no_unknowns() -> None:
     """The empty problem is solved."""
     assert solved(solve_nonlinear(NonlinearProblem(lambda x: x), [])).size == 0
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize(("offset", "answer"), [(1.0, 0.0), (-1.0, 1.0)])
+def test_an_infinite_slope_at_a_bound_is_no_obstacle(start: float, offset: float, answer: float) -> None:
+    """√x + c, whose slope at the bound 0 is infinite, is solved where the bound is the answer, and where it is not."""
+    problem = NonlinearProblem(lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0])
+    result = solve_nonlinear(problem, [start])
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, answer, atol=1e-8)
+
+
+def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0() -> None:
+    """An oligopoly, in which the price at no output is infinite, is solved from its own equilibrium in no steps."""
+    problem = NonlinearProblem(models.NASH_5)
+    first = solve_nonlinear(problem, np.full(5, 10.0)).require_solved()
+    again = solve_nonlinear(problem, first.z)
+    assert again.status is Status.SOLVED
+    assert again.iterations == 0
+    assert "of the way from the start" in str(again.certificate)
 
 
 def test_steps_into_the_undefined_are_shortened() -> None:

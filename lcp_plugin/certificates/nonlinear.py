@@ -2,8 +2,9 @@
 
 The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
 (the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(z°), F(z°) for
-w: both change alike with the units of F and of x. Where F is not defined at z°, the projected start takes its place. On
-an affine F these are the residuals of the LCP.
+w: both change alike with the units of F and of x. On an affine F these are the residuals of the LCP. Where F is not
+defined at z°, the middle between it and the projected start takes its place, or a point nearer to the start; the start
+itself may be the answer already. A row with an infinite slope (√x at 0) counts with d = 1.
 
 F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
 so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
@@ -28,6 +29,7 @@ from .row_residuals import residual_ends_of
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
+HALVINGS = 10
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Reference:
 
     @classmethod
     def of(cls, problem: NonlinearProblem, start: FloatVector) -> Reference:
-        """Return z°, the point of the bounds nearest to 0, or the start where F is not defined at z°.
+        """Return z°, the point of the bounds nearest to 0, or where F is not defined there one on the way to the start.
 
         Raises
         ------
@@ -65,7 +67,11 @@ class Reference:
         at_origin = value if np.array_equal(origin, start) else problem.value(origin)
         if np.isfinite(at_origin).all():
             return cls(origin, at_origin, "the point of the bounds nearest to 0")
-        return cls(start, value, "the projected start, F being undefined at the point of the bounds nearest to 0")
+        for k in range(1, HALVINGS):  # not from the start itself: that may be the answer already
+            between = read_only(start + 0.5**k * (origin - start))
+            if np.isfinite(value := problem.value(between)).all():
+                return cls(between, value, f"1/{2**k} of the way from the start to the point nearest to 0")
+        return cls(start, problem.value(start), "the projected start, F being undefined nearer to 0")
 
     def ends(self, problem: LCP) -> Ends:
         """Return bounds of ‖r‖∞ here, in the scale of a linearisation."""

@@ -10,7 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound, checked_vector, read_only, real_array, rectangular_matrix
+from ..checks import (
+    BoolVector,
+    FloatVector,
+    check_order,
+    checked_bound,
+    checked_vector,
+    read_only,
+    real_array,
+    rectangular_matrix,
+)
 from ..errors import InvalidProblem
 from .differences import Differences
 from .lcp import LCP
@@ -148,20 +157,26 @@ class NonlinearProblem:
         InvalidProblem
             Where it is not finite, or the callable returns something else.
         """
-        x = self._point(x)
+        returned, name = self._returned(self._point(x), value)
+        return _finite(returned, name, np.size(x))
+
+    def _returned(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
+        """Return F′(x), unchecked, and what it is called."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
-                returned = self.jacobian(x)
-            return _finite(returned, "jacobian(x)", x.size)
+                return self.jacobian(x), "jacobian(x)"
         problem = self.sized(x.size)
         if problem._differences is None:
             problem._differences = Differences.on(self.pattern, x.size)
         value = self.value(x) if value is None else value
         derivative = problem._differences.at(self.value, x, value, problem.lower, problem.upper)
-        return _finite(derivative, "the derivative of F by differences", x.size)
+        return derivative, "the derivative of F by differences"
 
     def linearised(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
+
+        A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and no other: as far as its sign goes, F_i
+        is right there, and x_i stays at its bound or leaves it.
 
         Parameters
         ----------
@@ -172,17 +187,34 @@ class NonlinearProblem:
         Raises
         ------
         InvalidProblem
-            Where F or its derivative is not finite there.
+            Where F is not finite there, or its derivative is not a number.
         """
         x = self._point(x)
         value = self.value(x) if value is None else value
-        M = self.derivative(x, value)
+        M = self.slopes(x, value)[0]
         problem = self.sized(x.size)
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
                 raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0, or scale F and x")
             return LCP(M, q, lower=problem.lower, upper=problem.upper)
+
+    def slopes(self, x: FloatVector, value: FloatVector) -> tuple[Any, BoolVector]:
+        """Return F′(x), rows with an infinite slope replaced by those of the identity, and which these are.
+
+        Parameters
+        ----------
+        x, value : array, shape (n,)
+            The point, and F there.
+
+        Raises
+        ------
+        InvalidProblem
+            Where an entry is not a number, or the callable returns something else.
+        """
+        returned, name = self._returned(x, value)
+        returned, is_steep = _levelled(returned, x.size)
+        return _finite(returned, name, x.size), is_steep
 
     def _point(self, x: ArrayLike) -> FloatVector:
         return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
@@ -204,6 +236,20 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         raise
 
 
+def _levelled(derivative: Any, n: int) -> tuple[Any, BoolVector]:
+    """Return the derivative with the identity's rows where an entry is infinite, and which these are."""
+    is_steep = np.zeros(n, dtype=bool)
+    entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
+    if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
+        return derivative, is_steep
+    M = sp.coo_array(derivative)
+    is_steep[M.row[np.isinf(M.data)]] = True
+    kept = ~is_steep[M.row]
+    rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
+    levelled = sp.csr_array(rows) + sp.diags_array(is_steep.astype(np.float64))
+    return (sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()), is_steep
+
+
 class Linearisation:
     """The problem near one x: F(x), and the LCP that F′(x) makes of it, computed where it is looked at.
 
@@ -222,6 +268,11 @@ class Linearisation:
     def lcp(self) -> LCP:
         """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearised`."""
         return self.problem.linearised(self.x, self.value)
+
+    @cached_property
+    def is_steep(self) -> BoolVector:
+        """Which rows have an infinite slope, shape (n,)."""
+        return self.problem.slopes(self.x, self.value)[1]
 
     @cached_property
     def is_defined(self) -> bool:

@@ -59,7 +59,7 @@ def solve_nonlinear(
         SOLVED means that the measured residual of the returned x is at most this.
     measure : {"relative", "euclidean"}
         As for :func:`lcp_plugin.solve`, with F(x) for w: relative to the residual of F at the point of the bounds
-        nearest to 0, or where F is not defined there, of the projected start (``certificate.reference.name``).
+        nearest to 0, or where F is not defined there, between it and the start (``certificate.reference.name``).
     max_iterations : int, default 100 000
         Newton steps.
     max_seconds : float, optional

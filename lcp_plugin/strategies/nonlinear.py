@@ -69,7 +69,8 @@ def _solved(draw: st.DrawFn, lcps: st.SearchStrategy[tuple[LCP, Answer]]) -> tup
     M, q = problem.M, problem.q
 
     def F(x: FloatVector) -> FloatVector:
-        return M @ x + q + weights * (term(x) - term(at))
+        value: FloatVector = M @ x + q + weights * (term(x) - term(at))
+        return value
 
     def jacobian(x: FloatVector) -> Any:
         added = weights * slope(x)

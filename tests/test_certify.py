@@ -137,6 +137,49 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
         assert said.lower == pytest.approx(-4.5, abs=1e-12)
 
 
+# --- Numbers at the edge -----------------------------------------------------------------------------------------
+
+
+def test_an_objective_that_overflows_is_not_proved() -> None:
+    """An objective of more than the largest double has no bounds: nothing is proved of it, and nothing is warned."""
+    steep = QuadraticProgram(
+        [[5, -1, -1], [-1, 2, 2], [-1, 2, 2]], [-3.0, 0.0, 1.7e308], lower=[-INF, 0.0, 0.0]
+    )
+    assert certify(steep, [0.67, 0.33, 1e-4]).verdict == "unproved"
+    huge = certify(QuadraticProgram([[4.0]], [1e300], lower=1e155, upper=2e155), [2e155], [])
+    assert (huge.verdict, huge.gap) == ("unproved", None)
+
+
+def test_a_row_that_overflows_is_not_met() -> None:
+    """What overflows in a row is no proof of feasibility: no upper bound comes from it."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1e308, 1e308]], h=[0.0])
+    said = certify(program, [1.0, 1.0])
+    assert said.verdict != "proved"
+    assert said.upper is None or said.upper >= 0.0
+
+
+def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
+    """A row that is violated by less than what its cancellation leaves in doubles has an excess above 0."""
+    row = [-348.8201551564181, 1.908583919254138e-14, 2.650840420824661e-32, 513697.1011682231, 2.0133432009333935e-10]
+    x = [1.0, 1.0, 1.0, 0.0006790385897898772, 1.091599154672567e-09]
+    value = sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(0))
+    program = QuadraticProgram(np.zeros((5, 5)), np.zeros(5), G=[row], h=[0.0])
+    assert 0 < value <= Fraction(float(program.constraints.excess(np.array(x))[0]))
+
+
+@pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
+def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
+    """Squares that underflow are no weights: a P + ρ AᵀA of which rounding is a part proves nothing."""
+    A, P = np.array([row]), np.diag([1e-16, 0.0])
+    found = constrained_curvature(P, A)
+    rest, rows = exact.exact_rows(P), exact.exact_rows(A)
+    for i in range(2):
+        for j in range(2):
+            rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
 # --- Claims ------------------------------------------------------------------------------------------------------
 
 

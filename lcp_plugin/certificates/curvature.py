@@ -117,7 +117,9 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
         return own
     square = sp.csr_array(rows.T @ rows)
     bent, held = (float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square))
-    penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent > 0.0 and np.isfinite(bent / held) else 1.0
+    if held == 0.0 or bent / held == np.inf:  # the squares underflow
+        return own
+    penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent / held > 0.0 else 1.0
     form = sp.csr_array(P + penalty * square)
     form = sp.csr_array((form + form.T) * 0.5)
     if not np.isfinite(form.data).all():
@@ -126,7 +128,7 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     # What rounded in an entry is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal one of its row sums.
     ones, magnitude = np.ones(own.weights.size), abs(rows)
     size = abs(sp.csr_array(P)) @ ones + penalty * (magnitude.T @ (magnitude @ ones))
-    weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW
+    weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW * (1.0 + penalty)
     return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else own
 
 

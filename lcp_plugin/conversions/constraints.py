@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..exact.rounding import compensated_pair, compensated_product
+from ..exact.rounding import compensated_pair, compensated_product, upper_end
 from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import LinearConstraints
 from .presolve import like
@@ -103,11 +103,12 @@ class Constraints:
         )
 
     def excess(self, x: FloatVector) -> FloatVector:
-        """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, NaN where one is NaN."""
+        """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, ∞ where it overflows."""
         is_finite = np.isfinite(self.limit)
-        sums = enclosed_sum(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
-        excess = np.where(is_finite, sums, -np.inf)
-        return np.where(self.is_equality, np.abs(excess), excess)
+        with np.errstate(all="ignore"):
+            value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
+        above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
+        return np.where(is_finite, above, -np.inf)
 
 
 def dual_unit(program: QuadraticProgram) -> FloatVector:

@@ -23,6 +23,7 @@ from .program_proofs import Certification, ProgramProofs
 CLAIMS = ("optimal", "infeasible", "unbounded")
 
 
+@np.errstate(all="ignore")  # what overflows proves nothing
 def certify(
     problem: Any, x: Any = None, multipliers: Any = None, *, claim: str | None = None, tolerance: float = 1e-6,
     max_seconds: float | None = None,

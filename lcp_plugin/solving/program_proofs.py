@@ -100,15 +100,16 @@ class ProgramProofs:
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
         found: list[QPSolution] = []
-        for attempt in attempts(self.program):
-            if is_over():
-                break
-            left = seconds_left()
-            with suppress(LCPError):
-                limit = left if math.isfinite(left) else None
-                found.append(attempt.recover(solve(attempt.problem, tolerance=OWN_TOLERANCE, max_seconds=limit)))
-                if found[-1].is_stationary(ALMOST):
+        with suppress(LCPError):  # a form may overflow
+            for attempt in attempts(self.program):
+                if is_over():
                     break
+                left = seconds_left()
+                limit = left if math.isfinite(left) else None
+                with suppress(LCPError):
+                    found.append(attempt.recover(solve(attempt.problem, tolerance=OWN_TOLERANCE, max_seconds=limit)))
+                    if found[-1].is_stationary(ALMOST):
+                        break
         return min(found, key=lambda solution: np.nan_to_num(solution.residual, nan=np.inf), default=None)
 
     @cached_property
@@ -227,8 +228,8 @@ class Proved:
 
     def is_proved(self) -> bool:
         """Return whether the answer is optimal to the tolerance, by its value."""
-        size = 1.0 + min(abs(self.value[0]), abs(self.value[1]))
-        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size
+        size = 1.0 + max(self.value[0], -self.value[1], 0.0)
+        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
 
     def certification(
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
@@ -338,8 +339,7 @@ def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]
     with np.errstate(all="ignore"):
         value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
         value = np.where(rows.is_equality[finite], np.abs(value), value)
-    largest = max(float(np.nan_to_num(rows.excess(x), nan=np.inf).max(initial=0.0)), 0.0)
-    return float((value - radius).max(initial=0.0)) / OUTWARD, math.nextafter(largest, math.inf) if largest else 0.0
+    return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
 
 
 def _told(value: float) -> float | None:

@@ -45,8 +45,9 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, and |f(x) − lower| ≤ tolerance (1 + |f(x)|); and
-        no proof that x is farther than tolerance (1 + ‖x‖∞) from the only optimal one.
+        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (1 + |f(x)|), and
+        neither is x proved to be farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one, nor are multipliers
+        that came with it wrong by more than 10 · tolerance beside the terms of their conditions.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -69,8 +70,13 @@ def certify(
     lower by more than tolerance (1 + |f|); a lower bound above f(x) by as much; "infeasible" beside a feasible point;
     "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
     direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
-    bounds where the constraints bound x. Of a cvxpy problem the values, the objective and the constraints are yours,
-    in double precision; bounds are those of the program that cvxpy makes of it.
+    bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be met to it.
+
+    An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
+    answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.
+
+    Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
+    of the program that cvxpy makes of it.
 
     Examples
     --------

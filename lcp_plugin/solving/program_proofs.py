@@ -24,14 +24,15 @@ from ..conversions.quadratic_program import attempts
 from ..deadline import is_over, seconds_left
 from ..errors import LCPError
 from ..exact.rational import enclosures
-from ..exact.rounding import compensated_product
+from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import quotient_above, sum_above
+from ..kernels.floats import EPSILON
 from .driver import solve
 
 OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multipliers
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
-LOOSE = 10.0  # times the tolerance: errors of multipliers that were given, beside the terms of their column
+LOOSE = 10.0  # times the tolerance: errors of x beside 1 + ‖x‖∞, of multipliers beside the terms of their column
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 
@@ -239,13 +240,17 @@ class Proved:
         refuted, is_proved = self.refutation(), self.is_proved()
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
         reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
-        off = error_of_x(proofs, x, self.points, self.lower, self.tolerance, far)
-        if verdict == "proved" and (off or complaint):
-            verdict, reason = "unproved", f"{off or complaint}, though the objective is proved to be optimal"
+        if verdict == "proved" and (complaint := self._error_of_x(x, far) or complaint):
+            verdict, reason = "unproved", f"{complaint}, though the objective is proved to be optimal"
         return Certification(
             verdict, "optimal", self.violation[1], _told(self.lower), _told(self.upper),
             _told(self.gap), _told(near), reason,
         )
+
+    def _error_of_x(self, x: FloatVector, far: float) -> str:
+        """Return what proves that x is not optimal although its value is, or nothing."""
+        is_far = far > LOOSE * self.tolerance * (1.0 + float(np.abs(x).max(initial=0.0)))
+        return f"x is proved to be at least {far:.3g} from every optimal one" if is_far else ""
 
     def _reason(self, evidence: str, is_proved: bool) -> str:
         if is_proved:
@@ -261,49 +266,44 @@ class Proved:
 def distances(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
 ) -> tuple[float, float]:
-    """Return bounds, from above and from below, of ‖x − x*‖₂ in the columns; ∞ and 0 where x* may not be the only one.
+    """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
+
+    The bound from above is that of some columns.
 
     Notes
     -----
-    A feasible point y has ½ Σ μ_i (y_i − x*_i)² ≤ f(y) − f(x*) ≤ f(y) − lower.
+    Let y be feasible and g = 2 (f(y) − lower). Then Σ μ_i (y_i − x*_i)² ≤ g: a value that is optimal to t leaves x an
+    error of √t. With Q = P + ρ AᵀA, the form of the curvature, u = x − y and e = x − x*, also where some μ_i are 0,
+
+        ‖Q u‖‖e‖ ≥ uᵀQ e = uᵀQ u + uᵀQ (y − x*) ≥ uᵀQ u − √(uᵀQ u · g).
     """
-    curvature = proofs.bounds.curvature
-    least = float(curvature.weights[columns].min(initial=math.inf)) if curvature.is_semidefinite else 0.0
-    near, far = math.inf, 0.0
-    if not 0.0 < least < math.inf or lower == -math.inf:
+    curvature, near, far = proofs.bounds.curvature, math.inf, 0.0
+    if lower == -math.inf or not curvature.is_semidefinite:
         return near, far
+    least = float(curvature.weights[columns].min(initial=math.inf))
     for point in points:
-        gap = float(quotient_above(2.0 * max(float(sum_above(point.value, -lower)), 0.0), least))
-        blur = float(norm_above(point.radius[columns])) + math.sqrt(gap) * OUTWARD
-        length = float(norm_above(np.abs(x - point.near)[columns]))
-        near = min(near, (length + blur) * OUTWARD)
-        far = max(far, length / OUTWARD**2 - blur * OUTWARD)
+        u, gap = x - point.near, 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
+        blur = float(norm_above(point.radius + EPSILON * np.abs(u)))
+        far = max(far, _length_below(proofs, u, gap) / OUTWARD - blur * OUTWARD)
+        if 0.0 < least < math.inf:
+            blur += math.sqrt(float(quotient_above(gap, least))) * OUTWARD
+            length = float(norm_above(np.abs(u[columns])))
+            near = min(near, (length + blur) * OUTWARD)
+            far = max(far, length / OUTWARD**2 - blur * OUTWARD)
     return near, far
 
 
-@np.errstate(all="ignore")
-def error_of_x(
-    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, tolerance: float, far: float
-) -> str:
-    """Return what proves that x is not optimal although its value may be, or nothing.
-
-    A value optimal to t leaves x an error of √t. All optimal x have the same P x, so that this is seen there too
-    where P is only semidefinite: |P (y − x*)|_i ≤ √(p_ii · 2 (f(y) − lower)) for a feasible y.
-    """
-    if far > tolerance * (1.0 + float(np.abs(x).max(initial=0.0))):
-        return f"x is proved to be {far:.3g} from the optimal one"
-    program = proofs.program
-    if lower == -math.inf or not proofs.bounds.curvature.is_semidefinite or (proofs.bounds.curvature.weights > 0).all():
-        return ""
-    P = sp.csr_array(program.P)
-    size = 1.0 + max(float(np.abs(part).max(initial=0.0)) for part in (P @ x, program.c))
-    for point in points:
-        around = np.sqrt(P.diagonal() * (2.0 * max(point.value - lower, 0.0))) * OUTWARD
-        rounding = 1e-12 * (abs(P) @ (np.abs(x) + np.abs(point.near))) + abs(P) @ point.radius
-        miss = float((np.abs(P @ (x - point.near)) - around - rounding).max(initial=0.0))
-        if miss > tolerance * size:
-            return f"its gradient is proved to be {miss:.3g} from that of the optimal x"
-    return ""
+def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
+    """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
+    P, A, penalty = sp.csr_array(proofs.program.P), sp.csr_array(proofs.program.A), proofs.bounds.curvature.penalty
+    bent = P @ u + penalty * (A.T @ (A @ u))
+    terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
+    share = gamma(2 * u.size + A.shape[0] + 8)
+    square, rounding = float(u @ bent), share * float(np.abs(u) @ terms)
+    if not square > rounding:
+        return 0.0
+    length = float(np.linalg.norm(bent) + share * np.linalg.norm(terms))
+    return (square - rounding - math.sqrt((square + rounding) * gap)) / length
 
 
 def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:

@@ -192,7 +192,9 @@ def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
         for program in (infeasible, unbounded, SIMPLE)
     ]
     assert verdicts == [["proved", "refuted"], ["refuted", "proved"], ["refuted", "refuted"]]
-    assert certify(unbounded, [0.0]).lower is None
+    answer = certify(unbounded, [0.0])
+    assert (answer.verdict, answer.lower) == ("refuted", None)
+    assert answer.reason.startswith("the program is unbounded")
     assert certify(infeasible, [0.5]).verdict == "refuted"
 
 

@@ -42,7 +42,7 @@ def collected() -> Collected:
     found = Collected()
     parts = plan(TINY, quick=True)
     whole = plan(quick=True)
-    parts += [next(part for part in whole if part.kind == kind) for kind in ("tables", "check")]
+    parts += [next(part for part in whole if part.kind == kind) for kind in ("tables", "check", "certified")]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
     found.contents["atlas", "far starts"] = stability_atlas(["psor", "npsor"], ["far starts"], quick=True).to_content()
@@ -76,7 +76,7 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     parts = [section.anchor for section in sections()]
-    assert parts == ["comparison", "scenes", "profile", "stability", "tables", "checks", "derivatives"]
+    assert parts == ["comparison", "scenes", "profile", "stability", "tables", "checks", "derivatives", "certified"]
     for anchor in ("summary", *parts, "reading", "machine"):
         assert f'id="{anchor}"' in page
     for claim in claims(collected):
@@ -95,7 +95,7 @@ def test_tables_lie_beside_the_page(folder: Path) -> None:
         "cross_validation.csv", "paper_tables.csv", "stability.csv", "derivatives.csv",
     }
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert {part["kind"] for part in content["parts"]} == {"scene", "tables", "check", "atlas", "derivative"}
+    assert {part["kind"] for part in content["parts"]} == {"scene", "tables", "check", "atlas", "derivative", "certified"}
 
 
 HARNESS = """<!DOCTYPE html><meta charset="utf-8"><link rel="icon" href="data:,"><body><script>
@@ -357,7 +357,7 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
     for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
         assert words in page
     assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 7
+    assert len(sections()) == 8
 
 
 def test_unknown_scene_is_refused_before_anything_runs() -> None:

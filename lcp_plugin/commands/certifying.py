@@ -25,10 +25,6 @@ def run(path: str, solvers: str, tolerance: float | None, max_seconds: float | N
         if not as_json:
             typer.echo(str(answer))
     if as_json:
-        content = [
-            {"solver": answer.solver, "status": answer.status, "seconds": answer.seconds, "verdict": answer.verdict,
-             **({} if answer.certification is None else vars(answer.certification) | {"verdict": answer.verdict})}
-            for answer in answers
-        ]
+        content = [answer.to_content() for answer in answers]
         typer.echo(json.dumps({"file": path, "offset": offset, "answers": content}, indent=2))
     return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)

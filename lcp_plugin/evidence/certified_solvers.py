@@ -57,6 +57,11 @@ class JudgedAnswer:
         said = self.certification.verdict
         return f"proved to {self.tolerance:.0e}" if said == "proved" else said
 
+    def to_content(self) -> dict[str, Any]:
+        """Return everything as a dictionary that JSON can hold."""
+        said = {} if self.certification is None else vars(self.certification)
+        return {"solver": self.solver, "status": self.status, "seconds": self.seconds, **said, "verdict": self.verdict}
+
     def __str__(self) -> str:
         said = self.certification
         values = [getattr(said, name, None) for name in NUMBERS]

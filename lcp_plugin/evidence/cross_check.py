@@ -15,6 +15,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -23,10 +24,13 @@ from ..algorithms import module_of
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
+from ..conversions.quadratic_program import qp_from_lcp
 from ..errors import InvalidOption, LCPError
 from ..problem.lcp import LCP
 from ..settings import Status
+from ..solving.certification import certify
 from ..solving.driver import solve
+from ..solving.program_proofs import Certification
 from ..solving.result import Result
 from .qp_reference import ACCURATE, PLAIN, Attempt, Formulation, accuracy, attempts, check_reference
 
@@ -34,6 +38,7 @@ Verdict = Literal["agree", "mismatch", "not comparable"]
 
 WORTH_COMPARING = 1e-3
 CLEARLY_DIFFERENT = 1e-6
+PROOF_SECONDS = 20.0  # about, of each answer
 SECOND_OPINIONS: dict[str, dict[str, Any]] = {"psor": {}, "npsor": {"scaling": "diagonal"}, "mgs": {}}
 
 
@@ -92,6 +97,21 @@ class CrossCheck:
     def agrees(self) -> bool:
         """True where the verdict is "agree"."""
         return self.verdict == "agree"
+
+    @cached_property
+    def proved(self) -> dict[str, Certification]:
+        """What `certify` proves of both answers, as points of the program that the problem is; computed when looked at.
+
+        Empty where M is not symmetric and positive semidefinite: then there is no such program in z alone.
+        """
+        if not self.formulation.startswith(PLAIN):
+            return {}
+        program, names = qp_from_lcp(self.ours.problem), ("ours", self.reference or "reference")
+        return {
+            name: certify(program, side.z, max_seconds=PROOF_SECONDS)
+            for name, side in zip(names, (self.ours, self.theirs), strict=True)
+            if side is not None and np.isfinite(side.z).all()
+        }
 
     def __str__(self) -> str:
         return story(self)
@@ -353,6 +373,7 @@ def story(check: CrossCheck) -> str:
             ("active sets", f"{said}; {check.undecided} of {check.ours.problem.n} rows undecided"),
             ("disagreement", f"{check.disagreement:.3e}; the residuals explain {check.allowance:.3e}"),
         ]
+    rows += [(f"proved of {name}", str(said)) for name, said in check.proved.items()]
     rows += [("tried", str(one)) for one in check.tried]
     return "\n".join(lines + [f"{name:<18} {value}" for name, value in rows if value])
 

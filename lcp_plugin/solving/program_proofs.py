@@ -19,6 +19,8 @@ from ..certificates.feasible_points import FeasiblePoint, FeasiblePoints, object
 from ..certificates.implied_bounds import implied_box
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram
+from ..conversions.qp_certificates import proof_of_no_minimum
+from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import attempts
 from ..deadline import is_over, seconds_left
@@ -143,6 +145,14 @@ class ProgramProofs:
         inside = self.points.inside
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
 
+    @cached_property
+    def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """An exact proof that the program has no minimum; None where none was found."""
+        # What a time limit may cut short is not kept with the program.
+        is_limited = math.isfinite(seconds_left())
+        proof = proof_of_no_minimum(self.program) if is_limited else self.program.proof_of_no_minimum
+        return proof if proof is not None and getattr(proof, "is_exact", True) and proof.verify() else None
+
     @property
     def is_small(self) -> bool:
         """Whether a solution of our own is worth its time where nothing depends on it."""
@@ -152,8 +162,7 @@ class ProgramProofs:
 
     def of_claim(self, claim: str) -> Certification:
         """Return what is proved about "infeasible" or "unbounded"."""
-        proof = self.program.proof_of_no_minimum
-        if proof is not None and getattr(proof, "is_exact", True) and proof.verify():
+        if (proof := self.no_minimum) is not None:
             if proof.verdict == claim:
                 return Certification("proved", claim, reason=str(proof))
             return Certification("refuted", claim, reason=f"the program is {proof}")
@@ -237,7 +246,7 @@ class Proved:
     ) -> Certification:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far = distances(proofs, x, self.points, self.lower, columns)
-        refuted, is_proved = self.refutation(), self.is_proved()
+        refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
         reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
         if verdict == "proved" and (complaint := self._error_of_x(x, far) or complaint):
@@ -246,6 +255,11 @@ class Proved:
             verdict, "optimal", self.violation[1], _told(self.lower), _told(self.upper),
             _told(self.gap), _told(near), reason,
         )
+
+    def _no_minimum(self, proofs: ProgramProofs) -> str:
+        """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
+        proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
+        return f"the program is {proof}" if isinstance(proof, QPUnboundedness) else ""
 
     def _error_of_x(self, x: FloatVector, far: float) -> str:
         """Return what proves that x is not optimal although its value is, or nothing."""

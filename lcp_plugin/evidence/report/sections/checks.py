@@ -55,5 +55,6 @@ def _computed(text: str, effort: Effort, say: Say) -> dict[str, Any]:
         "reference": outcome.reference, "difference_z": outcome.difference_z, "difference_w": outcome.difference_w,
         "ours": outcome.ours.relative_residual,
         "theirs": None if outcome.theirs is None else outcome.theirs.relative_residual,
+        "certified": {name: said.verdict for name, said in outcome.proved.items()}.get("ours"),
     })
     return found

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
 from lcp_plugin.certificates.curvature import constrained_curvature, curvature
-from lcp_plugin.certificates.dual_bounds import DualPoint
+from lcp_plugin.certificates.dual_bounds import DualPoint, least_squares_above
 from lcp_plugin.certificates.feasible_points import FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
@@ -165,6 +165,21 @@ def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
     value = sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(0))
     program = QuadraticProgram(np.zeros((5, 5)), np.zeros(5), G=[row], h=[0.0])
     assert 0 < value <= Fraction(float(program.constraints.excess(np.array(x))[0]))
+
+
+def test_least_squares_end() -> None:
+    """Bounded least squares come to an end where entries differ by 1e36, and hold the bounds."""
+    rows = [[0.0, 0.0, 0.0, 1.0 / 3.0, 1.0], [0.0, 0.0, 0.0, -(2.0**60), 2.0**120], [0.0, 0.0, 0.0, -(2.0**120), 0.0]]
+    low = np.array([-INF, -INF, -INF, 0.0, -INF])
+    found = least_squares_above(sp.csr_array(rows), np.array([-7.5e-37, -1.0, -8.7e-19]), low)
+    assert (found >= low).all()
+
+
+@pytest.mark.parametrize("objective", [(1e-300, 1e155), (5e-324, 1.0)])
+def test_curvature_that_underflows_is_no_distance(objective: tuple[float, float]) -> None:
+    """A P of next to nothing beside c: the form of a step underflows, and nothing is said of the step."""
+    program = QuadraticProgram([[objective[0]]], [objective[1]], lower=-2.0, upper=1.0)
+    assert certify(program, [-2.0 + 1e-9], tolerance=1e-3).verdict in ("proved", "unproved")
 
 
 @pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])

@@ -40,6 +40,7 @@ ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, b
 ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
+ITERATIONS = 100  # of bounded least squares, each an unbounded one
 EXACT_UP_TO = 100  # equations that are solved in rationals in .4 s; 1.7 s are needed for 200
 
 
@@ -189,8 +190,6 @@ class DualBounds:
 
         Rows that are active alone may not span what c and they were before they were rounded.
         """
-        from scipy.optimize import lsq_linear
-
         largest = max((abs(value) for value in left), default=ZERO)
         matrix = self._stacked[zero]
         if not largest or matrix.shape[0] * matrix.shape[1] > DENSE_UP_TO:
@@ -200,11 +199,8 @@ class DualBounds:
         usable = movable | np.concatenate([np.zeros(n, bool), is_row])
         low = np.where(movable | (np.arange(movable.size) >= n + m), -np.inf, 0.0)
         found, right = np.zeros(movable.size), np.array([float(value / largest) for value in left])
-        with np.errstate(all="ignore"):
-            found[usable] = lsq_linear(
-                matrix[:, np.flatnonzero(usable)].toarray(), right, (low[usable], np.inf), tol=1e-14
-            ).x
-        found[~np.isfinite(found) | (~movable & (found < NEAR))] = 0.0
+        found[usable] = least_squares_above(matrix[:, np.flatnonzero(usable)], right, low[usable])
+        found[~movable & (found < NEAR)] = 0.0
         return [old + Fraction(more) * largest for old, more in zip(guess, found, strict=True)], movable | (found > 0.0)
 
     def _value_of(self, x: Vector, y: Vector) -> float:
@@ -290,4 +286,19 @@ def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
         from scipy.sparse.linalg import lsmr
 
         found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+@np.errstate(all="ignore")
+def least_squares_above(matrix: sp.csr_array, right: FloatVector, low: FloatVector) -> FloatVector:
+    """Return a least squares solution x ≥ low, of which −∞ is no bound; 0 where none is found.
+
+    By active sets: scipy's other method goes on for ever where entries differ by 1e36.
+    """
+    from scipy.optimize import lsq_linear
+
+    try:
+        found = lsq_linear(matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS).x
+    except np.linalg.LinAlgError:
+        return np.zeros(low.size)
     return np.where(np.isfinite(found), found, 0.0)

@@ -21,7 +21,7 @@ from cvxpy import settings
 from cvxpy.error import DCPError, SolverError
 from numpy.typing import NDArray
 
-from ..certificates.dual_bounds import DENSE_UP_TO
+from ..certificates.dual_bounds import DENSE_UP_TO, least_squares_above
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
@@ -237,11 +237,9 @@ class ReducedProblem:
         if added.size:
             if added.size * s.size > DENSE_UP_TO:
                 return 0.0
-            from scipy.optimize import lsq_linear
-
-            found = lsq_linear(
-                matrix[added].T.toarray(), -s, (np.where(is_equality[added], -np.inf, 0.0), np.inf), tol=1e-14
-            ).x
+            found = least_squares_above(
+                sp.csr_array(matrix[added].T), -s, np.where(is_equality[added], -np.inf, 0.0)
+            )
             s = s + matrix[added].T @ found
             terms.append(abs(matrix[added]).T @ np.abs(found))
         excess = np.abs(s) - LOOSE * tolerance * (1.0 + np.max(terms, axis=0))

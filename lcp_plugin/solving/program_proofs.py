@@ -314,9 +314,9 @@ def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
     terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
     share = gamma(2 * u.size + A.shape[0] + 8)
     square, rounding = float(u @ bent), share * float(np.abs(u) @ terms)
-    if not square > rounding:
-        return 0.0
     length = float(np.linalg.norm(bent) + share * np.linalg.norm(terms))
+    if not (square > rounding and 0.0 < length < math.inf):
+        return 0.0
     return (square - rounding - math.sqrt((square + rounding) * gap)) / length
 
 

@@ -213,6 +213,14 @@ def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
     assert certify(infeasible, [0.5]).verdict == "refuted"
 
 
+@pytest.mark.parametrize("miss", [1e-9, 1e-5])
+def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
+    """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
+    program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
+    claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
+    assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "refuted"))
+
+
 # --- What it is made of ------------------------------------------------------------------------------------------
 
 
@@ -503,7 +511,7 @@ def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
     else:
         pytest.importorskip("highspy")
         path.write_text(QPS)
-    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,OSQP,LCP"])
+    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,osqp,LCP"])
     assert done.exit_code == 0, done.output
     assert done.stdout.count("proved to 1e-06") == 3
     content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)
@@ -514,16 +522,20 @@ def test_exit_codes_of_the_command(tmp_path: Path) -> None:
     """1 where an answer is not proved, 2 for bad input, in one line."""
     write_program(tmp_path / "two.npz")
     write_program(tmp_path / "short.npz", q=[1.0])
+    write_program(tmp_path / "bent.npz", P_data=[2.0, -2.0])
     run = CliRunner().invoke
     assert run(app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]).exit_code == 1
     for arguments, words in (
         (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
+        (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
+        (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
         (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "an .npz, .qps or .mps file"),
         (["two.npz", "--solver", ","], "at least"),
     ):
         done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
         assert done.exit_code == 2, done.output
         assert words in done.stderr
+        assert not done.stdout
 
 
 def test_a_file_without_a_program_is_bad_input(tmp_path: Path) -> None:

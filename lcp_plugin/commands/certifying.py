@@ -8,7 +8,7 @@ import typer
 
 from ..conversions.program_files import load_program
 from ..errors import InvalidOption
-from ..evidence.certified_solvers import HEAD, judged_answers
+from ..evidence.certified_solvers import HEAD, JudgedAnswer, judged_answers
 
 
 def run(path: str, solvers: str, tolerance: float | None, max_seconds: float | None, *, as_json: bool) -> bool:
@@ -17,13 +17,12 @@ def run(path: str, solvers: str, tolerance: float | None, max_seconds: float | N
     if not names:
         raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
     program, offset = load_program(path)
-    if not as_json:
-        typer.echo(f"{path}: {program!r}\n{HEAD}")
-    answers = []
+    answers: list[JudgedAnswer] = []
     for answer in judged_answers(program, names, tolerance=tolerance, max_seconds=max_seconds):
-        answers.append(answer)
         if not as_json:
-            typer.echo(str(answer))
+            head = "" if answers else f"{path}: {program!r}\n{HEAD}\n"
+            typer.echo(f"{head}{answer}")
+        answers.append(answer)
     if as_json:
         content = [answer.to_content() for answer in answers]
         typer.echo(json.dumps({"file": path, "offset": offset, "answers": content}, indent=2))

@@ -59,6 +59,11 @@ class QPInfeasibility:
         unit = self.program.constraints.unit
         return _quotient(self.contradiction, self.multipliers, unit) if self.verify() else 0.0
 
+    @cached_property
+    def least_violation(self) -> float:
+        """By how much every x violates some constraint, each in its own unit; a lower bound, 0 without a proof."""
+        return _quotient(self.contradiction, self.multipliers, np.ones(len(self.multipliers))) if self.verify() else 0.0
+
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance."""
         return self.margin > constraint_tolerance(tolerance)

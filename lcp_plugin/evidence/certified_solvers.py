@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..conversions.program import QuadraticProgram
+from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..errors import InvalidOption, did_you_mean
 from ..solving.certification import certify
 from ..solving.program_proofs import Certification
@@ -80,7 +80,7 @@ def judged_answers(
     ----------
     program : QuadraticProgram
     solvers : sequence of str
-        cvxpy's names for them; "LCP" for ours.
+        cvxpy's names for them, in any case; "LCP" for ours.
     tolerance : float, optional
         To judge by; by default 1e-6, and where that is not proved 1e-3.
     max_seconds : float, optional
@@ -89,16 +89,19 @@ def judged_answers(
     Raises
     ------
     InvalidOption
-        For a solver that is not installed.
+        For a solver that is not installed, or a tolerance that is no positive number.
+    UnsupportedModel
+        Where the program is not convex.
     """
     import cvxpy as cp
 
-    known = {**{name: name for name in cp.installed_solvers()}, OURS: OURS}
+    known = {*cp.installed_solvers(), OURS}
     for name in solvers:
-        if name not in known:
-            raise InvalidOption(f"no solver {name!r}{did_you_mean(name, known)}; its package must be installed")
+        if name.upper() not in known:
+            raise InvalidOption(f"no solver {name!r}{did_you_mean(name.upper(), known)}; its package must be installed")
+    refuse_nonconvex(program)
     for name in solvers:
-        yield _judged(program, name, LEVELS if tolerance is None else (tolerance,), max_seconds)
+        yield _judged(program, name.upper(), LEVELS if tolerance is None else (tolerance,), max_seconds)
 
 
 def _judged(

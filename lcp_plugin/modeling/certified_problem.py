@@ -49,9 +49,9 @@ def certify_problem(problem: Any, tolerance: float) -> Certification:
     refuse_nonconvex(reduced.program)
     proofs = ProgramProofs(reduced.program)
     if problem.status in CLAIMED:
-        found = proofs.of_claim(CLAIMED[problem.status])
+        found = proofs.of_claim(CLAIMED[problem.status], tolerance)
     elif problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
-        found = _neither(proofs)
+        found = _neither(proofs, tolerance)
     else:
         found = _of_values(problem, reduced, proofs, tolerance)
     return reduced.in_the_users_units(found, sense_of(problem))
@@ -85,9 +85,9 @@ def _check(problem: Any) -> None:
             raise InvalidProblem(f"variable {variable.name()} has {what}; solve the problem again, or set it")
 
 
-def _neither(proofs: ProgramProofs) -> Certification:
+def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
     """Return what is proved about "infeasible or unbounded"."""
-    both = [proofs.of_claim(claim) for claim in ("infeasible", "unbounded")]
+    both = [proofs.of_claim(claim, tolerance) for claim in ("infeasible", "unbounded")]
     proved = [found for found in both if found.verdict == "proved"]
     if proved:
         return proved[0]

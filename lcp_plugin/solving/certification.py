@@ -47,7 +47,8 @@ def certify(
     tolerance : float
         "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (1 + |f(x)|), and
         neither is x proved to be farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one, nor are multipliers
-        that came with it wrong by more than 10 · tolerance beside the terms of their conditions.
+        that came with it wrong by more than 10 · tolerance beside the terms of their conditions. Of "infeasible": that
+        every x violates a constraint by more than this, so that no x can be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -71,7 +72,7 @@ def certify(
     feasible point; "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas
     vector and by a direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to
     rounding gives bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be
-    met to it.
+    met to it: neither is such an x refuted nor "infeasible" proved.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
     answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.
@@ -106,7 +107,7 @@ def certify(
         # What a time limit cut short is not kept.
         proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):
-            return proofs.of_claim(str(claim))
+            return proofs.of_claim(str(claim), float(tolerance))
         answer = _answer(problem, x, multipliers)
         return proofs.of_answer(*answer, float(tolerance))
 

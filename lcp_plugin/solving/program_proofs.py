@@ -160,12 +160,14 @@ class ProgramProofs:
 
     # --- Claims -------------------------------------------------------------------------------------------------
 
-    def of_claim(self, claim: str) -> Certification:
+    def of_claim(self, claim: str, tolerance: float) -> Certification:
         """Return what is proved about "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
-            if proof.verdict == claim:
-                return Certification("proved", claim, reason=str(proof))
-            return Certification("refuted", claim, reason=f"the program is {proof}")
+            if proof.verdict != claim:
+                return Certification("refuted", claim, reason=f"the program is {proof}")
+            if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
+                return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
+            return Certification("proved", claim, reason=str(proof))
         points = self.upper()
         upper = min((point.value for point in points), default=math.inf)
         lower = self.own_lower
@@ -259,7 +261,8 @@ class Proved:
     def _no_minimum(self, proofs: ProgramProofs) -> str:
         """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
         proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
-        return f"the program is {proof}" if isinstance(proof, QPUnboundedness) else ""
+        is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
+        return f"the program is {proof}" if is_endless else ""
 
     def _error_of_x(self, x: FloatVector, far: float) -> str:
         """Return what proves that x is not optimal although its value is, or nothing."""

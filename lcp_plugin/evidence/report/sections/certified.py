@@ -88,6 +88,8 @@ def _cell(answer: dict[str, Any]) -> tuple[str, str, str]:
     kind = {RANKS[0]: "best", "refuted": "bad"}.get(verdict, "")
     numbers = ", ".join(f"{key} {brief(answer[key])}" for key in ("violation", "gap") if answer.get(key) is not None)
     claim = answer.get("claim", "optimal")
-    text = _in_words(verdict).removeprefix("proved to ") if verdict in RANKS[:2] else verdict
-    claimed = f"{claim}: {text}" if claim not in ("optimal", None) else text
-    return claimed, kind, "; ".join(filter(None, (answer["status"], numbers, answer.get("reason"))))
+    if claim != "optimal":
+        text = f"{claim}: {verdict.partition(' to ')[0]}"
+    else:
+        text = _in_words(verdict).removeprefix("proved to ") if verdict in RANKS[:2] else verdict
+    return text, kind, "; ".join(filter(None, (answer["status"], numbers, answer.get("reason"))))

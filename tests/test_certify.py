@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import tracemalloc
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from lcp_plugin.certificates.dual_bounds import DualPoint, least_squares_above
 from lcp_plugin.certificates.feasible_points import FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
+from lcp_plugin.modeling.user_terms import size_of
 from lcp_plugin.solving.program_proofs import ProgramProofs
 from lcp_plugin.strategies import convex_qps
 
@@ -417,6 +419,20 @@ def test_wrong_values_of_cvxpy_variables() -> None:
     free.solve(solver="CLARABEL")
     other._status = "optimal"
     assert certify(other).verdict == "refuted"
+
+
+def test_terms_of_sparse_expressions_are_looked_at_sparse() -> None:
+    """The size of what an expression adds up makes no sparse matrix dense: 3000 × 3000 would be 72 MB."""
+    x = cp.Variable(3000)
+    x.value = np.full(3000, 2.0)
+    matrix = sp.diags_array(np.full(3000, -5.0), format="csc")
+    tracemalloc.start()
+    try:
+        assert size_of(matrix @ x - 1.0) == 1.0 + 5.0 * 3000
+        assert size_of(cp.quad_form(x, -matrix, assume_PSD=True)) >= 1.0 + 4.0 * 5.0 * 3000
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_claims_of_cvxpy_solvers() -> None:

@@ -251,18 +251,23 @@ def size_of(expression: Any) -> float:
     for node in postorder(expression, ()):
         if not node.args and not isinstance(node, cp.Variable):
             continue
-        parts = [np.abs(dense_value(argument.value)) for argument in node.args]
-        own = np.abs(dense_value(node.value))
-        size = max(size, float(own.max(initial=0.0)))
+        parts = [_entries(argument.value) for argument in node.args]
+        size = max(size, float(_entries(node.value).max(initial=0.0)))
         is_sum = isinstance(node, SUM)
-        for part in parts:
+        for part, argument in zip(parts, node.args, strict=True):
             if is_sum:
                 size = max(size, float(part.max(initial=0.0)))
-            elif part.size > own.size:  # something adds them up
+            elif argument.size > node.size:  # something adds them up
                 size = max(size, float(part.sum()))
         if len(parts) == 2 and not is_sum:
             size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
     return 1.0 + size
+
+
+def _entries(value: Any) -> NDArray[np.float64]:
+    """Return the sizes of the stored entries of a value: what is sparse stays so, the other entries are 0."""
+    entries = value.tocoo().data if sp.issparse(value) else np.asarray(value)
+    return np.abs(np.asarray(entries.real, dtype=np.float64))
 
 
 def why_not(problem: Any) -> list[str]:

@@ -421,6 +421,20 @@ def test_wrong_values_of_cvxpy_variables() -> None:
     assert certify(other).verdict == "refuted"
 
 
+@pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
+def test_every_optimal_value_is_proved(value: float) -> None:
+    """Where x is not the only answer, what cvxpy added to the problem is as it is best beside this x."""
+    x = cp.Variable()
+    problem = cp.Problem(cp.Minimize(cp.pos(x) + cp.pos(1.0 - x)), [x <= 5.0])
+    problem.solve(solver="CLARABEL")
+    x.save_value(np.array(value))
+    said = certify(problem)
+    assert said.verdict == "proved", said
+    assert said.distance is None
+    x.save_value(np.array(1.0 + 1e-4))
+    assert certify(problem).verdict == "refuted"
+
+
 def test_terms_of_sparse_expressions_are_looked_at_sparse() -> None:
     """The size of what an expression adds up makes no sparse matrix dense: 3000 × 3000 would be 72 MB."""
     x = cp.Variable(3000)

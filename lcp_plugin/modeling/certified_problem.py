@@ -1,10 +1,10 @@
 """`certify` for a cvxpy problem that some solver has filled.
 
 What is judged are the user's own terms: the objective, the constraints and the attributes at the values of his
-variables. What is proved is proved of the program that cvxpy makes of the problem for QPSolver; auxiliary variables and
-the multipliers of the bound are those of a solution of ours, since a solver's duals may belong to another program. The
-duals that the problem holds are looked at, too: of the right sign, and such that some multipliers of what cvxpy added
-make the gradient vanish with them.
+variables. What is proved is proved of the program that cvxpy makes of the problem for QPSolver; auxiliary variables are
+as they are best beside his, and the multipliers of the bound are those of a solution of ours, since a solver's duals
+may belong to another program. The duals that the problem holds are looked at, too: of the right sign, and such that
+some multipliers of what cvxpy added make the gradient vanish with them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from ..certificates.dual_bounds import DENSE_UP_TO, least_squares_above
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
-from ..conversions.substitution import substitute_definitions
 from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
@@ -38,6 +37,7 @@ CLAIMED = {
     settings.UNBOUNDED: "unbounded", settings.UNBOUNDED_INACCURATE: "unbounded",
 }
 EVALUATED = 2.0**-44  # of the terms of an expression: more than rounding makes of its value
+BESIDE = 1e-9  # residuals of what cvxpy added beside the user's values
 ACTIVE = 1e-5  # of a row's unit: rows that cvxpy added and whose multipliers are free to be anything ≥ 0
 Indices = NDArray[np.intp]
 
@@ -200,19 +200,22 @@ class ReducedProblem:
         return every[every >= 0]
 
     def values(self, problem: Any, proofs: ProgramProofs) -> FloatVector | None:
-        """Return the program's x of the user's values; other variables as equations define them, or as we find them."""
-        own = proofs.own_solution
-        if self.places is None or own is None:
+        """Return the program's x of the user's values; other variables as they are best beside these."""
+        if self.places is None:
             return None
-        x = np.array(own.x)
+        x = np.zeros(self.program.n)
         for variable in problem.variables():
             place = self.places[variable.id].ravel()
             x[place[place >= 0]] = dense_value(leaf_value(variable)).ravel()[place >= 0]
-        substitution = substitute_definitions(self.program)
-        if substitution is not None:
-            found = substitution.definitions
-            defined = np.setdiff1d(found.defined, self.columns)
-            x[defined] = substitution.expanded(x[found.kept])[defined]
+        added = np.setdiff1d(np.arange(x.size), self.columns)
+        if added.size:
+            best = ProgramProofs(_beside(self.program, x, added)).own_solution
+            if best is None or not best.is_stationary(BESIDE):
+                if proofs.own_solution is None:
+                    return None
+                x[added] = proofs.own_solution.x[added]
+            else:
+                x[added] = best.x
         return x
 
     def gradient_left(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> float:
@@ -254,6 +257,17 @@ class ReducedProblem:
         if sense < 0.0:
             lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
         return replace(found, lower=lower, upper=upper)
+
+
+def _beside(program: QuadraticProgram, x: FloatVector, columns: Indices) -> QuadraticProgram:
+    """Return the program of some columns, the others being as in x; without the rows that hold only these."""
+    P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
+    upper, equal = (np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr)) for rows in (G, A))
+    return QuadraticProgram(
+        P[columns][:, columns], program.c[columns] + P[columns] @ x,
+        G[upper][:, columns], program.h[upper] - G[upper] @ x, A[equal][:, columns], program.b[equal] - A[equal] @ x,
+        program.lower[columns], program.upper[columns],
+    )
 
 
 def _inverted(program: QuadraticProgram, chain: Any, inverse: Any, count: float) -> tuple[Any, Any]:

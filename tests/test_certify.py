@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
-from lcp_plugin.certificates.curvature import constrained_curvature, curvature
-from lcp_plugin.certificates.dual_bounds import DualPoint, least_squares_above
-from lcp_plugin.certificates.feasible_points import FeasiblePoints
+from lcp_plugin.certificates.curvature import Curvature, constrained_curvature, curvature
+from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, least_squares_above
+from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
 from lcp_plugin.modeling.user_terms import size_of
-from lcp_plugin.solving.program_proofs import ProgramProofs
+from lcp_plugin.solving.program_proofs import ProgramProofs, distances
 from lcp_plugin.strategies import convex_qps
 
 INF = np.inf
@@ -287,6 +287,34 @@ def test_the_bound_is_sharp_where_it_can_be() -> None:
             assert held._exact_value(at) <= 0.0
 
 
+def test_distances_are_those_of_the_worst_optimum() -> None:
+    """Where y is one from the optimum by its value, the answer may be on either side of it: both ends are attained."""
+    proofs = ProgramProofs(QuadraticProgram(np.diag([2.0, 8.0]), [0.0, 0.0]))
+    for y, ends in ((1.0, (1.0, 3.0)), (-1.0, (3.0, 5.0))):  # x* is y ± 1 as far as the value tells; x = 3
+        point = FeasiblePoint(np.array([y, 0.0]), np.zeros(2), 1.0)
+        near, far = distances(proofs, np.array([3.0, 0.0]), [point], 0.0, slice(None))
+        assert far == pytest.approx(ends[0], rel=1e-6)
+        assert near == pytest.approx(ends[1], rel=0.05)
+        assert far <= 3.0 <= ends[1] <= near
+    assert distances(proofs, np.ones(2), [], 0.0, slice(None)) == (INF, 0.0)
+    assert not Curvature(np.array([1.0, -1e-9])).is_semidefinite
+
+
+def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
+    """Weights below 0 sag within the box; between points of A x = b the penalty is taken off: both as much as it is."""
+    flat = QuadraticProgram([[-2.0]], [0.0], lower=-1.0, upper=1.0)
+    sagging = DualBounds(flat, Curvature(np.array([-2.0])), (np.array([-1.0]), np.array([1.0])))
+    at = DualPoint(np.zeros(1), np.zeros(0))
+    assert sagging.value(at) == pytest.approx(-1.0)
+    assert sagging.value(at) <= -1.0
+    only = QuadraticProgram([[-1.0]], [0.0], A=[[1.0]], b=[1.0])  # x = 1 alone, where the objective is −½
+    held = DualBounds(only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF])))
+    at = DualPoint(np.zeros(1), np.array([-1.0]))
+    for found in (held.value(at), held._value_of([Fraction(0)], [Fraction(-1)])):
+        assert found == pytest.approx(-0.5)
+        assert found <= -0.5
+
+
 def test_indefinite_by_a_rounding_error_is_no_proof() -> None:
     """A P with an eigenvalue of −1e-17 and nothing that bounds x: nothing can be proved."""
     third = 1.0 / 3.0
@@ -306,6 +334,23 @@ def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
     program, answer = drawn
     lower, upper = implied_box(program)
     assert all(a <= x <= b for a, x, b in zip(lower, answer.x, upper, strict=True))
+
+
+def test_implied_bounds_are_rounded_outwards() -> None:
+    """What a row implies without rounding is within the box, whatever its terms and however they cancel."""
+    rng = np.random.default_rng(4)
+    for _ in range(150):
+        n = int(rng.integers(2, 7))
+        row = rng.normal(size=n) * 10.0 ** rng.integers(0, 8, n)
+        lower, upper = np.sort(rng.normal(size=(2, n)) * 10.0 ** rng.integers(0, 8, n), axis=0)
+        program = QuadraticProgram(np.zeros((n, n)), np.zeros(n), G=[row], h=[rng.normal()], lower=lower, upper=upper)
+        low, high = implied_box(program)
+        least = [min(Fraction(a) * Fraction(e) for e in ends)
+                 for a, ends in zip(row, zip(lower, upper, strict=True), strict=True)]
+        for j, a in enumerate(row.tolist()):
+            end = (Fraction(float(program.h[0])) - sum(least) + least[j]) / Fraction(a)
+            assert Fraction(float(high[j])) >= min(end, Fraction(float(upper[j]))) or a < 0.0
+            assert Fraction(float(low[j])) <= max(end, Fraction(float(lower[j]))) or a > 0.0
 
 
 def test_a_chain_of_free_states_gets_a_bound() -> None:
@@ -356,6 +401,30 @@ def test_feasible_points_are_feasible() -> None:
         assert found is not None
         assert np.abs(found.near - near).max() < 1e-6
         assert Fraction(found.value) >= case.value
+
+
+def test_what_is_called_feasible_is() -> None:
+    """Near points that miss rows, one another's opposites among them: no row is missed by more than the radius."""
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))
+        G, inside = rng.integers(-8, 9, (m, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
+        G = np.vstack([G, -G[:1] if seed % 2 else G[:0]])
+        h = G @ inside + np.concatenate([np.zeros(1), rng.integers(0, 2, m - 1) / 4.0, np.zeros(seed % 2)])
+        A = rng.integers(-8, 9, (seed % 3, n)) / 8.0
+        program = QuadraticProgram(np.eye(n), np.zeros(n), G, h, A, A @ inside, lower=inside - 1.0)
+        for size in (1e-12, 1e-7, 1e-3):
+            found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
+            if found is not None:
+                room = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
+                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(room)) * 2, (seed, size)
+
+
+def test_a_point_between_two_vectors_has_the_larger_value() -> None:
+    """The value of a point that is known to a radius is above the objective wherever it may lie."""
+    program = QuadraticProgram([[2.0]], [0.0])
+    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value == pytest.approx(4.0)
+    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value >= 4.0
 
 
 # --- cvxpy -------------------------------------------------------------------------------------------------------

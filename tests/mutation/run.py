@@ -48,6 +48,10 @@ TESTS = {
     f"{CERTIFICATES}/definite_bounds.py": BOUND_TESTS,
     f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
     f"{CERTIFICATES}/reference_point.py": BOUND_TESTS,
+    **dict.fromkeys(
+        [f"{CERTIFICATES}/{name}.py" for name in ("curvature", "dual_bounds", "feasible_points", "implied_bounds")]
+        + ["lcp_plugin/solving/program_proofs.py"], ("tests/test_certify.py",),
+    ),
     "lcp_plugin/exact/upward.py": BOUND_TESTS,
     "lcp_plugin/exact/rounding.py": ("tests/test_rounding.py", "tests/test_error_bounds.py"),
     **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted((ROOT / CLASSES).glob("[a-z]*.py"))},

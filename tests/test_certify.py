@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
 from lcp_plugin.certificates.curvature import Curvature, constrained_curvature, curvature
-from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, least_squares_above
+from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_above, least_squares_above
 from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
@@ -215,12 +215,13 @@ def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
     assert certify(infeasible, [0.5]).verdict == "refuted"
 
 
-@pytest.mark.parametrize("miss", [1e-9, 1e-5])
+@pytest.mark.parametrize("miss", [1e-7, 1e-5])
 def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
     """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
     assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "refuted"))
+    assert ("only" in claimed.reason) == (miss < 1e-6)
 
 
 # --- What it is made of ------------------------------------------------------------------------------------------
@@ -307,6 +308,10 @@ def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
     at = DualPoint(np.zeros(1), np.zeros(0))
     assert sagging.value(at) == pytest.approx(-1.0)
     assert sagging.value(at) <= -1.0
+    straight = DualBounds(flat, Curvature(np.zeros(1)), sagging.box)  # −s t is largest at either end of s
+    for below, above in ((2.0, 3.0), (3.0, 2.0)):
+        assert straight._loss(-np.ones(1), np.ones(1), np.array([below]), np.array([above])) >= 3.0
+    assert _sum_above(np.array([1.0, 2.0**-60])) > 1.0
     only = QuadraticProgram([[-1.0]], [0.0], A=[[1.0]], b=[1.0])  # x = 1 alone, where the objective is −½
     held = DualBounds(only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF])))
     at = DualPoint(np.zeros(1), np.array([-1.0]))

@@ -35,6 +35,7 @@ OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multi
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 LOOSE = 10.0  # times the tolerance: errors of x beside 1 + ‖x‖∞, of multipliers beside the terms of their column
+BUYS_LITTLE = 1e-3  # of the tolerance: a violation beside which no solution of our own is asked for
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 
@@ -188,7 +189,9 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        if self.is_small or not value[1] - lower <= tolerance * (1.0 + abs(value[0])):
+        # A violation within the tolerance may buy much: then bounds of multipliers that came with x say little.
+        is_close = value[1] - lower <= tolerance * (1.0 + abs(value[0])) and violation[1] <= BUYS_LITTLE * tolerance
+        if self.is_small or not is_close:
             lower = max(lower, self.own_lower)
         found = Proved(value, violation, lower, self.upper(x), tolerance)
         return found.certification(self, x, complaint)

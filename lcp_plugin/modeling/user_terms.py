@@ -26,6 +26,7 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..checks import BoolVector, FloatVector
+from ..kernels.floats import EPSILON
 from ..matrix.free_systems import FreeSystem
 from ..problem.lcp import LCP
 from .error_bounds import ErrorBound
@@ -114,7 +115,9 @@ def _judged(
     scale, floor = problem.residual_scale, Certificate.of(problem, z).rounding_floor
     near, slight = floor, floor
     if left is not None:
-        near, slight = floor + left, floor + abs(problem.matrix.array) @ left / scale
+        size = abs(problem.matrix.array)
+        floor = _with_neighbours(size, floor, scale)
+        near, slight = floor + left, floor + size @ left / scale
     is_fixed = problem.lower == problem.upper
     step = w / scale
     is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
@@ -125,3 +128,18 @@ def _judged(
     return ActiveRows(
         ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
     )
+
+
+def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> FloatVector:
+    """Return the rounding floor, where a row has no data of its own that of its neighbours; size is |M|.
+
+    A row with q_i = 0, whose unknown and whose neighbours' are 0, has the floor 0. But what rounding makes of the data
+    of a row next door moves its unknown, too.
+    """
+    for _ in range(STEPS):
+        spread = size @ floor / scale
+        is_bare = floor < EPSILON * spread
+        if not is_bare.any():
+            break
+        floor = np.where(is_bare, spread, floor)
+    return floor

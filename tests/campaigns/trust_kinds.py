@@ -285,9 +285,9 @@ def guaranteed(rng: Generator, kind: str) -> Found:
 
 def programs(rng: Generator, kind: str) -> Found:
     """A convex program with a planted answer, judged by its own conditions."""
-    case = convex_programs.program(kind, rng, 12)
+    case, value = convex_programs.planted(kind, rng, 12)
     before = bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
-    is_settled, is_false = convex_programs.judged(kind, case, "auto")
+    is_settled, is_false = convex_programs.judged(kind, case, value, "auto")
     if is_false:
         yield Finding(CLAIM, f"{case}")
     elif not is_settled:
@@ -359,7 +359,7 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "presolve": (presolved, ("any",), 32),
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
-    "program": (programs, convex_programs.KINDS, 11),
+    "program": (programs, convex_programs.KINDS, 18),
     "file": (files, ("npz", "mtx"), 8),
     "batch": (batches, ("auto", "named"), 8),
 }

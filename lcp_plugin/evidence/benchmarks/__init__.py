@@ -11,6 +11,7 @@ BENCHMARKS = {
     "multigrid": "projected multigrid on obstacle, bearing, wind, jumps … against a linear solve, up to n = 4·10⁶",
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
+    "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above; control again against OSQP",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "least-squares": "bounded least squares beside accelerated gradients and scipy, and what a factor costs in steps",
     "derivatives": "a gradient by all data against its solve, up to n = 10⁶, and against cvxpy's own backward",

@@ -16,9 +16,11 @@ from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
     equilibration,
     scaled_by,
 )
-from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint, _Search
 from lcp_plugin.algorithms.interior_points.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
 from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, signs_of
+from lcp_plugin.algorithms.interior_points.symbolic import Symbolic, symbolic_of
+from lcp_plugin.checks import FloatVector
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.kernels import triangles
 from lcp_plugin.matrix.symmetry import is_symmetric_to_rounding
@@ -269,6 +271,72 @@ def test_ldl_solves_the_systems_of_programs(n: int) -> None:
         assert matrix.factorise(diagonal)
         expected = np.linalg.solve(M.toarray() + np.diag(diagonal), right)
         np.testing.assert_allclose(matrix.solve(right), expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+
+
+def random_program(n: int, rng: np.random.Generator) -> tuple[sp.csr_array, FloatVector]:
+    """Return the sparse matrix of a program with n unknowns and n multipliers, and its signs."""
+    A = sp.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
+    return sp.csr_array(sp.block_array([[sp.eye_array(n), A.T], [-A, None]])), np.repeat([1.0, -1.0], n)
+
+
+@pytest.mark.parametrize("n", [1, 7, 60])
+def test_a_pattern_handed_on_changes_no_bit(n: int) -> None:
+    """A factor in the order and pattern that another matrix has found solves to the same bits as one in its own."""
+    rng = np.random.default_rng(n)
+    M, signs = random_program(n, rng)
+    symbolic = Symbolic.of(M)
+    kept = [part.copy() for part in symbolic.pattern]
+    for _ in range(3):
+        numbers = rng.uniform(0.5, 2.0, (2 * n, 1))
+        other = sp.csr_array(M * numbers * numbers.T)
+        matrices = [QuasidefiniteNewtonMatrix(other, signs, handed_on) for handed_on in (symbolic, None)]
+        assert matrices[0].symbolic is symbolic
+        diagonal, right = 10.0 ** rng.uniform(-3, 3, 2 * n), rng.standard_normal(2 * n)
+        assert all(matrix.factorise(diagonal) for matrix in matrices)
+        assert np.array_equal(*(matrix.solve(right) for matrix in matrices))
+    assert all(map(np.array_equal, symbolic.pattern, kept))
+
+
+def test_a_pattern_that_does_not_fit_is_not_used() -> None:
+    """A matrix with entries elsewhere makes its own pattern, and solves its own system."""
+    rng = np.random.default_rng(0)
+    (M, signs), (other, _) = random_program(20, rng), random_program(20, rng)
+    matrix = QuasidefiniteNewtonMatrix(M, signs, Symbolic.of(other))
+    assert matrix.symbolic.fits(M)
+    assert matrix.factorise(np.ones(40))
+    right = rng.standard_normal(40)
+    np.testing.assert_allclose(M @ matrix.solve(right) + matrix.solve(right), right, atol=1e-10)
+
+
+def test_a_resolve_finds_the_order_of_the_first_solve() -> None:
+    """Problems that share their matrix share its pattern, and what was solved before changes no bit."""
+    rng = np.random.default_rng(3)
+    M, _ = random_program(40, rng)
+    q, lower = rng.standard_normal((2, 80)), np.repeat([-1.0, 0.0], 40)
+    first = LCP(M, q[0], lower=lower, upper=np.inf)
+    second = first.with_q(q[1])
+    assert solve(first, "interior_point").status is Status.SOLVED
+    assert symbolic_of(first.matrix) is symbolic_of(second.matrix)
+    alone = solve(LCP(M, q[1], lower=lower, upper=np.inf), "interior_point")
+    assert np.array_equal(solve(second, "interior_point").z, alone.z)
+
+
+def test_pinned_rows_stay_and_free_ones_are_solved_for() -> None:
+    """The factor of the whole matrix, some rows pinned, solves the block of the others as well as its own would."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        M, _ = random_program(15, rng)
+        search = _Search(LCP(M, rng.standard_normal(30), lower=-1.0, upper=1.0))
+        free = np.flatnonzero((rng.random(30) < 0.5) | (np.arange(30) < 15))
+        before = rng.standard_normal(30)
+        y = before.copy()
+        assert search._solve_for(y, free) > 0.0
+        pinned = np.setdiff1d(np.arange(30), free)
+        assert np.array_equal(y[pinned], before[pinned])
+        block, right = search.M[free][:, free].toarray(), (search.M[:, pinned] @ before[pinned] + search.q)[free]
+        expected = np.linalg.lstsq(block, -right, rcond=None)[0]
+        missed = [np.abs(block @ found + right).max() for found in (y[free], expected)]
+        assert missed[0] <= 10.0 * missed[1] + 1e-8
 
 
 def test_signs_are_found_or_there_are_none() -> None:

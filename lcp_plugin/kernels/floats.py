@@ -7,3 +7,9 @@ UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
 LARGEST = 1.7976931348623157e308  # the largest double
 NEGLIGIBLE_DIAGONAL = 1e-10  # beside the largest entry of its row: no measure of that row then
+
+# Solving with a factor, and again with what is left over.
+REFINEMENTS = 5
+REFINED = 1e-12  # beside the right-hand side: what is left is not worth another solve
+USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
+STABLE = 1e-10  # the same beside the solution, which is large where the matrix is nearly singular

@@ -1,7 +1,8 @@
-"""Compiled passes over the rows of a matrix: is it symmetric, sums over its triangles, what a solve leaves over."""
+"""Compiled passes over rows: symmetry, sums over triangles, even sizes, a box residual."""
 
 from __future__ import annotations
 
+import numpy as np
 from numba import uintp
 
 from .compilation import compiled
@@ -50,14 +51,76 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
 
 
 @compiled
-def left_over(indptr, indices, data, diagonal, right, x, left):  # type: ignore[no-untyped-def]
-    """Fill left with right − (M + diag(diagonal)) x; return its largest magnitude, NaN where one is NaN."""
-    largest = 0.0
-    for i in range(left.size):
-        value = right[i] - diagonal[i] * x[i]
-        for k in range(indptr[i], indptr[i + 1]):
-            value -= data[k] * x[indices[k]]
-        left[i] = value
-        if not abs(value) <= largest:
-            largest = abs(value) if largest == largest else largest
-    return largest
+def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
+    """Fill c with factors such that c_i m_ij c_j has rows and columns whose largest entry is about 1 (Ruiz)."""
+    size = np.empty(c.size)
+    c[:] = 1.0
+    for _ in range(passes):
+        size[:] = 0.0
+        for i in range(c.size):
+            for k in range(indptr[i], indptr[i + 1]):
+                j = indices[k]
+                value = abs(data[k]) * c[i] * c[j]
+                size[i], size[j] = max(size[i], value), max(size[j], value)
+        least, most = np.inf, 0.0
+        for i in range(c.size):
+            if size[i] > 0.0:
+                c[i] /= np.sqrt(size[i])
+                least, most = min(least, size[i]), max(most, size[i])
+        if most <= 2.0 and least >= 0.5:
+            break
+
+
+@compiled
+def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
+    """Fill signs with −1 where a row before is the opposite of a column, else 1; rows sorted.
+
+    Return 1 where diag(signs) M is symmetric then, 0 where other signs may do, −1 where none can: an entry is neither
+    its mirror image nor the opposite, to the relative tolerance `same`.
+    """
+    signs[:] = 1.0
+    fits = 1
+    for is_checked in (False, True):
+        place = indptr[:-1].copy()
+        for i in range(signs.size):
+            k, end = place[i], indptr[i + 1]
+            if k < end and indices[k] < i:
+                return -1
+            for m in range(k, end):
+                j = indices[m]
+                if j == i:
+                    continue
+                p = place[j]
+                if p >= indptr[j + 1] or indices[p] != i:
+                    return -1
+                place[j] = p + 1
+                if data[m] == 0.0 and data[p] == 0.0:
+                    continue
+                size = same * abs(data[p])
+                is_same = abs(data[m] - data[p]) <= size
+                if is_checked:
+                    fits = fits if is_same == (signs[i] == signs[j]) else 0
+                elif not is_same:
+                    if not abs(data[m] + data[p]) <= size:
+                        return -1
+                    signs[j] = -1.0
+    return fits
+
+
+@compiled
+def box_residual(z, w, lower, upper, scale):  # type: ignore[no-untyped-def]
+    """Return max |z − mid(lower, upper, z − w/scale)|, and the largest product of |w| and the finite distance it holds.
+
+    ∞ where a w is not finite.
+    """
+    largest = product = 0.0
+    for i in range(z.size):
+        residual = min(max(w[i] / scale[i], z[i] - upper[i]), z[i] - lower[i])
+        if not abs(residual) <= largest:
+            largest = abs(residual) if np.isfinite(residual) else np.inf
+        if np.isinf(w[i]):
+            largest = np.inf
+        distance = z[i] - lower[i] if w[i] > 0.0 else upper[i] - z[i]
+        if distance < np.inf:
+            product = max(product, abs(w[i]) * distance)
+    return largest, product

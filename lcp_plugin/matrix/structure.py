@@ -16,6 +16,15 @@ from .matrix import Matrix, fact
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
 
+def compressed_rows(M: Any) -> tuple[Any, Any, Any]:
+    """Return indptr, indices and data of a canonical CSR array, read-only; of an ndarray all entries, zeros as well."""
+    if sp.issparse(M):
+        return read_only(M.indptr), read_only(M.indices), read_only(M.data)
+    m, n = M.shape
+    starts, columns = np.arange(m + 1, dtype=np.int32) * np.int32(n), np.arange(n, dtype=np.int32)
+    return read_only(starts), read_only(np.tile(columns, m)), read_only(np.ascontiguousarray(M).reshape(-1))
+
+
 def row_numbers(M: Any) -> IntVector:
     """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
     return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))

@@ -8,10 +8,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
+from ...matrix.structure import compressed_rows
 from .newton_matrix import NewtonMatrix
 from .quasidefinite import QuasidefiniteNewtonMatrix
+from .symbolic import Symbolic
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
@@ -22,8 +24,9 @@ PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor 
 class DenseNewtonMatrix(NewtonMatrix):
     """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
 
-    def __init__(self, M: FloatVector, is_symmetric: bool) -> None:
+    def __init__(self, M: FloatVector, is_symmetric: bool, signs: FloatVector | None = None) -> None:
         super().__init__(M)
+        self.signs = self.signs if signs is None else read_only(signs)
         self._factorise = cholesky if is_symmetric else dense_lu
         self._buffer = np.empty_like(M)
         self._factor: Any = None
@@ -116,12 +119,14 @@ class SparseNewtonMatrix(NewtonMatrix):
         return x
 
 
-def newton_matrix(M: Any, is_symmetric: bool, signs: FloatVector | None = None) -> NewtonMatrix:
+def newton_matrix(
+    M: Any, is_symmetric: bool, signs: FloatVector | None = None, symbolic: Symbolic | None = None
+) -> NewtonMatrix:
     """Return the Newton matrix that suits M: dense or small, of a quadratic program with these signs, or sparse."""
     if not sp.issparse(M):
-        return DenseNewtonMatrix(M, is_symmetric)
+        return DenseNewtonMatrix(M, is_symmetric, signs)
     if signs is not None:
-        return QuasidefiniteNewtonMatrix(M, signs)
+        return QuasidefiniteNewtonMatrix(M, signs, symbolic)
     if M.shape[0] <= DENSE_UP_TO:
         return DenseNewtonMatrix(M.toarray(), is_symmetric)
     return SparseNewtonMatrix(M)
@@ -142,44 +147,27 @@ def equilibration(M: Any) -> FloatVector | None:
             if diagonal.max() <= EVEN * diagonal.min():
                 return None
             return _power_of_two(1.0 / np.sqrt(diagonal))
-    entries = sp.csr_array(M)
-    along = [_Groups(np.repeat(np.arange(n), np.diff(entries.indptr)), n), _Groups(entries.indices, n)]
-    absolute = np.abs(entries.data)
-    for _ in range(RUIZ_PASSES):
-        scaled = absolute * c[along[0].of] * c[along[1].of]
-        size = np.maximum(*(groups.largest(scaled) for groups in along))
-        size[size == 0.0] = 1.0
-        c /= np.sqrt(size)
-        if size.max() <= 2.0 and size.min() >= 0.5:
-            break
+    from ...kernels.rows import even
+
+    even(*compressed_rows(M), RUIZ_PASSES, c)
     return _power_of_two(c)
 
 
 def scaled_by(M: Any, c: FloatVector) -> Any:
     """Return c_i m_ij c_j."""
+    scaled = rows_scaled_by(M, c)
+    if sp.issparse(M):
+        scaled.data *= c[M.indices]
+    else:
+        scaled *= c
+    return scaled
+
+
+def rows_scaled_by(M: Any, r: FloatVector) -> Any:
+    """Return r_i m_ij."""
     if not sp.issparse(M):
-        return M * c[:, None] * c
-    rows = np.repeat(c, np.diff(M.indptr))
-    return sp.csr_array((M.data * rows * c[M.indices], M.indices, M.indptr), shape=M.shape)
-
-
-class _Groups:
-    """Entries by the row, or the column, that they belong to."""
-
-    def __init__(self, of: NDArray[np.integer[Any]], n: int) -> None:
-        self.of = of
-        counts = np.bincount(of, minlength=n)
-        self._filled = np.flatnonzero(counts)
-        self._starts = (np.cumsum(counts) - counts)[self._filled]
-        self._order = np.argsort(of, kind="stable")
-        self._n = n
-
-    def largest(self, values: FloatVector) -> FloatVector:
-        """Return the largest value of each group, 0 where it is empty."""
-        largest = np.zeros(self._n)
-        if self._filled.size:
-            largest[self._filled] = np.maximum.reduceat(values[self._order], self._starts)
-        return largest
+        return r[:, None] * M
+    return sp.csr_array((np.repeat(r, np.diff(M.indptr)) * M.data, M.indices, M.indptr), shape=M.shape)
 
 
 def _power_of_two(c: FloatVector) -> FloatVector:

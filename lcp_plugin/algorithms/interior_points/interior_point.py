@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,12 +20,13 @@ from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from . import primal_active_set, quasidefinite
-from .interior_linear_algebra import equilibration, newton_matrix, scaled_by
+from .interior_linear_algebra import equilibration, newton_matrix, rows_scaled_by, scaled_by
 from .monotone_rows import monotone_rows
 from .outlook import Progress, Starts
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
-from .quasidefinite import signs_of
+from .quasidefinite import QuasidefiniteNewtonMatrix, signs_of
+from .symbolic import Symbolic, symbolic_of
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
@@ -45,6 +47,7 @@ SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not tre
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
+PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,16 +120,15 @@ class _Search:
             q = (q + M @ fixed)[kept]
             M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
             lower, upper = lower[kept], upper[kept]
-        M, self.is_symmetric = self._dense_where_symmetric(M)
+        M, self.signs, self.is_symmetric = self._as_suits(M)
         r = None if self.is_symmetric else monotone_rows(M)
         if r is not None:
-            M = sp.csr_array(sp.diags_array(r) @ M) if sp.issparse(M) else r[:, None] * M
-            M, self.is_symmetric = self._dense_where_symmetric(M) if sp.issparse(M) else (M, False)
-            q = r * q
+            M, q = rows_scaled_by(M, r), r * q
+            if sp.issparse(M):
+                M, self.signs, self.is_symmetric = self._as_suits(M)
+        self.is_program = self.signs is not None and bool((self.signs < 0.0).any())
         c = equilibration(M)
         self.M = M if c is None else scaled_by(M, c)
-        self.signs = signs_of(self.M) if sp.issparse(self.M) else None
-        self.is_program = self.signs is not None and bool((self.signs < 0.0).any())
         c = np.ones(q.size) if c is None else c
         q = q * c
         size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
@@ -138,31 +140,33 @@ class _Search:
         self.least = self.product = np.inf
         self.reference = reference_residual(problem)
 
+    @cached_property
+    def symbolic(self) -> Symbolic | None:
+        """Order and pattern of a factor, kept with the problem's matrix where all its rows are here."""
+        if self.signs is None or not sp.issparse(self.M):
+            return None
+        return symbolic_of(self.problem.matrix) if self.kept is None else Symbolic.of(self.M)
+
     # --- what the driver sees ---------------------------------------------------------------------------
 
     def step(self, y: FloatVector, work: float) -> Step:
         """Return the best z so far, with y, projected, taken into account; `work` is what y took."""
+        from ...kernels.rows import box_residual
+
         problem = self.problem
-        z = problem.lower.copy()
-        inside = self.unit * y
         if self.kept is None:
-            z = inside
+            z = self.unit * y
         else:
-            z[self.kept] = inside
-        z = np.clip(z, problem.lower, problem.upper)
+            z = problem.lower.copy()
+            z[self.kept] = self.unit * y
+        np.minimum(np.maximum(z, problem.lower, out=z), problem.upper, out=z)
         w = problem.slack(z)
-        largest = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
-        product = self._largest_product(z, w) if self.is_program else 0.0
+        largest, product = box_residual(z, w, problem.lower, problem.upper, problem.residual_scale)
+        product = product if self.is_program else 0.0
         if largest < self._allowed(product):
             self.best, self.product, self.best_z = largest, product, z
         self.least = min(self.least, largest)
         return Step(self.best_z, residual=self.best, work=1.0 + work / self.entries)
-
-    def _largest_product(self, z: FloatVector, w: FloatVector) -> float:
-        """Return the largest product of a multiplier and a distance: what a program is judged by besides."""
-        below, above = z - self.problem.lower, self.problem.upper - z
-        sides = np.where(w > 0.0, below, above)
-        return float(np.max(np.abs(w) * np.where(np.isfinite(sides), sides, 0.0), initial=0.0))
 
     def _allowed(self, product: float) -> float:
         """Return below which residual a point is the best: above the least where its product is much smaller."""
@@ -190,18 +194,24 @@ class _Search:
             yield from self.near(y)  # of a program solved before with other numbers the active set may still be right
         yield from self.interior(primal)
 
-    def _dense_where_symmetric(self, M: Any) -> tuple[Any, bool]:
-        """Return M, dense where it is symmetric and not too sparse for that, and whether it is both.
+    def _as_suits(self, M: Any) -> tuple[Any, FloatVector | None, bool]:
+        """Return M, dense where it is symmetric and not too sparse for that, or else its signs; whether it is both.
 
         Symmetric: it could be that of a convex energy.
         """
-        if self.kept is None and M is self.problem.M and not sp.issparse(M):
-            return M, float(M.diagonal().min(initial=0.0)) >= 0.0 and is_nearly_symmetric(self.problem.matrix)
-        if sp.issparse(M) and (M.shape[0] > DENSE_NEWTON_UP_TO or M.nnz <= SPARSE_BELOW * M.shape[0] ** 2):
-            return M, False
-        dense = M.toarray() if sp.issparse(M) else M
-        is_symmetric = float(dense.diagonal().min(initial=0.0)) >= 0.0 and is_symmetric_to_rounding(dense)
-        return (dense if is_symmetric else M), is_symmetric
+        if not sp.issparse(M):
+            is_own = self.kept is None and M is self.problem.M
+            is_mirrored = is_nearly_symmetric(self.problem.matrix) if is_own else is_symmetric_to_rounding(M)
+            is_symmetric = is_mirrored and float(M.diagonal().min(initial=0.0)) >= 0.0
+            return M, None if is_mirrored else signs_of(M), is_symmetric
+        signs = signs_of(M)
+        is_sparse = M.shape[0] > DENSE_NEWTON_UP_TO or M.nnz <= SPARSE_BELOW * M.shape[0] ** 2
+        if is_sparse or (signs is not None and bool((signs < 0.0).any())):
+            return M, signs, False
+        dense = M.toarray()
+        if float(dense.diagonal().min(initial=0.0)) >= 0.0 and is_symmetric_to_rounding(dense):
+            return dense, None, True
+        return M, signs, False
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
@@ -233,7 +243,7 @@ class _Search:
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
-        matrix = newton_matrix(self.M, primal is not None, self.signs)
+        matrix = newton_matrix(self.M, primal is not None, self.signs, self.symbolic)
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
         weight = _weight_of(primal)
         for heavier in (1.0, HEAVIER) if self.is_program else (1.0,):
@@ -247,7 +257,7 @@ class _Search:
         if not point.start(starts.weight):
             return False
         progress, first_gap, counted = Progress(self.is_program), point.gap, point.matrix.work
-        polishes, settled_for, last, steps, held = 0, 0, _active(point, 1.0)[0], 0, 0
+        polishes, settled_for, last, steps, held = 0, 0, point.active(1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
@@ -266,7 +276,7 @@ class _Search:
                 continue
             if progress.has_ended(self.best, point.gap, point.infeasibility):
                 break
-            present = _active(point, 1.0)[0]
+            present = point.active(1.0)[0]
             changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
                 if steps >= EARLIEST_GUESS and changes <= self._limit(LATER_GUESS):
@@ -278,9 +288,9 @@ class _Search:
             settled_for = 0 if changes else settled_for + 1
             if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
-                yield from self.polished(point.z, *_active(point, 1.0))
+                yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:
-            yield from self.polished(point.z, *_active(point, threshold))
+            yield from self.polished(point.z, *point.active(threshold))
         yield self.step(point.z, 0.0)
         return True
 
@@ -327,14 +337,27 @@ class _Search:
         """Change y on the free rows by as little as makes w = 0 there, as well as can be; return the work."""
         if not free.size:
             return 0.0
-        # A fresh order for the block: the one of the whole matrix, active rows pinned, was measured less accurate.
+        if self.signs is not None and sp.issparse(self.M):
+            return self._solve_pinned(y, free, self.signs)
         block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
-        system = newton_matrix(block, False, None if self.signs is None else self.signs[free])
+        system = newton_matrix(block, False)
         if not system.factorise(np.zeros(free.size)):
             y[free] = np.nan
             return system.work
         for _ in range(2):
             y[free] -= system.solve((self.M @ y + self.q)[free])
+        return system.work
+
+    def _solve_pinned(self, y: FloatVector, free: NDArray[np.intp], signs: FloatVector) -> float:
+        """Do so in the order of the whole matrix, the other rows pinned by their diagonal."""
+        system = QuasidefiniteNewtonMatrix(self.M, signs, self.symbolic)
+        is_free = np.zeros(y.size, dtype=bool)
+        is_free[free] = True
+        if not system.factorise(np.where(is_free, 0.0, PINNED)):
+            y[free] = np.nan
+            return system.work
+        for _ in range(2):
+            y[free] -= system.solve(np.where(is_free, self.M @ y + self.q, 0.0))[free]
         return system.work
 
 
@@ -353,18 +376,4 @@ def _unit_of(q: FloatVector, entries: FloatVector) -> float:
     exponent = int(of_q[1]) - 1 - int(of_M[1]) // 2
     is_known = 0.0 < of_q[0] < np.inf and 0.0 < of_M[0] < np.inf
     return float(np.ldexp(1.0, exponent)) if is_known and SAFE_TO_MULTIPLY < abs(exponent) < 1000 else 1.0
-
-
-def _active(point: PredictorCorrector, threshold: float) -> tuple[BoolVector, FloatVector]:
-    """Return the rows whose distance to a bound is less than threshold × its multiplier, and that bound."""
-    n = point.z.size
-    active, at = np.zeros(n, dtype=bool), np.zeros(n)
-    upper = point.above < threshold * point.w_upper
-    rows = point.has_upper[upper]
-    active[rows], at[rows] = True, point.upper[upper]
-    lower = point.below < threshold * point.w_lower
-    rows = point.has_lower[lower]
-    active[rows], at[rows] = True, point.lower[lower]
-    return active, at
-
 

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
+from ...kernels.floats import REFINED, REFINEMENTS, STABLE, USEFUL
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
 SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
-REFINEMENTS = 5
-USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
-STABLE = 1e-10  # the same beside the solution, which is large where the matrix is nearly singular
-REFINED = 1e-12
 SMALLEST = 1e-300
 WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
 
@@ -39,7 +36,7 @@ class NewtonMatrix(ABC):
         self.M = M
         self.n = M.shape[0]
         self.work = 0.0
-        self.signs = np.ones(self.n)
+        self.signs = read_only(np.ones(self.n))
         self.regularisation = self._least = REGULARISATION
         self.missed = 0.0
         self.share, self._share_before = 0.0, np.inf

@@ -13,66 +13,73 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import FloatVector, read_only
-from .newton_matrix import NewtonMatrix
+from ...kernels.floats import REFINEMENTS, STABLE, USEFUL
+from ...matrix.structure import compressed_rows
+from .newton_matrix import SMALLEST, NewtonMatrix
+from .predictor_corrector import PredictorCorrector
+from .symbolic import Symbolic
 
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
 class QuasidefiniteNewtonMatrix(NewtonMatrix):
-    """LDLᵀ by qdldl, ordered once by its minimum degree; afterwards only numbers change."""
+    """LDLᵀ in compiled loops, in the order that qdldl finds once for all matrices of one pattern.
 
-    def __init__(self, M: sp.csr_array, signs: FloatVector) -> None:
+    Attributes
+    ----------
+    symbolic : Symbolic
+        Order and pattern, made here where no other matrix of the same pattern hands them on.
+    """
+
+    def __init__(self, M: sp.csr_array, signs: FloatVector, symbolic: Symbolic | None = None) -> None:
         super().__init__(M)
-        self.signs = signs
-        rows = np.repeat(np.arange(self.n), np.diff(M.indptr))
-        below = rows > M.indices
-        # Row by row the lower triangle, its diagonal last: column by column the upper one.
-        counts = np.bincount(rows[below], minlength=self.n) + 1
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        indices, data = np.empty(starts[-1], dtype=np.int64), np.empty(starts[-1])
-        self._diagonal_at = starts[1:] - 1
-        is_below = np.ones(starts[-1], dtype=bool)
-        is_below[self._diagonal_at] = False
-        indices[is_below], data[is_below] = M.indices[below], signs[rows[below]] * M.data[below]
-        indices[self._diagonal_at] = np.arange(self.n)
-        self._own_diagonal = M.diagonal()
-        self._upper = sp.csc_array((data, indices, starts), shape=M.shape)
-        self._rows = read_only(M.indptr), read_only(M.indices), read_only(M.data)
-        self._factor: Any = None
-        self._factor_work = self._solve_work = 0.0
+        self.signs = read_only(signs)
+        self.symbolic = symbolic if symbolic is not None and symbolic.fits(M) else Symbolic.of(M)
+        self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)
+        self._signed = np.repeat(signs, np.diff(M.indptr)) * M.data
+        self._values, self._pivots = np.empty(self.symbolic.entries), np.empty(self.n)
+        self._ones, self._spare = np.ones(self.n), np.empty((3, self.n))
+        self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
     def _try(self, diagonal: FloatVector) -> bool:
-        import qdldl
+        from ...kernels import symmetric_factors
 
-        self._upper.data[self._diagonal_at] = self.signs * (self._own_diagonal + diagonal)
-        if self._factor is None:
-            try:
-                self._factor = qdldl.Solver(self._upper, upper=True)
-            except RuntimeError:  # a pivot is exactly zero
-                return False
-            lower = self._factor.factors()[0]
-            columns = np.diff(lower.indptr).astype(np.float64)
-            self._factor_work, self._solve_work = float(columns @ columns) / 2.0, 2.0 * lower.nnz
-        else:
-            self._factor.update(self._upper, upper=True)  # which is silent about a zero pivot: the check below is not
-        self.work += self._factor_work
-        return self.is_useful(diagonal)
+        self.work += self.symbolic.work
+        np.multiply(self.signs, self._own_diagonal + diagonal, out=self._pivots)
+        if not symmetric_factors.factorise(
+            *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
+        ):
+            return False
+        x, error, _ = self._solved(self._ones, diagonal, 0)
+        return error <= max(USEFUL, STABLE * float(np.abs(x).max()))
 
-    def _left(self, right: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
-        from ...kernels.rows import left_over
-
-        self.work += float(self.M.nnz)
-        left = np.empty(self.n)
-        return left, float(left_over(*self._rows, self._diagonal, right, x, left))
-
-    def _apply(self, right: FloatVector) -> FloatVector:
-        self.work += self._solve_work
-        x: FloatVector = self._factor.solve(self.signs * right)
+    def solve(self, right: FloatVector) -> FloatVector:
+        """Return what every Newton matrix does, refined in compiled loops."""
+        x, error, size = self._solved(right, self._diagonal, REFINEMENTS)
+        self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
         return x
 
+    def _solved(self, right: FloatVector, diagonal: FloatVector, refinements: int) -> tuple[FloatVector, float, float]:
+        """Return x, the largest error that it leaves, and the largest component of the right-hand side."""
+        from ...kernels import symmetric_factors
 
-def signs_of(M: sp.csr_array) -> FloatVector | None:
-    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding, or None where there is none; M is canonical.
+        x = np.empty(self.n)
+        error, size, passes = symmetric_factors.solve(*self._system, diagonal, right, x, self._spare, refinements)
+        self.work += passes * (self.symbolic.solve_work + self._entries)
+        return x, error, size
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        return self._solved(right, self._diagonal, 0)[0]
+
+
+def signs_of(M: Any) -> FloatVector | None:
+    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding, or None where there is none.
+
+    Of a dense M only those are found with which all multipliers come last.
+
+    Parameters
+    ----------
+    M : canonical CSR array or ndarray, shape (n, n)
 
     Examples
     --------
@@ -81,26 +88,19 @@ def signs_of(M: sp.csr_array) -> FloatVector | None:
     >>> signs_of(sp.csr_array([[2.0, 3.0], [-1.0, 0.0]])) is None
     True
     """
+    from ...kernels.rows import oppose
+
+    # Multipliers come last as a rule: who is opposed by an earlier row is one.
+    signs = np.empty(M.shape[0])
+    fits = oppose(*compressed_rows(M), SAME, signs)
+    if fits or not sp.issparse(M):
+        return signs if fits > 0 else None
     mirrored = sp.csr_array(M.T)
     mirrored.sort_indices()
-    if not (np.array_equal(M.indptr, mirrored.indptr) and np.array_equal(M.indices, mirrored.indices)):
-        return None
-    size = SAME * np.abs(M.data)
-    is_same, is_opposite = np.abs(M.data - mirrored.data) <= size, np.abs(M.data + mirrored.data) <= size
-    if not (is_same | is_opposite).all():
-        return None
+    is_same = np.abs(M.data - mirrored.data) <= SAME * np.abs(M.data)
     rows, columns = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr)), M.indices
-    # Multipliers come last as a rule: who is opposed by an earlier row is one.
-    signs = np.ones(M.shape[0])
-    signs[rows[~is_same & (columns < rows)]] = -1.0
-    if _fits(signs, rows, columns, is_same):
-        return signs
     signs = _two_colours(rows, columns, is_same, M.shape[0])
-    return signs if _fits(signs, rows, columns, is_same) else None
-
-
-def _fits(signs: FloatVector, rows: Any, columns: Any, is_same: Any) -> bool:
-    return bool(np.array_equal(signs[rows] == signs[columns], is_same))
+    return signs if np.array_equal(signs[rows] == signs[columns], is_same) else None
 
 
 def _two_colours(rows: Any, columns: Any, is_same: Any, n: int) -> FloatVector:
@@ -119,5 +119,8 @@ def _two_colours(rows: Any, columns: Any, is_same: Any, n: int) -> FloatVector:
 def rehearse() -> None:
     """Compile what a problem of one unknown does not need."""
     matrix = QuasidefiniteNewtonMatrix(sp.csr_array([[1.0]]), np.ones(1))
-    matrix.factorise(np.ones(1))
+    unbounded = np.full(1, np.inf)
+    point = PredictorCorrector(matrix, np.ones(1), np.zeros(1), unbounded, 1)
+    point.start(1.0)
+    point.step()
     matrix.solve(np.ones(1))

@@ -14,6 +14,7 @@ from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..exact.rounding import compensated_product, lower_end, upper_end
 from ..kernels.floats import EPSILON, TINY
+from ..matrix.structure import compressed_rows
 from ..problem.exactly import slack_bounds
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DECISIVE, LinearConstraints
@@ -235,6 +236,14 @@ def margin_with_rounding(problem: LCP, y: FloatVector) -> float:
     return margin if np.isfinite(size) else np.inf
 
 
+def _may_miss(problem: LCP, rows: Any) -> bool:
+    """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
+    from ..kernels.rows import is_missed  # numba, which `import lcp_plugin` must not load
+
+    M = compressed_rows(problem.M)
+    return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))
+
+
 def contradictory_row(problem: LCP) -> Infeasibility | None:
     """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
 
@@ -246,7 +255,7 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     """
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
-    if not rows.size:
+    if not rows.size or not _may_miss(problem, rows):
         return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         y = np.zeros(problem.n)

@@ -321,12 +321,18 @@ def reference_ends(problem: LCP) -> Ends:
     if problem not in _references:
         z, matrix = problem.nearest_to_zero, problem.matrix
         whole = matrix.whole(z)
-        rows = matrix.rows if whole.any() else sp.csr_array((matrix.own, matrix.width))
+        rows = matrix.rows if whole.any() else _no_entries(matrix.own, matrix.width)
         least, most = _largest_ends(problem, residual_ends_of(rows, whole, problem, z, problem.residual_scale))
         if least == 0.0 < most:  # is z° the answer?
             least, most = _largest_ends(problem, sharp_residual_ends(problem, z))
         _references[problem] = least, most
     return _references[problem]
+
+
+def _no_entries(rows: int, columns: int) -> sp.csr_array:
+    """Return zeros; scipy takes as long for them as a kernel for a small matrix."""
+    empty = np.empty(0), np.empty(0, dtype=np.int32), np.zeros(rows + 1, dtype=np.int32)
+    return sp.csr_array(empty, shape=(rows, columns))
 
 
 def _largest_ends(problem: LCP, ends: tuple[FloatVector, FloatVector]) -> Ends:

@@ -231,7 +231,11 @@ def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     largest = max(float(entries.max()), -float(entries.min()))
     if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
-    row_largest = np.asarray(abs(M).max(axis=1).toarray() if sp.issparse(M) else abs(M).max(axis=1)).ravel()
+    if sp.issparse(M):
+        row_largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
+        row_largest[filled] = np.maximum.reduceat(np.abs(M.data), M.indptr[filled])
+    else:
+        row_largest = np.abs(M).max(axis=1)
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
     scale = np.where(is_usable, diagonal, row_largest)

@@ -19,7 +19,8 @@ from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint, _Search
 from lcp_plugin.algorithms.interior_points.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
 from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, signs_of
-from lcp_plugin.algorithms.interior_points.symbolic import Symbolic, symbolic_of
+from lcp_plugin.algorithms.interior_points.suited_matrix import suited
+from lcp_plugin.algorithms.interior_points.symbolic import Symbolic
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.kernels import triangles
@@ -308,17 +309,23 @@ def test_a_pattern_that_does_not_fit_is_not_used() -> None:
     np.testing.assert_allclose(M @ matrix.solve(right) + matrix.solve(right), right, atol=1e-10)
 
 
-def test_a_resolve_finds_the_order_of_the_first_solve() -> None:
-    """Problems that share their matrix share its pattern, and what was solved before changes no bit."""
+@pytest.mark.parametrize("fixed", [0, 5])
+def test_a_resolve_finds_what_the_first_solve_knew_of_the_matrix(fixed: int) -> None:
+    """Problems that share their matrix share its units, order and pattern; what was solved before changes no bit."""
     rng = np.random.default_rng(3)
     M, _ = random_program(40, rng)
-    q, lower = rng.standard_normal((2, 80)), np.repeat([-1.0, 0.0], 40)
-    first = LCP(M, q[0], lower=lower, upper=np.inf)
+    q, lower, upper = rng.standard_normal((2, 80)), np.repeat([-1.0, 0.0], 40), np.full(80, np.inf)
+    upper[:fixed] = lower[:fixed]
+    kept = np.arange(fixed, 80) if fixed else None
+    first = LCP(M, q[0], lower=lower, upper=upper)
     second = first.with_q(q[1])
     assert solve(first, "interior_point").status is Status.SOLVED
-    assert symbolic_of(first.matrix) is symbolic_of(second.matrix)
-    alone = solve(LCP(M, q[1], lower=lower, upper=np.inf), "interior_point")
+    known = suited(first.matrix, kept)
+    assert solve(second, "interior_point").status is Status.SOLVED
+    assert suited(second.matrix, kept) is known
+    alone = solve(LCP(M, q[1], lower=lower, upper=upper), "interior_point")
     assert np.array_equal(solve(second, "interior_point").z, alone.z)
+    assert suited(second.matrix, np.arange(10)).M.shape == (10, 10)
 
 
 def test_pinned_rows_stay_and_free_ones_are_solved_for() -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,19 +13,17 @@ from numpy.typing import NDArray
 from ...certificates.residuals import reference_residual
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
-from ...crossovers import DENSE_NEWTON_UP_TO, SWEEPS_FIRST_UP_TO
+from ...crossovers import SWEEPS_FIRST_UP_TO
 from ...deadline import is_over
-from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from . import primal_active_set, quasidefinite
-from .interior_linear_algebra import equilibration, newton_matrix, rows_scaled_by, scaled_by
-from .monotone_rows import monotone_rows
+from .interior_linear_algebra import newton_matrix
 from .outlook import Progress, Starts
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
-from .quasidefinite import QuasidefiniteNewtonMatrix, signs_of
-from .symbolic import Symbolic, symbolic_of
+from .quasidefinite import QuasidefiniteNewtonMatrix
+from .suited_matrix import suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
@@ -43,7 +40,6 @@ MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
 NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
-SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
@@ -113,24 +109,13 @@ class _Search:
         self.problem = problem
         kept = np.flatnonzero(problem.lower != problem.upper)
         self.kept = None if kept.size == problem.n else kept
-        M, q = problem.M, problem.q
-        lower, upper = problem.lower, problem.upper
+        q, lower, upper = problem.q, problem.lower, problem.upper
         if self.kept is not None:
             fixed = np.where(lower == upper, lower, 0.0)
-            q = (q + M @ fixed)[kept]
-            M = M[kept][:, kept] if sp.issparse(M) else M[np.ix_(kept, kept)]
-            lower, upper = lower[kept], upper[kept]
-        M, self.signs, self.is_symmetric = self._as_suits(M)
-        r = None if self.is_symmetric else monotone_rows(M)
-        if r is not None:
-            M, q = rows_scaled_by(M, r), r * q
-            if sp.issparse(M):
-                M, self.signs, self.is_symmetric = self._as_suits(M)
-        self.is_program = self.signs is not None and bool((self.signs < 0.0).any())
-        c = equilibration(M)
-        self.M = M if c is None else scaled_by(M, c)
-        c = np.ones(q.size) if c is None else c
-        q = q * c
+            q, lower, upper = (q + problem.M @ fixed)[kept], lower[kept], upper[kept]
+        self.suited = suited(problem.matrix, self.kept)
+        self.M, self.signs, c = self.suited.M, self.suited.signs, self.suited.unit
+        q = (q if self.suited.row_factors is None else self.suited.row_factors * q) * c
         size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
         self.unit = c * size
         self.q, self.lower, self.upper = q / size, lower / c / size, upper / c / size
@@ -139,13 +124,6 @@ class _Search:
         self.best, self.best_z = np.inf, np.array(problem.nearest_to_zero)
         self.least = self.product = np.inf
         self.reference = reference_residual(problem)
-
-    @cached_property
-    def symbolic(self) -> Symbolic | None:
-        """Order and pattern of a factor, kept with the problem's matrix where all its rows are here."""
-        if self.signs is None or not sp.issparse(self.M):
-            return None
-        return symbolic_of(self.problem.matrix) if self.kept is None else Symbolic.of(self.M)
 
     # --- what the driver sees ---------------------------------------------------------------------------
 
@@ -162,7 +140,7 @@ class _Search:
         np.minimum(np.maximum(z, problem.lower, out=z), problem.upper, out=z)
         w = problem.slack(z)
         largest, product = box_residual(z, w, problem.lower, problem.upper, problem.residual_scale)
-        product = product if self.is_program else 0.0
+        product = product if self.suited.is_program else 0.0
         if largest < self._allowed(product):
             self.best, self.product, self.best_z = largest, product, z
         self.least = min(self.least, largest)
@@ -187,31 +165,12 @@ class _Search:
             yield self.step(y, 0.0)
             return
         primal: PrimalActiveSet | None = None
-        if self.is_symmetric:
+        if self.suited.is_symmetric:
             primal = PrimalActiveSet(self.M, self.q, self.lower, self.upper)
             yield from self.guessed(primal, y)
-        elif self.is_program and not np.array_equal(z0, self.problem.nearest_to_zero):
+        elif self.suited.is_program and not np.array_equal(z0, self.problem.nearest_to_zero):
             yield from self.near(y)  # of a program solved before with other numbers the active set may still be right
         yield from self.interior(primal)
-
-    def _as_suits(self, M: Any) -> tuple[Any, FloatVector | None, bool]:
-        """Return M, dense where it is symmetric and not too sparse for that, or else its signs; whether it is both.
-
-        Symmetric: it could be that of a convex energy.
-        """
-        if not sp.issparse(M):
-            is_own = self.kept is None and M is self.problem.M
-            is_mirrored = is_nearly_symmetric(self.problem.matrix) if is_own else is_symmetric_to_rounding(M)
-            is_symmetric = is_mirrored and float(M.diagonal().min(initial=0.0)) >= 0.0
-            return M, None if is_mirrored else signs_of(M), is_symmetric
-        signs = signs_of(M)
-        is_sparse = M.shape[0] > DENSE_NEWTON_UP_TO or M.nnz <= SPARSE_BELOW * M.shape[0] ** 2
-        if is_sparse or (signs is not None and bool((signs < 0.0).any())):
-            return M, signs, False
-        dense = M.toarray()
-        if float(dense.diagonal().min(initial=0.0)) >= 0.0 and is_symmetric_to_rounding(dense):
-            return dense, None, True
-        return M, signs, False
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
@@ -243,10 +202,10 @@ class _Search:
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
-        matrix = newton_matrix(self.M, primal is not None, self.signs, self.symbolic)
+        matrix = newton_matrix(self.M, primal is not None, self.signs, self.suited.symbolic)
         point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
         weight = _weight_of(primal)
-        for heavier in (1.0, HEAVIER) if self.is_program else (1.0,):
+        for heavier in (1.0, HEAVIER) if self.suited.is_program else (1.0,):
             if not (yield from self._from(point, Starts(heavier * weight), primal)):
                 return
 
@@ -256,7 +215,7 @@ class _Search:
         """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
             return False
-        progress, first_gap, counted = Progress(self.is_program), point.gap, point.matrix.work
+        progress, first_gap, counted = Progress(self.suited.is_program), point.gap, point.matrix.work
         polishes, settled_for, last, steps, held = 0, 0, point.active(1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
@@ -350,7 +309,7 @@ class _Search:
 
     def _solve_pinned(self, y: FloatVector, free: NDArray[np.intp], signs: FloatVector) -> float:
         """Do so in the order of the whole matrix, the other rows pinned by their diagonal."""
-        system = QuasidefiniteNewtonMatrix(self.M, signs, self.symbolic)
+        system = QuasidefiniteNewtonMatrix(self.M, signs, self.suited.symbolic)
         is_free = np.zeros(y.size, dtype=bool)
         is_free[free] = True
         if not system.factorise(np.where(is_free, 0.0, PINNED)):

@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import read_only
-from ...matrix.matrix import Matrix, fact
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +74,3 @@ class Symbolic:
     def fits(self, M: sp.csr_array) -> bool:
         """Return whether M has this pattern."""
         return np.array_equal(self.indptr, M.indptr) and np.array_equal(self.indices, M.indices)
-
-
-@fact
-def symbolic_of(matrix: Matrix) -> Symbolic:
-    """Return what is known of factors of M + diag before any number, M with the pattern of its transpose."""
-    return Symbolic.of(matrix.csr)

@@ -2,9 +2,15 @@
 
 The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
 (the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(z°), F(z°) for
-w: both change alike with the units of F and of x. On an affine F these are the residuals of the LCP. Where F is not
-defined at z°, the middle between it and the projected start takes its place, or a point nearer to the start; the start
-itself may be the answer already. A row with an infinite slope (√x at 0) counts with d = 1.
+w: both change alike with the units of F and of x. On an affine F these are the residuals of the LCP. A row with an
+infinite slope (√x at 0) counts with d = 1.
+
+No affine F with the derivative F′(x) has a larger ‖r(z°)‖∞ than
+
+    ‖r(x)‖∞ + max_i (|x − z°|_i + (|F′(x)| |x − z°|)_i / d_i),
+
+and so none is taken for the reference: where F is undefined at z°, or p^−σ is astronomically large there, or where
+d → 0 as x runs away from an F without a root, r(x) would otherwise be small beside it anywhere.
 
 F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
 so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
@@ -25,31 +31,29 @@ from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, NonlinearProblem
 from .residuals import Certificate, Ends
-from .row_residuals import residual_ends_of
+from .row_residuals import residual_ends_of, scaled_residual
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
-HALVINGS = 10
+ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the residuals of a nonlinear problem are compared with: a point and F there.
+    """What the residuals of a nonlinear problem are compared with: z°, the point of the bounds nearest to 0, and F there.
 
     Attributes
     ----------
     x, value : ndarray, shape (n,)
-    name : str
-        Which point it is.
+        z° and F(z°), which need not be defined.
     """
 
     x: FloatVector
     value: FloatVector
-    name: str
 
     @classmethod
     def of(cls, problem: NonlinearProblem, start: FloatVector) -> Reference:
-        """Return z°, the point of the bounds nearest to 0, or where F is not defined there one on the way to the start.
+        """Return that of a problem.
 
         Raises
         ------
@@ -64,19 +68,31 @@ class Reference:
                 "projection onto the bounds; start where F is defined, or tighten the bounds"
             )
         origin = read_only(np.clip(0.0, problem.lower, problem.upper))
-        at_origin = value if np.array_equal(origin, start) else problem.value(origin)
-        if np.isfinite(at_origin).all():
-            return cls(origin, at_origin, "the point of the bounds nearest to 0")
-        for k in range(1, HALVINGS):  # not from the start itself: that may be the answer already
-            between = read_only(start + 0.5**k * (origin - start))
-            if np.isfinite(value := problem.value(between)).all():
-                return cls(between, value, f"1/{2**k} of the way from the start to the point nearest to 0")
-        return cls(start, problem.value(start), "the projected start, F being undefined nearer to 0")
+        return cls(origin, value if np.array_equal(origin, start) else problem.value(origin))
 
-    def ends(self, problem: LCP) -> Ends:
-        """Return bounds of ‖r‖∞ here, in the scale of a linearisation."""
+    def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> Ends:
+        """Return bounds of the reference, where `problem` is the linearisation at x and `value` is F(x)."""
+        least, most = self._ends_of_f(problem)
+        limit = self._limit(problem, x, value)
+        return min(least, limit), min(most, limit)
+
+    def is_limited(self, problem: LCP, x: FloatVector, value: FloatVector) -> bool:
+        """Return whether ‖r(z°)‖∞ is too large to be the reference at x."""
+        return self._ends_of_f(problem)[1] > self._limit(problem, x, value)
+
+    def _ends_of_f(self, problem: LCP) -> Ends:
+        if not np.isfinite(self.value).all():
+            return np.inf, np.inf
         smallest, largest = _ends(problem, self.x, self.value, problem.residual_scale)
         return float(smallest.max(initial=0.0)), float(largest.max(initial=0.0))
+
+    def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> float:
+        """Return what ‖r(z°)‖∞ is at most for an affine F that has the value and the derivative of this one at x."""
+        with np.errstate(all="ignore"):
+            distance = np.abs(x - self.x)
+            reached = distance + abs(problem.M) @ distance / problem.residual_scale
+            here = np.abs(scaled_residual(problem, x, value))
+            return ROUNDED * float(here.max(initial=0.0) + reached.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +110,17 @@ class NonlinearCertificate(Certificate):
     value : ndarray, shape (n,)
         F(x), which is w.
     reference : Reference
-        What the relative residual is relative to.
+        F at z°.
+    relative_to : str
+        What the relative residual is relative to: that, or the limit above.
 
     Examples
     --------
     >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
     >>> reference = Reference.of(problem, np.array([1.0]))
     >>> certificate = NonlinearCertificate.at(Linearisation(problem, np.array([2.001])), reference)
-    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.reference.name
-    (array([0.004]), 0.001, 'the point of the bounds nearest to 0')
+    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.relative_to
+    (array([0.004]), 0.001, 'F at the point of the bounds nearest to 0')
     """
 
     is_linearised: ClassVar[bool] = True
@@ -129,8 +147,15 @@ class NonlinearCertificate(Certificate):
 
     @property
     def reference_ends(self) -> Ends:
-        """Bounds of ‖r‖∞ at the reference point."""
-        return self.reference.ends(self.problem)
+        """Bounds of the reference."""
+        return self.reference.ends(self.problem, self.z, self.value)
+
+    @property
+    def relative_to(self) -> str:
+        """What the relative residual is relative to, in words."""
+        if self.reference.is_limited(self.problem, self.z, self.value):
+            return "what an affine F with this derivative has at most at the point of the bounds nearest to 0"
+        return "F at the point of the bounds nearest to 0"
 
     def _sharp_ends(self) -> FloatVector:
         return self._scaled_ends[1]  # of the numbers that F returns, nothing is summed here
@@ -159,7 +184,7 @@ class NonlinearCertificate(Certificate):
         return floor
 
     def __str__(self) -> str:
-        return f"{super().__str__()}\nrelative to         F at {self.reference.name}"
+        return f"{super().__str__()}\nrelative to         {self.relative_to}"
 
 
 def _ends(problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector) -> tuple[FloatVector, FloatVector]:

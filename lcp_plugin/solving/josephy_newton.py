@@ -281,7 +281,7 @@ class _Newton:
         return float(np.abs(scaled_residual(point.lcp, point.x, point.value)).max(initial=0.0))
 
     def _relative(self, point: Linearisation) -> float:
-        reference = self.options.compared_with.ends(point.lcp)[1]
+        reference = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
         return self._residual(point) / reference if reference > 0.0 else math.inf
 
     def _solution(self, lcp: LCP) -> FloatVector | None:

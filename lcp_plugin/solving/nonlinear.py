@@ -21,7 +21,7 @@ from ..errors import InvalidOption, InvalidProblem
 from ..policy.choice import Single, policy_for
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
-from ..problem.nonlinear import Linearisations, NonlinearProblem
+from ..problem.nonlinear import Linearisation, Linearisations, NonlinearProblem
 from ..settings import Settings, Status, checked_callback
 from .driver import Callback, Run
 from .error_watch import BoundOrReason
@@ -59,7 +59,8 @@ def solve_nonlinear(
         SOLVED means that the measured residual of the returned x is at most this.
     measure : {"relative", "euclidean"}
         As for :func:`lcp_plugin.solve`, with F(x) for w: relative to the residual of F at the point of the bounds
-        nearest to 0, or where F is not defined there, between it and the start (``certificate.reference.name``).
+        nearest to 0, which counts for no more than that of an affine F with this derivative could be there
+        (``certificate.relative_to``, :mod:`lcp_plugin.certificates.nonlinear`).
     max_iterations : int, default 100 000
         Newton steps.
     max_seconds : float, optional
@@ -121,7 +122,7 @@ def solve_nonlinear(
         with clock.paused(to_compile=True):
             rehearse(None, first.lcp)
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm)
-        judge = NonlinearJudge(points, reference, first.lcp, settings)
+        judge = NonlinearJudge(points, reference, first, settings)
         run = Run(first.lcp, _Alone(newton), settings, callers, clock, judge)
         try:
             with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
@@ -165,18 +166,19 @@ class NonlinearJudge(Judge):
         Status.INTERRUPTED: "stopped from outside (Ctrl-C or the callback); z is the best iterate so far",
     }
 
-    def __init__(self, points: Linearisations, reference: Reference, problem: LCP, settings: Settings) -> None:
+    def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:
         self.points, self.compared_with = points, reference
-        self.problem, self.settings = problem, settings
-        self.reference = reference.ends(problem)[1]
+        self.problem, self.settings = start.lcp, settings
+        self.reference = reference.ends(start.lcp, start.x, start.value)[1]
         self.errors = self.proof = self._certificate = None
 
     @cached_property
     def unit(self) -> float:
-        """The size of a residual that is nothing to worry about: that of the reference."""
-        x, problem = self.compared_with.x, self.problem
-        natural = x - np.clip(x - self.compared_with.value, problem.lower, problem.upper)
-        return 1.0 if self.settings.measure == "relative" else float(np.linalg.norm(natural))
+        """The size of a residual that is nothing to worry about: that of the reference, where F is defined there."""
+        x, value, problem = self.compared_with.x, self.compared_with.value, self.problem
+        if self.settings.measure == "relative" or not np.isfinite(value).all():
+            return float(self.settings.measure == "relative")
+        return float(np.linalg.norm(x - np.clip(x - value, problem.lower, problem.upper)))
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""

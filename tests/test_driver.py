@@ -221,6 +221,22 @@ def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.Monkey
     assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class GivingUp(Ticking):
+    """Ends by itself after a set-up of 3 s, as what finds the time over in the midst of a step does."""
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        yield Step(z0)
+        self.clock.now += 3.0
+
+
+def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An iterator that ends by itself is STALLED before the time limit, and MAX_SECONDS after it."""
+    clock = FakeClock(monkeypatch)
+    for limit, status in ((5.0, Status.STALLED), (2.0, Status.MAX_SECONDS)):
+        assert solve(TWO, GivingUp(clock=clock), max_seconds=limit).status is status
+
+
 @pytest.mark.parametrize(
     "place", ["driver.policy_for", "driver.checked_start", "driver.Judge.final", "driver.Judge.verdict"]
 )

@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from ..certificates.residuals import Certificate
+from ..deadline import compiling
 from ..locks import Lock
 from ..problem.lcp import LCP
 from .base import Algorithm
@@ -22,7 +23,7 @@ def rehearse(algorithm: Algorithm | None, problem: LCP) -> None:
     key = (None if algorithm is None else _kind(algorithm), width)
     if key in _rehearsed:
         return
-    with _lock.held():
+    with compiling(), _lock.held():
         tiny = LCP([[1.0]], [-1.0])
         if width != tiny.matrix.index_width:
             return  # compiled on first use; such a matrix has two billion entries

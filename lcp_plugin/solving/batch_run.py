@@ -79,8 +79,7 @@ class BatchRun:
         plan = self.first.algorithm.short_plan()
         if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
             return None
-        with self.clock.paused(to_compile=True):
-            rehearse(self.first.algorithm, tiny)
+        rehearse(self.first.algorithm, tiny)
         return plan
 
     def _run_compiled(self, group: Group, plan: Plan) -> None:

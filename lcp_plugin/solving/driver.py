@@ -116,8 +116,7 @@ def solve(
         peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         run: Run | None = None
         try:
-            with clock.paused(to_compile=True):
-                rehearse(None, problem)  # the judge
+            rehearse(None, problem)  # the judge
             warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
             first = policy.first(problem)
             if callers is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
@@ -170,8 +169,7 @@ class Run:
         if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         while following is not None:
-            with self.clock.paused(to_compile=True):
-                rehearse(following.algorithm, self.problem)
+            rehearse(following.algorithm, self.problem)
             self.ledger.open(Stage(following.algorithm, following.because))
             z = (start if self.incumbent.z is None else self.incumbent.z).copy()
             reason, following = self._follow(following.iterates(self.problem, z))
@@ -194,7 +192,9 @@ class Run:
             is_known_to_all = not (is_the_callers or self.problem.is_distributed)
             if len(self.ledger.stages) == 1 or self.ledger.stages[-1].iterations > 0 or not is_known_to_all:
                 raise  # otherwise auto tried what does not take this problem
-        reason = reason or Status.STALLED
+        self.clock.read()  # what ends by itself may have done so because time is over
+        is_late = self.clock.elapsed >= self.settings.max_seconds
+        reason = reason or (Status.MAX_SECONDS if is_late else Status.STALLED)
         if reason not in (Status.STALLED, Status.DIVERGED):
             return reason, None
         if self.judge.is_at_floor(self.incumbent.z):

@@ -129,8 +129,7 @@ def _solved(problem: LCP, policy: Policy, start: FloatVector, tolerance: float) 
     """Return the result of a run within this one, whose limits hold for it and whose Ctrl-C ends both."""
     left, clock = seconds_left(), Clock(problem.peers)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
-    with clock.paused(to_compile=True):
-        rehearse(None, problem)
+    rehearse(None, problem)
     first = policy.first(problem)
     if (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
         return arrived

@@ -151,9 +151,8 @@ def _sprinted(
     first, clock = policy.first(problem), Clock(problem.peers)
     if not isinstance(first.algorithm, Banded):
         return
-    with clock.paused(to_compile=True):
-        rehearse(None, problem)
-        rehearse(first.algorithm, problem)
+    rehearse(None, problem)
+    rehearse(first.algorithm, problem)
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])

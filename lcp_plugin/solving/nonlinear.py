@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from functools import cached_property, partial
 from typing import Any
 
@@ -18,6 +16,7 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, InvalidProblem
+from ..peers.alone import ALONE
 from ..policy.choice import Single, policy_for
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
@@ -111,21 +110,20 @@ def solve_nonlinear(
     policy_for(algorithm, {})
     callers, start = checked_callback(callback), _checked_start(problem, x0)
     problem = problem.sized(start.size)
+    clock = Clock(ALONE)
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with np.errstate():
         points = Linearisations(problem)
         reference = Reference.of(problem, start)
         first = points.at(start)
+        rehearse(None, first.lcp)
         if check_jacobian and problem.jacobian is not None:
             checked_jacobian(first)
-        clock = Clock(first.lcp.peers)
-        with clock.paused(to_compile=True):
-            rehearse(None, first.lcp)
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm)
         judge = NonlinearJudge(points, reference, first, settings)
         run = Run(first.lcp, _Alone(newton), settings, callers, clock, judge)
         try:
-            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
+            with time_limit(settings.max_seconds - clock.read()):
                 reason = run.drive(start, Choice(newton))
             return run.judged(start, reason)
         except KeyboardInterrupt:

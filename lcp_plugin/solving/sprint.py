@@ -25,8 +25,7 @@ def sprinted(
     algorithm = first.algorithm
     if type(algorithm).sprint is Algorithm.sprint or not is_unwatched(settings) or first.presolved is not None:
         return None
-    with clock.paused(to_compile=True):
-        rehearse(algorithm, problem)
+    rehearse(algorithm, problem)
     clock.read()
     if clock.elapsed >= settings.max_seconds:
         return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..algorithms import Step
 from ..checks import FloatVector
+from ..deadline import compilation
 from ..peers.alone import Peers
 from ..policy.stages import Stage
 from .result import Sample, StageRecord
@@ -19,7 +20,7 @@ from .result import Sample, StageRecord
 class Clock:
     """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
 
-    On several ranks those of the slowest one, and where Ctrl-C is heard on one of them.
+    Those are not counted in runs inside this one either. On several ranks those of the slowest one, and where Ctrl-C is heard on one of them.
 
     Attributes
     ----------
@@ -32,30 +33,30 @@ class Clock:
     """
 
     def __init__(self, peers: Peers) -> None:
-        self._began = time.perf_counter()
-        self._paused = self._compiling = self.elapsed = 0.0
+        self._compilation = compilation()  # of the thread that runs; others may read
+        self._began = time.perf_counter() - self._compilation.seconds
+        self._paused = self.elapsed = 0.0
         self._peers, self.is_interrupted = peers, False
         self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
-        wall = time.perf_counter() - self._began
-        seconds, self.elapsed = wall - self._paused, wall - self._compiling
+        self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
+        seconds = self.elapsed - self._paused
         if not self._peers.is_alone:
             seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
             self.is_interrupted = wishes > 0.0
         return seconds
 
     @contextmanager
-    def paused(self, *, to_compile: bool = False) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         """Take off what happens inside a ``with`` statement: the algorithm did not need it."""
-        began = time.perf_counter()
+        own = self._compilation
+        began = time.perf_counter() - own.seconds
         try:
             yield
         finally:
-            seconds = time.perf_counter() - began
-            self._paused += seconds
-            self._compiling += seconds if to_compile else 0.0
+            self._paused += time.perf_counter() - own.seconds - began
 
 
 class Incumbent:

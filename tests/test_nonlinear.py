@@ -17,6 +17,7 @@ from polynomial_families import Polynomial, is_violated, polynomial
 
 from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve, solve_nonlinear
 from lcp_plugin.certificates.krawczyk import krawczyk_bound
+from lcp_plugin.deadline import compiling
 from lcp_plugin.errors import InvalidOption, InvalidProblem, NotConverged, UnknownAlgorithm, UnsuitableProblem
 from lcp_plugin.problem.differences import Differences
 
@@ -328,6 +329,22 @@ def test_a_callback_that_raises_is_heard() -> None:
         solve_nonlinear(NonlinearProblem(broken), np.ones(5))
 
 
+def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solves of the linearisations compile counts neither as seconds nor against max_seconds."""
+    now = [0.0]
+
+    def compiles(*_: Any) -> None:
+        with compiling():
+            now[0] += 70.0
+
+    monkeypatch.setattr("lcp_plugin.solving.state.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("lcp_plugin.solving.josephy_newton.rehearse", compiles)
+    result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
+    assert now[0] > 70.0
+    solved(result)
+    assert result.seconds == 0.0
+
+
 def test_ctrl_c_keeps_the_best() -> None:
     """SIGINT inside F, in the middle of a run, gives INTERRUPTED with the best x so far."""
     calls = []
@@ -362,6 +379,36 @@ def test_nothing_of_the_callers_is_changed() -> None:
     assert x0.tolist() == [1, 1]
     assert lower.tolist() == [0, 0]
     assert kept.tolist() == [-1, 2]
+
+
+@pytest.mark.parametrize("kind", ["csr", "csc", "coo", "lil", "dok", "dia", "bsr"])
+def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
+    """Whatever scipy's format is, the answer is the same."""
+    def jacobian(x: np.ndarray) -> Any:
+        return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
+
+    result = solve_nonlinear(NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), np.ones(3))
+    np.testing.assert_allclose(result.w, 0.0, atol=1e-7)
+
+
+def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
+    """One array that the callable fills at every call gives what new ones give, bit for bit."""
+    F, slopes = models.kojima_shindo, NonlinearProblem(models.kojima_shindo).derivative
+    shared = sp.csr_array(np.ones((4, 4)))
+
+    def fresh(x: np.ndarray) -> Any:
+        return sp.csr_array((np.ravel(slopes(x).toarray()), shared.indices, shared.indptr), shape=(4, 4))
+
+    def refilled(x: np.ndarray) -> Any:
+        shared.data[:] = fresh(x).data
+        return shared
+
+    start = np.array([3.0, 0.0, 5.0, 1.0])
+    one, other = (solve_nonlinear(NonlinearProblem(F, J), start, max_iterations=2) for J in (fresh, refilled))
+    np.testing.assert_array_equal(one.z, other.z)
+    assert str(one.certificate) == str(other.certificate)
+    first, second = (NonlinearProblem(F, refilled).linearised(np.full(4, value)) for value in (1.0, 2.0))
+    assert (first.M != second.M).nnz > 0
 
 
 def test_the_lcp_solver_can_be_chosen() -> None:
@@ -431,6 +478,17 @@ def test_a_right_jacobian_is_never_refused(seed: int, kind: str, n: int) -> None
 
 
 # --- proofs ------------------------------------------------------------------------------------------------------
+
+
+def test_a_derivative_in_single_precision_is_not_refused() -> None:
+    """Where F and its derivative come in float32, rounding in F is not taken for a wrong derivative."""
+    for seed in range(20):
+        one = planted(np.random.default_rng(seed), "monotone polynomial", 10)
+        problem = NonlinearProblem(
+            lambda x, one=one: one.F(x).astype(np.float32), lambda x, one=one: one.jacobian(x).astype(np.float32),
+            one.lower, one.upper,
+        )
+        solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
 
 
 @settings(max_examples=25, deadline=None)

@@ -40,7 +40,7 @@ ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F m
 
 @dataclass(frozen=True)
 class Reference:
-    """What the residuals of a nonlinear problem are compared with: z°, the point of the bounds nearest to 0, and F there.
+    """What residuals are compared with: z°, the point of the bounds nearest to 0, and F there.
 
     Attributes
     ----------

@@ -55,7 +55,8 @@ class NonlinearProblem:
         not defined it may return NaN or infinities: steps that lead there are shortened. What it raises is passed on.
     jacobian : callable, optional
         ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default forward
-        differences on `pattern`, columns that share no row together; they leave about half of the digits.
+        differences on `pattern`, columns that share no row together; they leave about half of the digits, and take
+        every x_i for a number of size 1 at least: choose its unit so, or give a jacobian.
     lower, upper : scalar or array, shape (n,)
         Bounds of x in its unit; −∞ and ∞ are allowed, lower ≤ upper.
     pattern : sparse array, shape (n, n), optional
@@ -164,7 +165,8 @@ class NonlinearProblem:
         """Return F′(x), unchecked, and what it is called."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
-                return self.jacobian(x), "jacobian(x)"
+                returned = self.jacobian(x)
+            return (sp.csr_array(returned) if sp.issparse(returned) else returned), "jacobian(x)"
         problem = self.sized(x.size)
         if problem._differences is None:
             problem._differences = Differences.on(self.pattern, x.size)

@@ -165,7 +165,7 @@ def test_cvxpy_evaluates_to_the_same(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FORMS)
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), width=st.floats(0.0, 0.6))
 def test_intervals_hold_values_and_difference_quotients(name: str, seed: int, width: float) -> None:
     """No value leaves its interval, no difference F(y) − F(x) the interval Jacobian times y − x, inside a box."""
@@ -235,7 +235,7 @@ def compiled_polynomials() -> Program:
     return compiled(kojima_shindo(cp.Variable(4), cp.hstack))
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(-8.0, 8.0), min_size=4, max_size=4))
 def test_intervals_of_polynomials_hold_the_exact_values(z: list[float]) -> None:
     """At a point the interval of a polynomial and of its derivatives hold the rational values."""
@@ -405,7 +405,7 @@ def test_semilinear_obstacle() -> None:
     np.testing.assert_array_equal(u.value, first)
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_planted_answers_are_found(seed: int) -> None:
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import nonlinear_models as models
 import numpy as np
@@ -360,6 +360,21 @@ def test_ctrl_c_keeps_the_best() -> None:
     assert result.residual < 1.0
 
 
+def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
+    """Once F and its derivative are known at the start, no Ctrl-C is lost."""
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        if len(calls) == 5:
+            signal.raise_signal(signal.SIGINT)
+        return x**3 - 8.0
+
+    result = solve_nonlinear(NonlinearProblem(F, lambda x: np.diag(3 * x**2)), [1.0, 2.5])
+    assert (result.status, result.iterations) == (Status.INTERRUPTED, 0)
+    np.testing.assert_array_equal(result.z, [1.0, 2.5])
+
+
 def test_euclidean_measure() -> None:
     """measure="euclidean" stops on the unscaled norm."""
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), measure="euclidean", tolerance=1e-6)
@@ -519,6 +534,39 @@ def test_a_root_outside_the_bounds_is_not_proved() -> None:
     assert outside.infinity >= 0.04
     near = krawczyk_bound(square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9))
     assert near is None or near.infinity >= 0.001 - 1e-9
+
+
+def test_only_one_solution_is_within_a_bound() -> None:
+    """Where Newton passes one root for another, and where a bound is no nearer than a root, nothing is claimed."""
+    for coefficients, x, lower in (([-8, -16, -8, 1, 1], 0.0, -INF), ([-1] + [0] * 19 + [1], 0.6, 0.0)):
+        p = np.polynomial.Polynomial(np.array(coefficients[::-1], float))
+        one = Scalar(p, p.deriv())
+        problem = NonlinearProblem(p, lambda x, one=one: np.diag(one.slope(x)), lower=[lower])
+        assert krawczyk_bound(problem.linearised([x]), np.array([x]), one) is None
+    bound = krawczyk_bound(problem.linearised([1e-3]), np.array([1e-3]), one)
+    assert bound is not None
+    assert bound.proven_active.all()
+
+
+class Scalar(NamedTuple):
+    """Encloses a polynomial and its derivative on an interval by the sizes of its Taylor terms at the middle."""
+
+    value: np.polynomial.Polynomial
+    slope: np.polynomial.Polynomial
+
+    @staticmethod
+    def _ends(p: np.polynomial.Polynomial, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        middle, radius = (low + high) / 2, (high - low) / 2
+        around = p(np.polynomial.Polynomial([middle[0], 1.0])).coef
+        reach = np.abs(around[1:]) @ radius[0] ** np.arange(1, around.size) + 1e-12 * np.abs(around).sum()
+        return around[:1] - reach, around[:1] + reach
+
+    def interval_F(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._ends(self.value, low, high)
+
+    def interval_jacobian(self, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
+        least, most = self._ends(self.slope, low, high)
+        return sp.csr_array(np.diag(least)), sp.csr_array(np.diag(most))
 
 
 def test_a_double_root_is_not_proved() -> None:

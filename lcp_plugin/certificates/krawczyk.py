@@ -3,8 +3,10 @@
 The rows that x seems to hold at a bound are put there: A. Of f, F on the other rows with x_A fixed, the Krawczyk
 operator K(X) = x̃ − Y f(x̃) + (I − Y f′(X))(X − x̃), Y ≈ f′(x̃)⁻¹, maps the box X = x̃ ± radius into its interior: then
 f has exactly one zero in X, and it lies in K(X). It is a solution if X lies strictly between the bounds, and if over
-K(X) F_A > 0 at lower and F_A < 0 at upper bounds. (Without the middle condition x² = 1e-4 with the lower bound 0.05 is
-"proved" at 0.01.) All of it is computed with intervals of the caller's, and rounded outwards.
+K(X) F_A > 0 at lower and F_A < 0 at upper bounds. There is no other one within the bound of |x − x*| that comes of it
+if X holds all these points, and if these signs hold over all of them, x_A off its bounds included. (Without the
+condition on the bounds x² = 1e-4 with the lower bound 0.05 is "proved" at 0.01.) All of it is computed with intervals
+of the caller's, and rounded outwards.
 
 Where Y, which is dense, would be too large, another test takes its place, which needs dominance (Miranda): with C the
 comparison matrix of f′(X), v > 0 and X = x̃ ± t v, t C v > |f(x̃)| gives f_i opposite signs on opposite faces of X, and
@@ -67,7 +69,7 @@ def krawczyk_bound(problem: LCP, x: FloatVector, enclosure: Enclosure) -> ErrorB
     Returns
     -------
     ErrorBound or None
-        ``componentwise`` bounds |x − x*| for the one solution x* within it; ``proven_active`` are the rows that x*
+        ``componentwise`` bounds |x − x*| for the only solution x* within it; ``proven_active`` are the rows that x*
         holds at a bound, with F_i(x*) ≠ 0 where the bounds differ. Nothing is said of solutions elsewhere.
 
     Notes
@@ -97,10 +99,9 @@ def krawczyk_bound(problem: LCP, x: FloatVector, enclosure: Enclosure) -> ErrorB
         found = (_by_krawczyk if small else _by_dominance)(problem, at, enclosure)
         if found is None:
             return None
-        near, radius = found
-        if not _has_right_signs(problem, near, radius, enclosure):
-            return None
-        return _bound(problem, x, near, radius, "Krawczyk" if small else "dominance", began)
+        bound = _bound(problem, x, *found, "Krawczyk" if small else "dominance", began)
+        is_proved = bound is not None and _has_right_signs(problem, found[0], x, bound.componentwise, enclosure)
+        return bound if is_proved else None
 
 
 def _held(problem: LCP, x: FloatVector) -> _Point:
@@ -120,24 +121,26 @@ def _by_krawczyk(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Point
     inverse = _inverse(problem, rows)
     if inverse is None:
         return None
-    at = _refined(at, rows, inverse, enclosure)
+    x, at = at.x, _refined(at, rows, inverse, enclosure)
+    offset = np.abs(at.x - x)[rows]
     centre, rough = _middle(*_values(enclosure, at.x, at.x))
     distance = _product_above(inverse, centre[rows], rough[rows])
-    radius = 2.0 * distance + TINY
+    radius = 2.0 * distance + 4.0 * offset + TINY
     for _ in range(TRIALS):
         box = _box(at, rows, radius)
         if not _is_inside(problem, rows, *box):
             return None
         contraction = _distance_from_identity(inverse, *_derivative(enclosure, *box, rows))
         image = _affine_above(contraction, radius, distance)
-        if bool((image < radius).all()):
+        needed = _raised(image + 2.0 * offset, 2)  # for the image, and for all that is as near to x as it is
+        if bool((needed < radius).all()):
             image = np.minimum(image, _affine_above(contraction, image, distance))  # the zero lies in K(X), too
             found = np.zeros(at.x.size)
             found[rows] = image
             return at, found
         if not np.isfinite(image).all():
             return None
-        radius = INFLATION * image + TINY
+        radius = INFLATION * needed + TINY
     return None
 
 
@@ -237,10 +240,10 @@ def _is_inside(problem: LCP, rows: Any, low: FloatVector, high: FloatVector) -> 
     return bool(((low[rows] > problem.lower[rows]) & (high[rows] < problem.upper[rows])).all())
 
 
-def _has_right_signs(problem: LCP, at: _Point, radius: FloatVector, enclosure: Enclosure) -> bool:
-    """Return whether F has the sign that its bound asks for on every held row, over the whole box."""
-    rows = np.flatnonzero(at.free)
-    low, high = _values(enclosure, *_box(at, rows, radius[rows]))
+def _has_right_signs(problem: LCP, at: _Point, x: FloatVector, radius: FloatVector, enclosure: Enclosure) -> bool:
+    """Return whether F has the sign that its bound asks for on every held row, wherever x* or another may be."""
+    box = np.clip([-sum_above(-x, radius), sum_above(x, radius)], problem.lower, problem.upper)
+    low, high = _values(enclosure, *box)
     is_right = at.free | (problem.lower == problem.upper) | np.where(at.is_upper, high < 0.0, low > 0.0)
     return bool(is_right.all())
 

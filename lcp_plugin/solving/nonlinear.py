@@ -68,7 +68,7 @@ def solve_nonlinear(
         As for :func:`lcp_plugin.solve`, a sample each Newton step.
     error_bound : bool
         Prove a solution near x and bound its distance, where the problem has an enclosure; computed when it is looked
-        at. It speaks of the one solution within that distance of x.
+        at. It speaks of the only solution within that distance of x.
     check_jacobian : bool
         Compare a `jacobian` that was given with differences of F near the start.
 
@@ -77,8 +77,8 @@ def solve_nonlinear(
     Result
         With z = x and w = F(x), whatever the status. INFEASIBLE is never claimed. STALLED: x is a stationary point of
         the merit, or steps no longer gain; another start may find a solution. PRECISION_LIMIT rests on an estimate of
-        what rounding does in F. Ctrl-C ends the run, and the best x is returned. ``derivative(result)`` takes a change
-        of F as dq.
+        what rounding does in F. Ctrl-C ends the run, and the best x is returned, as soon as F is known at the start.
+        ``derivative(result)`` takes a change of F as dq.
 
     Raises
     ------
@@ -117,12 +117,12 @@ def solve_nonlinear(
         reference = Reference.of(problem, start)
         first = points.at(start)
         rehearse(None, first.lcp)
-        if check_jacobian and problem.jacobian is not None:
-            checked_jacobian(first)
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm)
         judge = NonlinearJudge(points, reference, first, settings)
         run = Run(first.lcp, _Alone(newton), settings, callers, clock, judge)
         try:
+            if check_jacobian and problem.jacobian is not None:
+                checked_jacobian(first)
             with time_limit(settings.max_seconds - clock.read()):
                 reason = run.drive(start, Choice(newton))
             return run.judged(start, reason)

@@ -20,7 +20,8 @@ from .result import Sample, StageRecord
 class Clock:
     """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
 
-    Those are not counted in runs inside this one either. On several ranks those of the slowest one, and where Ctrl-C is heard on one of them.
+    Those are not counted in runs inside this one either. On several ranks these are the seconds of the slowest one, and
+    Ctrl-C is heard on any of them.
 
     Attributes
     ----------

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import warnings
 from collections.abc import Callable
 from decimal import Decimal, localcontext
@@ -456,6 +458,18 @@ def test_parameters_are_read_at_every_solve() -> None:
         factor.value, exponent.value, bound.value = a, p, low
         problem.solve(tolerance=1e-12)
         assert x.value == pytest.approx(answer, abs=1e-9)
+
+
+def test_solved_problems_are_copied_and_pickled() -> None:
+    """A solved problem, with its result, can be pickled and copied, and the copy be solved."""
+    x = cp.Variable(2)
+    F = cp.exp(x) - cp.power(x + 1.0, 0.3) / (2.0 + cp.sqrt(x + 1.0)) - 2.0 + cp.square(x)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, F >= 0)])
+    problem.solve(method="LCP")
+    for other in (pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
+        assert other.solver_stats.extra_stats.certificate.relative_residual <= 1e-8
+        other.solve(method="LCP")
+        np.testing.assert_array_equal(other.variables()[0].value, x.value)
 
 
 def test_violation_is_measured_on_the_expressions() -> None:

@@ -43,6 +43,10 @@ class Rule:
     interval: Callable[..., iv.Interval]
     interval_derivatives: Callable[..., tuple[iv.Interval, ...]]
 
+    def __reduce__(self) -> tuple[Callable[[str], Rule], tuple[str]]:
+        """Return the name: functions without one, as here, cannot be pickled."""
+        return _named, (self.name,)
+
 
 def _ones(u: iv.Interval) -> iv.Interval:
     return np.ones_like(u[0]), np.ones_like(u[0])
@@ -86,6 +90,16 @@ ROOT = Rule(
     "root", 1, np.sqrt, lambda u: (0.5 / np.sqrt(u),),
     iv.root, lambda u: (iv.scaled(iv.reciprocal(iv.root(u)), 0.5),),
 )
+
+
+_RULES = {
+    rule.name: rule for rule in (SAME, EXP, LOG, LOG1P, LOGISTIC, ENTROPY, PRODUCT, QUOTIENT, SQUARE, ROOT)
+}
+
+
+def _named(name: str) -> Rule:
+    """Return the rule of that name."""
+    return _RULES[name] if name in _RULES else power(float(name.removeprefix("power ")))
 
 
 @cache

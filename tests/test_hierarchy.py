@@ -282,10 +282,10 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
     b = np.random.default_rng(0).normal(size=M.shape[0])
     x, residual = np.empty_like(b), np.empty_like(b)
-    sweeps.first_sweep(M.indptr, grid.split, M.indices, M.data, grid.inverse, b, x)
-    sweeps.residual_after_first_sweep(M.indptr, grid.split, M.indices, M.data, grid.inverse, np.zeros(0), x, residual)
+    sweeps.first_sweep(*grid.rows, grid.inverse, b, x)
+    sweeps.residual_after_first_sweep(*grid.rows, grid.inverse, np.zeros(0), x, residual)
     dense = M.toarray()
     np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
     np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
-    sweeps.backward_sweep(M.indptr, M.indices, M.data, grid.inverse, b, x)
+    sweeps.sweep(*grid.rows, grid.inverse, True, b, x)
     np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)

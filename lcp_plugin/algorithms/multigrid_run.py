@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import diags_array
 
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
 from ..kernels import splitting_sweeps as kernels
 from ..matrix.hierarchy import sweeps
 from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
@@ -48,27 +48,27 @@ class GridProblem:
         self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> None:
         self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
-        self.arrays = grid.matrix.arrays
         self.entries = grid.matrix.data.size
-        self.rows = kernels.packed(q, lower, upper, grid.inverse)
-        # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
-        self.splits = {False: grid.split, True: _behind(grid.split)}
+        vectors = map(np.ascontiguousarray, (grid.inverse, q, lower, upper))
+        self.rows = *grid.rows, *map(read_only, vectors)
         self.residual = np.zeros(grid.width)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
         self.peers = grid.peers
         if self.is_projected_type:
             pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
+            self.splits = {False: grid.split, True: read_only(grid.split + 1)}
             self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
             self.new = np.empty(grid.width)
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
-        if not self.is_projected_type:
-            self._relax(z, self.relaxation, backward)
-            return
-        indptr, indices, data = self.arrays
         self.peers.fetch(z)
+        if not self.is_projected_type:
+            sweeps.projected_sweep(*self.rows, self.relaxation, backward, z)
+            return
+        indptr, _, indices, data, _ = self.grid.rows
         self.new[self.q.size:] = z[self.q.size:]
         kernels.splitting_sweep(
             indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
@@ -77,21 +77,11 @@ class GridProblem:
 
     def gauss_seidel(self, z: FloatVector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
-        return self.peers.largest(self._relax(z, 1.0, backward=False))
-
-    def _relax(self, z: FloatVector, relaxation: float, backward: bool) -> float:
-        indptr, indices, data = self.arrays
+        before = z[: self.q.size].copy()
         self.peers.fetch(z)
-        largest, _ = kernels.relaxation_sweep(
-            indptr, self.splits[backward], indices, data, self.rows, relaxation, backward, z
-        )
-        return float(largest)
-
-
-def _behind(split: NDArray[Any]) -> NDArray[Any]:
-    after: NDArray[Any] = split + 1
-    after.flags.writeable = False
-    return after
+        sweeps.projected_sweep(*self.rows, 1.0, False, z)
+        before -= z[: self.q.size]
+        return self.peers.largest(span(before))
 
 
 class MultigridRun:
@@ -147,7 +137,7 @@ class MultigridRun:
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         self.peers.fetch(z)
         residual = fine.residual[: fine.q.size]
-        largest, _ = sweeps.free_rows(*fine.arrays, fine.rows, z, False, free, changed, residual)
+        largest, _ = sweeps.free_rows(*fine.rows, z, False, free, changed, residual)
         self.work += fine.entries
         return self.peers.largest(float(largest))
 
@@ -275,7 +265,7 @@ class MultigridRun:
         top, fine = self.truncation.grids[k], self.problems[k]
         fine.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *fine.arrays, fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed,
+            *fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed,
             fine.residual[: fine.q.size],
         )
         self.work += fine.entries
@@ -313,7 +303,7 @@ class MultigridRun:
         unit = power_of_two(self.peers.largest(span(step[:n])))
         step /= unit
         self.peers.fetch(step)
-        sweeps.free_product(*fine.arrays, np.ones(n, np.bool_), step, product)
+        sweeps.free_product(*fine.grid.rows, np.ones(n, np.bool_), step, product)
         # w = −residual on the free rows; the others did not move
         slope = -self.peers.total(float(step[:n] @ (fine.residual[:n] / unit)))
         curvature = self.peers.total(float(step[:n] @ product))

@@ -67,7 +67,7 @@ class KrylovCorrection:
             p = top.x[: top.grid.n].copy()
             product = np.empty(p.size)
             self.peers.fetch(top.x)
-            sweeps.free_product(*matrix.arrays, top.is_free, top.x, product)
+            sweeps.free_product(*top.rows, top.is_free, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale

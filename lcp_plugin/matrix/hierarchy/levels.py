@@ -20,6 +20,7 @@ from ..matrix import Matrix, fact
 from ..pivots import pivot_weight
 from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
+from .stretches import Stretches, stretches_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
@@ -72,13 +73,14 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One grid: its matrix with every diagonal entry stored, where those stand, and the inverses of the pivots.
+    """One grid: its matrix with every diagonal entry stored, where those stand, equal rows, inverses of the pivots.
 
     A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
     """
 
     matrix: Operator
     split: NDArray[Any]
+    stretches: Stretches
     inverse: FloatVector
     peers: Peers = ALONE
     weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
@@ -92,6 +94,11 @@ class Grid:
     def width(self) -> int:
         """Number of unknowns that the own rows meet."""
         return self.inverse.size + self.peers.foreign
+
+    @property
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]:
+        """The matrix as sweeps take it."""
+        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.stretches
 
     @property
     def own_entries(self) -> int:
@@ -235,7 +242,7 @@ def grid_of(
     pivot = diagonal + weight if weight.size else diagonal
     np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
-    return Grid(matrix, split, inverse, peers, weight)
+    return Grid(matrix, split, stretches_of(split.size, matrix.arrays), inverse, peers, weight)
 
 
 def chosen_kinds(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from . import galerkin, sweeps
 from .levels import Grid, Hierarchy
+from .stretches import without
 
 COARSEST_SWEEPS = 10
 
@@ -19,10 +22,12 @@ class TruncatedGrid:
         self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
+        self.stretches = grid.stretches
         self.inverse = grid.inverse.copy()
         self.is_free = np.ones(grid.width, np.bool_)
         self.free_changed = np.zeros(grid.width, np.bool_)
         self.row_changed = np.zeros(n, np.bool_)
+        self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
         self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
         self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(grid.width)
@@ -38,7 +43,20 @@ class TruncatedGrid:
             self.new_values[:] = self.grid.matrix.data
         self.free_changed[:] = False
         self.row_changed[:] = False
+        self.has_changed[:] = False
+        self.stretches = self.grid.stretches
         return float(self.values.size)
+
+    @property
+    def rows(self) -> tuple[Any, ...]:
+        """The truncated matrix as sweeps take it."""
+        matrix = self.grid.matrix
+        return matrix.indptr, self.grid.split, matrix.indices, self.values, self.stretches
+
+    def note_changed_rows(self) -> None:
+        """Take note of rows that were computed again: they are like no other."""
+        self.has_changed |= self.row_changed
+        self.stretches = without(self.grid.stretches, self.has_changed)
 
 
 class Truncation:
@@ -83,6 +101,7 @@ class Truncation:
                 below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
             )
             below.is_whole = False
+            below.note_changed_rows()
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
             if level.grid.peers.total(changed) == 0:
                 break
@@ -90,17 +109,14 @@ class Truncation:
     def correct(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
         level = self.grids[k]
-        grid = level.grid
-        indptr, indices, _ = grid.matrix.arrays
-        sweeps.first_sweep(indptr, grid.split, indices, level.values, level.inverse, level.b, level.x)
-        self.work += 0.5 * indices.size
+        grid, rows, entries = level.grid, level.rows, level.values.size
+        sweeps.first_sweep(*rows, level.inverse, level.b, level.x)
+        self.work += 0.5 * entries
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
         grid.peers.fetch(level.x)
-        sweeps.residual_after_first_sweep(
-            indptr, grid.split, indices, level.values, level.inverse, grid.weight, level.x, level.residual[: grid.n]
-        )
+        sweeps.residual_after_first_sweep(*rows, level.inverse, grid.weight, level.x, level.residual[: grid.n])
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
         sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
@@ -108,8 +124,8 @@ class Truncation:
         below.grid.peers.fetch(below.x)
         sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
         grid.peers.fetch(level.x)
-        sweeps.backward_sweep(indptr, indices, level.values, level.inverse, level.b, level.x)
-        self.work += 1.5 * indices.size + 2.0 * transfer.prolongation.data.size
+        sweeps.sweep(*rows, level.inverse, True, level.b, level.x)
+        self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def correct_transposed(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
@@ -136,14 +152,7 @@ class Truncation:
         self.work += level.values.size
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
-        indptr, indices, _ = level.grid.matrix.arrays
-        rest = indptr, indices, level.values, level.inverse, level.b, level.x
-        fetch = level.grid.peers.fetch
-        fetch(level.x)
-        sweeps.backward_sweep(*rest)
-        for _ in range(COARSEST_SWEEPS):
-            fetch(level.x)
-            sweeps.forward_sweep(*rest)
-            fetch(level.x)
-            sweeps.backward_sweep(*rest)
-        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * indices.size
+        for sweep in range(2 * COARSEST_SWEEPS + 1):
+            level.grid.peers.fetch(level.x)
+            sweeps.sweep(*level.rows, level.inverse, sweep % 2 == 0, level.b, level.x)
+        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size

@@ -324,16 +324,18 @@ class MultigridRun:
         correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
         enough = KRYLOV_GAIN * correction.largest()
         part = z[: fine.q.size]
-        origin = part.copy()
+        origin = self.truncation.vector()
+        np.copyto(origin, part)
         for k in range(most):
             if not correction.step():
                 break
-            correction.apply_to(origin, part)
-            np.clip(part, fine.lower, fine.upper, out=part)
+            correction.apply_within(origin, fine.lower, fine.upper, part)
             left = correction.largest()
             if left <= enough or k == most - 1:
                 break
             yield Step(z, increment=left, work=self._spent())
+        correction.give_back()
+        self.truncation.spare.append(origin)
 
     # --- without coarser grids --------------------------------------------------------------------------
 
@@ -368,5 +370,7 @@ def rehearse(algorithm: Multigrid) -> None:
     steps = run.iterates(np.zeros(16))
     for _ in range(3):
         next(steps)
-    KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric).step()
+    correction = KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric)
+    correction.step()
+    correction.apply_within(np.zeros(16), run.problems[0].lower, run.problems[0].upper, np.zeros(16))
     run.problems[0].gauss_seidel(np.zeros(16))

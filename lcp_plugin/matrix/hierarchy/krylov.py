@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from . import sweeps
 from .truncation import Truncation
+from .vectors import add_both, add_within
 
 
 class KrylovCorrection:
@@ -37,9 +38,20 @@ class KrylovCorrection:
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
         self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if self._weighs(transposed) else None
-        self._sum = np.zeros(residual.size)
-        self._scratch = np.empty(residual.size)
+        self._sum, self._scratch = truncation.vector(), truncation.vector()
+        self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+
+    def give_back(self) -> None:
+        """Leave the room of all vectors to the next correction; this one has ended."""
+        self.truncation.spare += [self._sum, self._scratch]
+        self._forget_directions()
+
+    def apply_within(
+        self, origin: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+    ) -> None:
+        """Overwrite z by mid(lower, upper, origin + c)."""
+        add_within(origin, self.unit, self._sum, *map(read_only, (lower, upper)), z)
 
     def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
         """Overwrite z by origin + c."""
@@ -57,40 +69,40 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         np.copyto(top.b, self.residual)
+        p, product = self.truncation.vector(), self.truncation.vector()
         if self.transposed:
             self.truncation.correct_transposed(0)
-            p, product = top.x.copy(), np.zeros(top.x.size)
+            np.copyto(p, top.x)
+            product[:] = 0.0
             sweeps.add_transposed_product(*matrix.arrays, 1.0, p, product)
             product *= top.is_free
         else:
             self.truncation.correct(0)
-            p = top.x[: top.grid.n].copy()
-            product = np.empty(p.size)
+            np.copyto(p, top.x[: top.grid.n])
             self.peers.fetch(top.x)
             sweeps.free_product(*top.rows, top.is_free, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale
-            self._add(-share, old_p, p)
-            self._add(-share, old_product, product)
+            add_both(-share, old_p, p, -share, old_product, product)
         against = self._against(p, product)
         scale = self._dot(against, product)
         length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
-        self._add(length, p, self._sum)
-        self._add(-length, product, self.residual)
+        add_both(length, p, self._sum, -length, product, self.residual)
         if self.is_symmetric:
-            self.directions.clear()
+            self._forget_directions()
         self.directions.append((p, product, scale))
         return True
 
+    def _forget_directions(self) -> None:
+        for p, product, _ in self.directions:
+            self.truncation.spare += [p, product]
+        self.directions.clear()
+
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
         return self.peers.total(float(one @ other))
-
-    def _add(self, factor: float, vector: FloatVector, to: FloatVector) -> None:
-        np.multiply(vector, factor, out=self._scratch)
-        to += self._scratch
 
     def _weighs(self, transposed: bool) -> bool:
         return not (self.is_symmetric or transposed)

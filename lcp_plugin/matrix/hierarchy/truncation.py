@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import FloatVector
 from . import galerkin, sweeps
 from .levels import Grid, Hierarchy
 from .stretches import without
@@ -67,6 +68,11 @@ class Truncation:
         self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
         self.work = 0.0
+        self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
+
+    def vector(self) -> FloatVector:
+        """Return room for the own values of the finest grid, shape (n,), filled with anything."""
+        return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
 
     def take_work(self) -> float:
         """Return the matrix entries touched since the last call."""

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from ...checks import FloatVector
 from ...kernels.compilation import compiled
 from ...peers.alone import Arrays
+from .stretches import Stretches
 
 Indices = NDArray[Any]
 
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
+STEPS_SEEN = 1000  # rows either side of the middle
 
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
@@ -80,20 +82,29 @@ def count_products(indptr, indices, p_indptr):  # type: ignore[no-untyped-def]
 
 
 def galerkin_product(
-    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int, stretches: Stretches | None = None
 ) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows."""
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows.
+
+    Where the stretches of equal rows of M are given, a row that must equal the one before is copied, not computed.
+    """
     indptr, indices, _ = matrix
     n = restriction[0].size - 1
+    step, repeats = 0, np.zeros(indptr.size - 1, np.bool_)
+    if stretches is not None and n > 1:
+        step = _usual_step(restriction[0], restriction[1])
+        if step > 0:
+            _mark_repeats(step, stretches, indptr, indices, *prolongation, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
     c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
     after = np.zeros(columns, indptr.dtype)
-    rows = _product_rows(*matrix, *prolongation, *restriction, longest, 0, after, c_indptr, c_indices, c_data)
+    operands = *matrix, *prolongation, *restriction, step, repeats, longest
+    rows = _product_rows(*operands, 0, after, c_indptr, c_indices, c_data)
     while rows < n:  # the room did not suffice
         size, room = int(c_indptr[rows]), room + room // 2 + n
         c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
-        rows = _product_rows(*matrix, *prolongation, *restriction, longest, rows, after, c_indptr, c_indices, c_data)
+        rows = _product_rows(*operands, rows, after, c_indptr, c_indices, c_data)
     size = int(c_indptr[n])
     return c_indptr, c_indices[:size], c_data[:size]
 
@@ -104,10 +115,56 @@ def _enlarged(values: Any, size: int, room: int) -> Any:
     return larger
 
 
+def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
+    """Return by how many fine unknowns a row of R most often is further than the one before; 0 for backwards."""
+    rows = r_indptr.size - 1
+    some = r_indptr[max(rows // 2 - STEPS_SEEN, 0) : rows // 2 + STEPS_SEEN]
+    steps, times = np.unique(np.diff(r_indices[some[some < r_indices.size]]), return_counts=True)
+    return max(int(steps[np.argmax(times)]), 0) if steps.size else 0
+
+
+@compiled
+def _mark_repeats(step, stretches, indptr, indices, p_indptr, p_indices, p_data, repeats):  # type: ignore[no-untyped-def]
+    """Mark the rows i of M P that are those of i − step with each column one further."""
+    one = uintp(1)
+    is_same = np.zeros(p_indptr.size - 1, np.bool_)
+    for i in range(uintp(step), uintp(is_same.size)):
+        k, before = uintp(p_indptr[i]), uintp(p_indptr[i - uintp(step)])
+        end = uintp(p_indptr[i + one])
+        same = p_indptr[i + one] - p_indptr[i] == p_indptr[i - uintp(step) + one] - p_indptr[i - uintp(step)]
+        while same and k < end:
+            same = p_data[k] == p_data[before] and p_indices[k] == p_indices[before] + 1
+            k += one
+            before += one
+        is_same[i] = same
+    for s in range(stretches.shape[0]):
+        if stretches[s, 2] > 0:
+            for i in range(uintp(stretches[s, 0] + step), uintp(stretches[s, 1])):
+                repeats[i] = True
+                for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                    repeats[i] &= is_same[uintp(indices[k])]
+
+
+@njit(inline="always")
+def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[no-untyped-def]
+    """Return whether that row of R M P is the one before with each column one further."""
+    one = uintp(1)
+    k, end, before = uintp(r_indptr[row]), uintp(r_indptr[row + one]), uintp(r_indptr[row - one])
+    if end - k != k - before:
+        return False
+    while k < end:
+        i = r_indices[k]
+        if not (repeats[uintp(i)] and i == r_indices[before] + step and r_data[k] == r_data[before]):
+            return False
+        k += one
+        before += one
+    return True
+
+
 @compiled
 def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    longest, first_row, after, c_indptr, c_indices, c_data,
+    step, repeats, longest, first_row, after, c_indptr, c_indices, c_data,
 ):
     """Compute the rows of R M P from `first_row` on; return the first that the room may not hold, or their number.
 
@@ -125,6 +182,12 @@ def _product_rows(  # type: ignore[no-untyped-def]
             needed += uintp(longest) * uintp(indptr[i + one] - indptr[i])
         if room - size < min(needed, uintp(after.size)):
             return row
+        if step > 0 and row > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
+            for k in range(uintp(c_indptr[row - one]), begin):
+                c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
+                size += one
+            c_indptr[row + one] = size
+            continue
         c_indices[size] = row
         c_data[size] = 0.0
         size += one
@@ -151,16 +214,24 @@ def _product_rows(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched):  # type: ignore[no-untyped-def]
+def mark_rows(indptr, indices, stretches, is_free_changed, is_row_changed, touched):  # type: ignore[no-untyped-def]
     """Mark the rows whose contribution to the coarse matrix changed."""
     one = uintp(1)
-    for i in range(uintp(is_row_changed.size)):
-        touched[i] = is_free_changed[i] or is_row_changed[i]
-        if not touched[i]:
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                if is_free_changed[uintp(indices[k])]:
-                    touched[i] = True
-                    break
+    marks, news = touched.view(np.uint8), is_free_changed.view(np.uint8)
+    for s in range(stretches.shape[0]):
+        first, end = stretches[s, 0], stretches[s, 1]
+        touched[first:end] = is_row_changed[first:end]
+        if stretches[s, 2] > 0:  # the rows meet the same neighbours
+            for k in range(uintp(indptr[first]), uintp(indptr[first + 1])):
+                changed, part = news[indices[k] : indices[k] + end - first], marks[first:end]
+                for p in range(part.size):
+                    part[p] |= changed[p]
+            continue
+        for i in range(uintp(first), uintp(end)):
+            k, last = uintp(indptr[i]), uintp(indptr[i + one])
+            while k < last and not touched[i]:
+                touched[i] = is_free_changed[uintp(indices[k])]
+                k += one
 
 
 @compiled

@@ -345,7 +345,7 @@ def _coarser(grid: Grid, interpolation: Interpolation, scales_rows: bool) -> tup
             return None
     prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
     rows = galerkin.galerkin_product(
-        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size
+        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size, grid.stretches
     )
     if not peers.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]

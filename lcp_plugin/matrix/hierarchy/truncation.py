@@ -96,7 +96,10 @@ class Truncation:
             matrix = level.grid.matrix
             level.grid.peers.fetch_flags(level.is_free)
             level.grid.peers.fetch_flags(level.free_changed)
-            galerkin.mark_rows(matrix.indptr, matrix.indices, level.free_changed, level.row_changed, level.touched)
+            galerkin.mark_rows(
+                matrix.indptr, matrix.indices, level.grid.stretches, level.free_changed, level.row_changed,
+                level.touched,
+            )
             level.grid.peers.fetch_flags(level.touched)
             if level.new_values is not None:
                 level.grid.peers.fetch_entries(level.new_values)

@@ -118,11 +118,12 @@ class MultigridRun:
             yield step if z is start else replace(step, z=step.z[:n])
 
     def _whole_iterates(self, z: FloatVector, is_cold: bool) -> Iterator[Step]:
-        yield Step(z, work=self._spent())
+        begun = self._residual(z)
+        yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
         if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
             return
-        begun, start = self._residual(z), z.copy()
+        start = z.copy()
         if not is_cold:  # the start may be much better than what the first cycle makes of it
             nearest = np.zeros(z.size)
             nearest[: self.problem.q.size] = self.problem.nearest_to_zero

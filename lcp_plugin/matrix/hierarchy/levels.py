@@ -242,7 +242,7 @@ def grid_of(
     pivot = diagonal + weight if weight.size else diagonal
     np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
-    return Grid(matrix, split, stretches_of(split.size, matrix.arrays), inverse, peers, weight)
+    return Grid(matrix, split, stretches_of(inverse, matrix.arrays), inverse, peers, weight)
 
 
 def chosen_kinds(

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ...checks import BoolVector
+from ...checks import BoolVector, FloatVector
 from ...kernels.compilation import compiled
 from ...peers.alone import Arrays
 
@@ -23,12 +23,12 @@ SHORTEST = 16  # rows; fewer are taken one by one
 LONGEST_REACH = 1024  # rows, whose sums stay in the fastest cache
 
 
-def stretches_of(rows: int, matrix: Arrays) -> Stretches:
-    """Return the stretches of the first rows, shape (count, 3): first row, row behind the last, and reach.
+def stretches_of(inverse: FloatVector, matrix: Arrays) -> Stretches:
+    """Return the stretches of the own rows, shape (count, 3): first row, row behind the last, and reach.
 
-    The reach is the number of rows that a sweep may take at once, 0 where they are unlike and taken one by one.
+    Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a sweep may take at once, 0 where they are unlike and taken one by one.
     """
-    return _noted(rows, lambda found: _find(rows, *matrix, found))
+    return _noted(inverse.size, lambda found: _find(*matrix, inverse, found))
 
 
 def without(stretches: Stretches, changed: BoolVector) -> Stretches:
@@ -56,15 +56,15 @@ def _append(found, count, first, end, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _find(rows, indptr, indices, data, found):  # type: ignore[no-untyped-def]
-    one = uintp(1)
+def _find(indptr, indices, data, inverse, found):  # type: ignore[no-untyped-def]
+    one, rows = uintp(1), inverse.size
     count, first = 0, 0
     for i in range(1, rows + 1):
         is_same = False
         if i < rows:
             k, end = uintp(indptr[i]), uintp(indptr[i + 1])
             before = uintp(indptr[i - 1])
-            is_same = k - before == end - k
+            is_same = k - before == end - k and inverse[i] == inverse[i - 1]
             while is_same and k < end:
                 is_same = data[k] == data[before] and indices[k] == indices[before] + 1
                 k += one

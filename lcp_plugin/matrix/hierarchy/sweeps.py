@@ -166,20 +166,21 @@ def projected_sweep(  # type: ignore[no-untyped-def]
             continue
         lowest, last = uintp(indptr[first]), uintp(indptr[first + 1])
         near = _place(lowest, last, first + 1 if backward else first - 1, indices)
-        weight = relaxation * data[near] if near < last else 0.0
+        pivot = relaxation * inverse[first]
+        weight = pivot * data[near] if near < last else 0.0
         for done in range(0, end - first, reach):
             size = min(reach, end - first - done)
             i = end - done - size if backward else first + done
-            sums, part, pivots = room[:size], z[i : i + size], inverse[i : i + size]
+            sums, part = room[:size], z[i : i + size]
             least, most = lower[i : i + size], upper[i : i + size]
             sums[:] = q[i : i + size]
             _add_products(lowest, last, near, i - first, indices, data, z, sums)
             for p in range(size):
-                sums[p] = part[p] - relaxation * (sums[p] * pivots[p])
+                sums[p] = part[p] - sums[p] * pivot
             before = (z[i + size] if backward else z[i - 1]) if near < last else 0.0
             for step in range(size):
                 p = size - 1 - step if backward else step
-                before = _clamped(sums[p] - (weight * pivots[p]) * before, least[p], most[p])
+                before = _clamped(sums[p] - weight * before, least[p], most[p])
                 part[p] = before
 
 

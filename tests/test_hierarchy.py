@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin.evidence import gallery
-from lcp_plugin.matrix.hierarchy import galerkin, levels, sweeps
+from lcp_plugin.matrix.hierarchy import galerkin, levels, stretches, sweeps
 from lcp_plugin.matrix.hierarchy.levels import Hierarchy, Operator, build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import Truncation
 from lcp_plugin.matrix.symmetry import is_symmetric_entrywise
@@ -289,3 +289,72 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
     sweeps.sweep(*grid.rows, grid.inverse, True, b, x)
     np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)
+
+
+STRETCHED = [
+    "obstacle_2d:size=40", "obstacle_3d:size=34", "journal_bearing:size=40,eccentricity=0.9",
+    "rotated_anisotropy:size=40", "convection_diffusion:size=40,diffusion=0.01",
+    "coefficient_jumps:size=64,contrast=1e2", "random_h_plus:n=500",
+]
+
+
+@pytest.mark.parametrize("text", STRETCHED)
+def test_stretches_change_nothing_but_rounding(text: str) -> None:
+    """Sweeps, residuals and products over stretches of equal rows are those row by row, on every grid."""
+    generator = np.random.default_rng(0)
+    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
+    for grid in hierarchy.grids:
+        one_by_one = np.array([[0, grid.n, 0]])
+        one_by_one.flags.writeable = False
+        b, start, free = generator.normal(size=grid.n), generator.normal(size=grid.n), generator.random(grid.n) < 0.7
+        inverse, lower, upper = grid.inverse * free, np.full(grid.n, -0.1), np.full(grid.n, 0.2)
+        found = []
+        for which in (grid.stretches, one_by_one):
+            rows = *grid.rows[:4], which
+            x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
+            sweeps.first_sweep(*rows, inverse, b, x)
+            results = [x.copy()]
+            sweeps.residual_after_first_sweep(*rows, inverse, np.zeros(0), x, residual)
+            results.append(residual.copy())
+            for backward in (True, False):
+                sweeps.sweep(*rows, inverse, backward, b, x)
+                sweeps.projected_sweep(*rows, grid.inverse, b, lower, upper, 1.1, backward, z)
+                results += [x.copy(), z.copy()]
+            is_free, changed = np.ones(grid.n, np.bool_), np.zeros(grid.n, np.bool_)
+            numbers = sweeps.free_rows(*rows, grid.inverse, b, lower, upper, z, False, is_free, changed, residual)
+            sweeps.free_product(*rows, free, start, x)
+            found.append([*results, residual, x, np.array(numbers)])
+        for ours, plain in zip(*found, strict=True):
+            np.testing.assert_allclose(ours, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("text", STRETCHED)
+def test_repeated_rows_of_a_product_are_copied_bit_for_bit(text: str) -> None:
+    """A coarse matrix has the same bits whether or not rows that repeat are copied."""
+    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
+    for grid, below, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        computed = galerkin.galerkin_product(
+            grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays, below.n
+        )
+        for ours, plain in zip(below.matrix.arrays, computed, strict=True):
+            np.testing.assert_array_equal(ours, plain)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 0.2))
+def test_what_changed_drops_out_of_stretches(seed: int, share: float) -> None:
+    """Stretches cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
+    grid = levels.build_hierarchy(gallery.parse("obstacle_2d:size=40").problem.csr, coarsest=10_000).grids[0]
+    changed = np.random.default_rng(seed).random(grid.n) < share
+    left = stretches.without(grid.stretches, changed)
+    assert left[0, 0] == 0
+    assert left[-1, 1] == grid.n
+    assert np.array_equal(left[1:, 0], left[:-1, 1])
+    indptr, indices, data = grid.matrix.arrays
+    for first, end, reach in left:
+        if reach > 0:
+            assert not changed[first:end].any()
+            row = slice(indptr[first], indptr[first + 1])
+            for i in range(first, end):
+                other = slice(indptr[i], indptr[i + 1])
+                assert np.array_equal(data[row], data[other])
+                assert np.array_equal(indices[row] - first, indices[other] - i)

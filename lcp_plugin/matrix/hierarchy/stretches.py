@@ -26,7 +26,8 @@ LONGEST_REACH = 1024  # rows, whose sums stay in the fastest cache
 def stretches_of(inverse: FloatVector, matrix: Arrays) -> Stretches:
     """Return the stretches of the own rows, shape (count, 3): first row, row behind the last, and reach.
 
-    Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a sweep may take at once, 0 where they are unlike and taken one by one.
+    Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a
+    sweep may take at once, 0 where they are unlike and taken one by one.
     """
     return _noted(inverse.size, lambda found: _find(*matrix, inverse, found))
 

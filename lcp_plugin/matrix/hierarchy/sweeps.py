@@ -33,14 +33,26 @@ def _plus_products_backward(total, first, last, indices, data, x):  # type: igno
 
 @compiled
 def _add_products(first, last, but, shift, indices, data, x, sums):  # type: ignore[no-untyped-def]
-    """Add Σ data_k x_j to every sums[p], j = p + shift + the column of k, over first ≤ k < last but one of them."""
-    for k in range(first, last):
+    """Add Σ data_k x_j to every sums[p], j = p + shift + the column of k, over first ≤ k < last but one of them.
+
+    Two entries at a time: half the passes over the sums.
+    """
+    one, size = uintp(1), uintp(sums.size)
+    k = uintp(first)
+    while k < last:
+        after = k + one
         if k != but:
-            factor = data[k]
-            begin = shift + indices[k]
-            part = x[begin : begin + sums.size]
-            for p in range(sums.size):
-                sums[p] += factor * part[p]
+            after += one if after == but else uintp(0)
+            begin = uintp(shift + indices[k])
+            if after < last:
+                begin_too = uintp(shift + indices[after])
+                for p in range(size):
+                    sums[p] += data[k] * x[begin + p] + data[after] * x[begin_too + p]
+                after += one
+            else:
+                for p in range(size):
+                    sums[p] += data[k] * x[begin + p]
+        k = after
 
 
 @njit(inline="always")
@@ -162,7 +174,7 @@ def projected_sweep(  # type: ignore[no-untyped-def]
             for step in range(end - first):
                 i = uintp(end - 1 - step if backward else first + step)
                 w = _excess(q[i], indptr[i], split[i], indptr[i + one], backward, indices, data, z)
-                z[i] = _clamped(z[i] - relaxation * (w * inverse[i]), lower[i], upper[i])
+                z[i] = _clamped(z[i] - w * (relaxation * inverse[i]), lower[i], upper[i])
             continue
         lowest, last = uintp(indptr[first]), uintp(indptr[first + 1])
         near = _place(lowest, last, first + 1 if backward else first - 1, indices)
@@ -291,33 +303,35 @@ def free_rows(  # type: ignore[no-untyped-def]
     a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
-    room = np.empty(LONGEST_REACH)
-    largest, changed = np.int64(0), 0
+    room = np.empty(2 * LONGEST_REACH)
+    largest, changed, done = np.int64(0), 0, 0
     for s in range(stretches.shape[0]):
         first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
         i = first
         while i < end:
             size = _rows_at_once(i, end, reach)
-            w, part, pivots = residual[i : i + size], z[i : i + size], inverse[i : i + size]
-            least, most, sizes = lower[i : i + size], upper[i : i + size], room[:size]
-            free, news = is_free[i : i + size], is_changed[i : i + size]
-            w[:] = q[i : i + size]
-            _add_rows(indptr, indices, data, first, reach, i, z, w)
+            residual[i : i + size] = q[i : i + size]
+            _add_rows(indptr, indices, data, first, reach, i, z, residual[i : i + size])
+            i += size
+            if i - done < LONGEST_REACH and i < residual.size:
+                continue  # short stretches are looked at together
+            w, part, pivots, sizes = residual[done:i], z[done:i], inverse[done:i], room[: i - done]
+            least, most, free, news = lower[done:i], upper[done:i], is_free[done:i], is_changed[done:i]
+            done = i
             if snaps:
                 _snap(w, pivots, least, most, part)
-            for p in range(size):
+            for p in range(w.size):
                 above, below = part[p] - least[p], part[p] - most[p]
                 sizes[p] = abs(_clamped(w[p] * pivots[p], below, above))
                 is_off = ((above > 0.0) | (w[p] < 0.0)) & ((below < 0.0) | (w[p] > 0.0))
                 news[p] = is_off != free[p]
                 free[p] = is_off
                 w[p] = -w[p] if is_off else 0.0
-            for p in range(size):
+            for p in range(w.size):
                 changed += news[p]
             bits = sizes.view(np.int64)  # of numbers ≥ 0 they have the same order, and NaN is the largest
-            for p in range(size):
+            for p in range(w.size):
                 largest = max(largest, bits[p])
-            i += size
     room.view(np.int64)[0] = largest
     return room[0], changed
 

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.matrix.hierarchy import galerkin, levels, stretches, sweeps
 from lcp_plugin.matrix.hierarchy.levels import Hierarchy, Operator, build_hierarchy
@@ -282,12 +283,12 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
     b = np.random.default_rng(0).normal(size=M.shape[0])
     x, residual = np.empty_like(b), np.empty_like(b)
-    sweeps.first_sweep(*grid.rows, grid.inverse, b, x)
-    sweeps.residual_after_first_sweep(*grid.rows, grid.inverse, np.zeros(0), x, residual)
+    sweeps.first_sweep(grid.rows, grid.inverse, b, x)
+    sweeps.residual_after_first_sweep(grid.rows, grid.inverse, np.zeros(0), x, residual)
     dense = M.toarray()
     np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
     np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
-    sweeps.sweep(*grid.rows, grid.inverse, True, b, x)
+    sweeps.sweep(grid.rows, grid.inverse, True, b, x)
     np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)
 
 
@@ -311,18 +312,19 @@ def test_stretches_change_nothing_but_rounding(text: str) -> None:
         found = []
         for which in (grid.stretches, one_by_one):
             rows = *grid.rows[:4], which
+            vectors = tuple(map(read_only, (grid.inverse, b, lower, upper)))
             x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
-            sweeps.first_sweep(*rows, inverse, b, x)
+            sweeps.first_sweep(rows, inverse, b, x)
             results = [x.copy()]
-            sweeps.residual_after_first_sweep(*rows, inverse, np.zeros(0), x, residual)
+            sweeps.residual_after_first_sweep(rows, inverse, np.zeros(0), x, residual)
             results.append(residual.copy())
             for backward in (True, False):
-                sweeps.sweep(*rows, inverse, backward, b, x)
-                sweeps.projected_sweep(*rows, grid.inverse, b, lower, upper, 1.1, backward, z)
+                sweeps.sweep(rows, inverse, backward, b, x)
+                sweeps.projected_sweep(rows, vectors, 1.1, backward, z)
                 results += [x.copy(), z.copy()]
             is_free, changed = np.ones(grid.n, np.bool_), np.zeros(grid.n, np.bool_)
-            numbers = sweeps.free_rows(*rows, grid.inverse, b, lower, upper, z, False, is_free, changed, residual)
-            sweeps.free_product(*rows, free, start, x)
+            numbers = sweeps.free_rows(*rows, *vectors, z, False, is_free, changed, residual)
+            sweeps.free_product(rows, inverse, start, x)
             found.append([*results, residual, x, np.array(numbers)])
         for ours, plain in zip(*found, strict=True):
             np.testing.assert_allclose(ours, plain, rtol=0, atol=1e-11 * np.abs(plain).max())

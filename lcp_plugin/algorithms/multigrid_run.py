@@ -46,10 +46,10 @@ class GridProblem:
     def __init__(
         self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> None:
-        self.grid, self.q, self.lower, self.upper = grid, q, lower, upper
-        self.entries = grid.matrix.data.size
-        vectors = map(np.ascontiguousarray, (grid.inverse, q, lower, upper))
-        self.rows = *grid.rows, *map(read_only, vectors)
+        self.grid, self.entries = grid, grid.matrix.data.size
+        # All read-only, so that every kernel is compiled once.
+        self.vectors = tuple(read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper))
+        _, self.q, self.lower, self.upper = self.vectors
         self.residual = np.zeros(grid.width)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
@@ -65,7 +65,7 @@ class GridProblem:
         """Overwrite z by one projected sweep."""
         self.peers.fetch(z)
         if not self.is_projected_type:
-            sweeps.projected_sweep(*self.rows, self.relaxation, backward, z)
+            sweeps.projected_sweep(self.grid.rows, self.vectors, self.relaxation, backward, z)
             return
         indptr, _, indices, data, _ = self.grid.rows
         self.new[self.q.size:] = z[self.q.size:]
@@ -78,7 +78,7 @@ class GridProblem:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
         before = z[: self.q.size].copy()
         self.peers.fetch(z)
-        sweeps.projected_sweep(*self.rows, 1.0, False, z)
+        sweeps.projected_sweep(self.grid.rows, self.vectors, 1.0, False, z)
         before -= z[: self.q.size]
         return self.peers.largest(span(before))
 
@@ -137,7 +137,7 @@ class MultigridRun:
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         self.peers.fetch(z)
         residual = fine.residual[: fine.q.size]
-        largest, _ = sweeps.free_rows(*fine.rows, z, False, free, changed, residual)
+        largest, _ = sweeps.free_rows(*fine.grid.rows, *fine.vectors, z, False, free, changed, residual)
         self.work += fine.entries
         return self.peers.largest(float(largest))
 
@@ -265,7 +265,7 @@ class MultigridRun:
         top, fine = self.truncation.grids[k], self.problems[k]
         fine.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *fine.rows, z, fine.is_projected_type, top.is_free, top.free_changed,
+            *fine.grid.rows, *fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
             fine.residual[: fine.q.size],
         )
         self.work += fine.entries
@@ -303,7 +303,7 @@ class MultigridRun:
         unit = power_of_two(self.peers.largest(span(step[:n])))
         step /= unit
         self.peers.fetch(step)
-        sweeps.free_product(*fine.grid.rows, np.ones(n, np.bool_), step, product)
+        sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
         # w = −residual on the free rows; the others did not move
         slope = -self.peers.total(float(step[:n] @ (fine.residual[:n] / unit)))
         curvature = self.peers.total(float(step[:n] @ product))

@@ -94,7 +94,8 @@ def galerkin_product(
     if stretches is not None and n > 1:
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
-            _mark_repeats(step, stretches, indptr, indices, *prolongation, repeats)
+            is_same = np.zeros(repeats.size, np.bool_)
+            _mark_repeats(step, stretches, indptr, indices, *prolongation, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
     c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
@@ -124,10 +125,11 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
 
 
 @compiled
-def _mark_repeats(step, stretches, indptr, indices, p_indptr, p_indices, p_data, repeats):  # type: ignore[no-untyped-def]
-    """Mark the rows i of M P that are those of i − step with each column one further."""
+def _mark_repeats(  # type: ignore[no-untyped-def]
+    step, stretches, indptr, indices, p_indptr, p_indices, p_data, is_same, repeats
+):
+    """Mark the rows i of M P that are those of i − step with each column one further, and such rows of P."""
     one = uintp(1)
-    is_same = np.zeros(p_indptr.size - 1, np.bool_)
     for i in range(uintp(step), uintp(is_same.size)):
         k, before = uintp(p_indptr[i]), uintp(p_indptr[i - uintp(step)])
         end = uintp(p_indptr[i + one])
@@ -215,19 +217,19 @@ def _product_rows(  # type: ignore[no-untyped-def]
 
 @compiled
 def mark_rows(indptr, indices, stretches, is_free_changed, is_row_changed, touched):  # type: ignore[no-untyped-def]
-    """Mark the rows whose contribution to the coarse matrix changed."""
+    """Mark the rows whose contribution to the coarse matrix changed; all three flags are bytes."""
     one = uintp(1)
-    marks, news = touched.view(np.uint8), is_free_changed.view(np.uint8)
     for s in range(stretches.shape[0]):
-        first, end = stretches[s, 0], stretches[s, 1]
-        touched[first:end] = is_row_changed[first:end]
-        if stretches[s, 2] > 0:  # the rows meet the same neighbours
-            for k in range(uintp(indptr[first]), uintp(indptr[first + 1])):
-                changed, part = news[indices[k] : indices[k] + end - first], marks[first:end]
-                for p in range(part.size):
-                    part[p] |= changed[p]
+        first, end, reach = uintp(stretches[s, 0]), uintp(stretches[s, 1]), stretches[s, 2]
+        for i in range(first, end):
+            touched[i] = is_row_changed[i]
+        if reach > 0:  # the rows meet the same neighbours
+            for k in range(uintp(indptr[first]), uintp(indptr[first + one])):
+                to = uintp(indices[k])
+                for p in range(end - first):
+                    touched[first + p] |= is_free_changed[to + p]
             continue
-        for i in range(uintp(first), uintp(end)):
+        for i in range(first, end):
             k, last = uintp(indptr[i]), uintp(indptr[i + one])
             while k < last and not touched[i]:
                 touched[i] = is_free_changed[uintp(indices[k])]

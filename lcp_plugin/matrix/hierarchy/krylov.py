@@ -80,7 +80,7 @@ class KrylovCorrection:
             self.truncation.correct(0)
             np.copyto(p, top.x[: top.grid.n])
             self.peers.fetch(top.x)
-            sweeps.free_product(*top.rows, top.is_free, top.x, product)
+            sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale

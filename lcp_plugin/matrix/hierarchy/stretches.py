@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, uintp
+from numba import uintp
 from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
@@ -44,7 +44,7 @@ def _noted(rows: int, note: Any) -> Stretches:
     return noted
 
 
-@njit(inline="always")
+@compiled
 def _append(found, count, first, end, reach):  # type: ignore[no-untyped-def]
     """Write one more stretch; what is taken row by row goes on where the one before is."""
     if end - first < SHORTEST or reach < SHORTEST:

@@ -6,11 +6,61 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit, uintp
+from numpy.typing import NDArray
 
+from ...checks import FloatVector, read_only
 from ...kernels.compilation import compiled
-from .stretches import LONGEST_REACH
+from .stretches import LONGEST_REACH, Stretches
+
+Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
+NO_BOUNDS = (read_only(np.zeros(0)),) * 2
+
+
+def first_sweep(rows: Matrix, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
+    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
+    indptr, split, *rest = rows
+    _sweep(indptr, split, split, *rest, read_only(inverse), -1.0, read_only(b), *NO_BOUNDS, 1.0, True, False, x)
+
+
+def residual_after_first_sweep(
+    rows: Matrix, inverse: FloatVector, weight: FloatVector, x: FloatVector, residual: FloatVector
+) -> None:
+    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed.
+
+    It held with the pivot m_ii + weight_i, where there are weights.
+    """
+    indptr, split, *rest = rows
+    _free_product(indptr, split, 1, *rest, read_only(inverse), -1.0, x, residual)
+    if weight.size:
+        residual += np.where(inverse != 0.0, weight * x[: weight.size], 0.0)
+
+
+def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
+    """Product ← M x on the free rows, 0 elsewhere."""
+    indptr, _, *rest = rows
+    _free_product(indptr, indptr, 0, *rest, read_only(inverse), 1.0, x, product)
+
+
+def sweep(rows: Matrix, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector) -> None:
+    """Overwrite x by one Gauss–Seidel sweep for M x = b."""
+    indptr, *rest = rows
+    _sweep(indptr, indptr[1:], *rest, read_only(inverse), -1.0, read_only(b), *NO_BOUNDS, 1.0, False, backward, x)
+
+
+def projected_sweep(
+    rows: Matrix, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
+) -> None:
+    """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
+
+    `vectors` are the inverse pivots, q, lower and upper, read-only.
+    """
+    indptr, *rest = rows
+    inverse, *problem = vectors
+    _sweep(indptr, indptr[1:], *rest, inverse, 1.0, *problem, relaxation, False, backward, z)
 
 
 @njit(inline="always")
@@ -32,26 +82,26 @@ def _plus_products_backward(total, first, last, indices, data, x):  # type: igno
 
 
 @compiled
-def _add_products(first, last, but, shift, indices, data, x, sums):  # type: ignore[no-untyped-def]
-    """Add Σ data_k x_j to every sums[p], j = p + shift + the column of k, over first ≤ k < last but one of them.
+def _add_products(first, last, but, shift, indices, data, x, begin, size, sums):  # type: ignore[no-untyped-def]
+    """Add Σ data_k x_j, j = p + shift + the column of k, to sums[begin + p], p < size; first ≤ k < last, k ≠ but.
 
     Two entries at a time: half the passes over the sums.
     """
-    one, size = uintp(1), uintp(sums.size)
+    one, begin, size = uintp(1), uintp(begin), uintp(size)
     k = uintp(first)
     while k < last:
         after = k + one
         if k != but:
             after += one if after == but else uintp(0)
-            begin = uintp(shift + indices[k])
+            at = uintp(shift + indices[k])
             if after < last:
-                begin_too = uintp(shift + indices[after])
+                at_too = uintp(shift + indices[after])
                 for p in range(size):
-                    sums[p] += data[k] * x[begin + p] + data[after] * x[begin_too + p]
+                    sums[begin + p] += data[k] * x[at + p] + data[after] * x[at_too + p]
                 after += one
             else:
                 for p in range(size):
-                    sums[p] += data[k] * x[begin + p]
+                    sums[begin + p] += data[k] * x[at + p]
         k = after
 
 
@@ -65,135 +115,46 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def first_sweep(indptr, split, indices, data, stretches, inverse, b, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
-    room = np.empty(LONGEST_REACH)
-    for s in range(stretches.shape[0]):
-        first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
-        if reach == 0:
-            for i in range(uintp(first), uintp(end)):
-                excess = _plus_products(-b[i], uintp(indptr[i]), uintp(split[i]), indices, data, x)
-                x[i] = excess * -inverse[i]
-            continue
-        lowest, diagonal = uintp(indptr[first]), uintp(split[first])
-        near = _place(lowest, diagonal, first - 1, indices)
-        weight = data[near] if near < diagonal else 0.0
-        for i in range(first, end, reach):
-            sums = room[: min(reach, end - i)]
-            part, pivots = x[i : i + sums.size], inverse[i : i + sums.size]
-            sums[:] = b[i : i + sums.size]
-            before = -x[i - 1] if near < diagonal else 0.0
-            for p in range(sums.size):
-                sums[p] = -sums[p]
-            _add_products(lowest, diagonal, near, i - first, indices, data, x, sums)
-            for p in range(sums.size):
-                sums[p] *= pivots[p]
-            for p in range(sums.size):  # the only one that waits
-                before = sums[p] - (weight * pivots[p]) * before
-                part[p] = -before
-
-
-@compiled
-def residual_after_first_sweep(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, stretches, inverse, weight, x, residual
+def _sweep(  # type: ignore[no-untyped-def]
+    indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation, is_first, backward, x
 ):
-    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed.
+    """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
-    It held with the pivot m_ii + weight_i, where there are weights.
+    Where `lower` is empty there are no bounds. The entries of row i end before ends[i]. The first sweep takes x for 0.
     """
-    one = uintp(1)
-    for s in range(stretches.shape[0]):
-        first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
-        if reach == 0:
-            for i in range(uintp(first), uintp(end)):
-                excess = 0.0
-                if inverse[i] != 0.0:
-                    excess = _plus_products(0.0, uintp(split[i]) + one, uintp(indptr[i + one]), indices, data, x)
-                residual[i] = -excess
-            continue
-        behind, last = uintp(split[first]) + one, uintp(indptr[first + 1])
-        for i in range(first, end, reach):
-            part = residual[i : min(i + reach, end)]
-            pivots = inverse[i : i + part.size]
-            for p in range(part.size):
-                part[p] = 0.0
-            _add_products(behind, last, last, i - first, indices, data, x, part)
-            for p in range(part.size):
-                part[p] = -part[p] if pivots[p] != 0.0 else 0.0
-    for i in range(weight.size):
-        if inverse[i] != 0.0:
-            residual[i] += weight[i] * x[i]
-
-
-@compiled
-def sweep(indptr, split, indices, data, stretches, inverse, backward, b, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by one Gauss–Seidel sweep for M x = b."""
-    one, count = uintp(1), stretches.shape[0]
-    room = np.empty(LONGEST_REACH)
+    count, has_bounds = stretches.shape[0], lower.size > 0
+    sums = np.empty(LONGEST_REACH)
     for s in range(count):
         at = count - 1 - s if backward else s
         first, end, reach = stretches[at, 0], stretches[at, 1], stretches[at, 2]
         if reach == 0:
             for step in range(end - first):
                 i = uintp(end - 1 - step if backward else first + step)
-                if inverse[i] != 0.0:
-                    excess = _excess(-b[i], indptr[i], split[i], indptr[i + one], backward, indices, data, x)
-                    x[i] -= excess * inverse[i]
+                value, pivot = 0.0 if is_first else x[i], relaxation * inverse[i]
+                if pivot != 0.0:
+                    value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
+                x[i] = _clamped(value, lower[i], upper[i]) if has_bounds else value
             continue
-        lowest, last = uintp(indptr[first]), uintp(indptr[first + 1])
+        lowest, last = uintp(indptr[first]), uintp(ends[first])
         near = _place(lowest, last, first + 1 if backward else first - 1, indices)
-        weight = data[near] if near < last else 0.0
+        weight = relaxation * data[near] if near < last else 0.0
         for done in range(0, end - first, reach):
             size = min(reach, end - first - done)
             i = end - done - size if backward else first + done
-            sums, part, pivots = room[:size], x[i : i + size], inverse[i : i + size]
-            sums[:] = b[i : i + size]
-            for p in range(size):
-                sums[p] = -sums[p]
-            _add_products(lowest, last, near, i - first, indices, data, x, sums)
-            for p in range(size):
-                sums[p] = part[p] - sums[p] * pivots[p]
+            begin = uintp(i)
+            for p in range(uintp(size)):
+                sums[p] = sign * b[begin + p]
+            _add_products(lowest, last, near, i - first, indices, data, x, 0, size, sums)
+            for p in range(uintp(size)):
+                before = 0.0 if is_first else x[begin + p]
+                sums[p] = before - sums[p] * (relaxation * inverse[begin + p])
             before = (x[i + size] if backward else x[i - 1]) if near < last else 0.0
             for step in range(size):  # the only loop in which a row waits for the one before
-                p = size - 1 - step if backward else step
-                before = sums[p] - (weight * pivots[p]) * before
-                part[p] = before
-
-
-@compiled
-def projected_sweep(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, stretches, inverse, q, lower, upper, relaxation, backward, z
-):
-    """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z."""
-    one, count = uintp(1), stretches.shape[0]
-    room = np.empty(LONGEST_REACH)
-    for s in range(count):
-        at = count - 1 - s if backward else s
-        first, end, reach = stretches[at, 0], stretches[at, 1], stretches[at, 2]
-        if reach == 0:
-            for step in range(end - first):
-                i = uintp(end - 1 - step if backward else first + step)
-                w = _excess(q[i], indptr[i], split[i], indptr[i + one], backward, indices, data, z)
-                z[i] = _clamped(z[i] - w * (relaxation * inverse[i]), lower[i], upper[i])
-            continue
-        lowest, last = uintp(indptr[first]), uintp(indptr[first + 1])
-        near = _place(lowest, last, first + 1 if backward else first - 1, indices)
-        pivot = relaxation * inverse[first]
-        weight = pivot * data[near] if near < last else 0.0
-        for done in range(0, end - first, reach):
-            size = min(reach, end - first - done)
-            i = end - done - size if backward else first + done
-            sums, part = room[:size], z[i : i + size]
-            least, most = lower[i : i + size], upper[i : i + size]
-            sums[:] = q[i : i + size]
-            _add_products(lowest, last, near, i - first, indices, data, z, sums)
-            for p in range(size):
-                sums[p] = part[p] - sums[p] * pivot
-            before = (z[i + size] if backward else z[i - 1]) if near < last else 0.0
-            for step in range(size):
-                p = size - 1 - step if backward else step
-                before = _clamped(sums[p] - weight * before, least[p], most[p])
-                part[p] = before
+                p = uintp(size - 1 - step if backward else step)
+                before = sums[p] - weight * inverse[begin + p] * before
+                if has_bounds:
+                    before = _clamped(before, lower[begin + p], upper[begin + p])
+                x[begin + p] = before
 
 
 @njit(inline="always")
@@ -275,22 +236,19 @@ def add_prolonged(p_indptr, p_indices, p_data, coarse, inverse, x):  # type: ign
             x[i] = _plus_products(x[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
 
 
-@njit(inline="always")
-def _rows_at_once(i, end, reach):  # type: ignore[no-untyped-def]
-    """Return how many rows from i on a product takes in one go; it waits for none, alike or not."""
-    return min(reach if reach > 0 else LONGEST_REACH, end - i)
-
-
 @compiled
-def _add_rows(indptr, indices, data, first, reach, i, x, sums):  # type: ignore[no-untyped-def]
-    """Add the rows of M x from i on to sums; they belong to the stretch that begins with `first`."""
+def _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, sums):  # type: ignore[no-untyped-def]
+    """Add M x to sums on `size` rows from i on, which belong to the stretch that begins with `first`.
+
+    The entries of row i begin at begins[i] + further.
+    """
+    one, further = uintp(1), uintp(further)
     if reach > 0:
         last = uintp(indptr[first + 1])
-        _add_products(uintp(indptr[first]), last, last, i - first, indices, data, x, sums)
+        _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, i, size, sums)
     else:
-        for p in range(sums.size):
-            k, last = uintp(indptr[i + p]), uintp(indptr[i + p + 1])
-            sums[p] = _plus_products(sums[p], k, last, indices, data, x)
+        for p in range(uintp(i), uintp(i + size)):
+            sums[p] = _plus_products(sums[p], uintp(begins[p]) + further, uintp(indptr[p + one]), indices, data, x)
 
 
 @compiled
@@ -304,41 +262,40 @@ def free_rows(  # type: ignore[no-untyped-def]
     residual of the problem, and how many rows changed.
     """
     room = np.empty(2 * LONGEST_REACH)
+    bits = room.view(np.int64)  # of numbers ≥ 0 they have the same order, and NaN is the largest
     largest, changed, done = np.int64(0), 0, 0
     for s in range(stretches.shape[0]):
         first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
         i = first
         while i < end:
-            size = _rows_at_once(i, end, reach)
-            residual[i : i + size] = q[i : i + size]
-            _add_rows(indptr, indices, data, first, reach, i, z, residual[i : i + size])
+            size = min(reach if reach > 0 else LONGEST_REACH, end - i)
+            for p in range(uintp(i), uintp(i + size)):
+                residual[p] = q[p]
+            _add_rows(indptr, indptr, 0, indices, data, first, reach, i, size, z, residual)
             i += size
             if i - done < LONGEST_REACH and i < residual.size:
                 continue  # short stretches are looked at together
-            w, part, pivots, sizes = residual[done:i], z[done:i], inverse[done:i], room[: i - done]
-            least, most, free, news = lower[done:i], upper[done:i], is_free[done:i], is_changed[done:i]
-            done = i
+            begin, size, done = uintp(done), uintp(i - done), i
             if snaps:
-                _snap(w, pivots, least, most, part)
-            for p in range(w.size):
-                above, below = part[p] - least[p], part[p] - most[p]
-                sizes[p] = abs(_clamped(w[p] * pivots[p], below, above))
-                is_off = ((above > 0.0) | (w[p] < 0.0)) & ((below < 0.0) | (w[p] > 0.0))
-                news[p] = is_off != free[p]
-                free[p] = is_off
-                w[p] = -w[p] if is_off else 0.0
-            for p in range(w.size):
-                changed += news[p]
-            bits = sizes.view(np.int64)  # of numbers ≥ 0 they have the same order, and NaN is the largest
-            for p in range(w.size):
-                largest = max(largest, bits[p])
-    room.view(np.int64)[0] = largest
+                _snap(begin, begin + size, residual, inverse, lower, upper, z)
+            for k in range(size):
+                p = begin + k
+                w, above, below = residual[p], z[p] - lower[p], z[p] - upper[p]
+                room[k] = abs(_clamped(w * inverse[p], below, above))
+                is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
+                is_changed[p] = is_off != is_free[p]
+                is_free[p] = is_off
+                residual[p] = -w if is_off else 0.0
+            for k in range(size):
+                changed += is_changed[begin + k]
+                largest = max(largest, bits[k])
+    bits[0] = largest
     return room[0], changed
 
 
 @njit(inline="always")
-def _snap(w, inverse, lower, upper, z):  # type: ignore[no-untyped-def]
-    for p in range(z.size):
+def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-def]
+    for p in range(begin, end):
         r, above, below = w[p] * inverse[p], z[p] - lower[p], z[p] - upper[p]
         if r >= above > 0.0:
             z[p] = lower[p]
@@ -347,16 +304,16 @@ def _snap(w, inverse, lower, upper, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def free_product(indptr, split, indices, data, stretches, is_free, p, product):  # type: ignore[no-untyped-def]
-    """Product ← M p on the free rows, 0 elsewhere."""
+def _free_product(indptr, begins, further, indices, data, stretches, inverse, sign, x, product):  # type: ignore[no-untyped-def]
+    """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further."""
     for s in range(stretches.shape[0]):
         first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
         i = first
         while i < end:
-            size = _rows_at_once(i, end, reach)
-            part, free = product[i : i + size], is_free[i : i + size]
-            part[:] = 0.0
-            _add_rows(indptr, indices, data, first, reach, i, p, part)
-            for row in range(size):
-                part[row] = part[row] if free[row] else 0.0
+            size = min(reach if reach > 0 else LONGEST_REACH, end - i)
+            for row in range(uintp(i), uintp(i + size)):
+                product[row] = 0.0
+            _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, product)
+            for row in range(uintp(i), uintp(i + size)):
+                product[row] = sign * product[row] if inverse[row] != 0.0 else 0.0
             i += size

@@ -96,9 +96,9 @@ class Truncation:
             matrix = level.grid.matrix
             level.grid.peers.fetch_flags(level.is_free)
             level.grid.peers.fetch_flags(level.free_changed)
+            flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
-                matrix.indptr, matrix.indices, level.grid.stretches, level.free_changed, level.row_changed,
-                level.touched,
+                matrix.indptr, matrix.indices, level.grid.stretches, *(flag.view(np.uint8) for flag in flags)
             )
             level.grid.peers.fetch_flags(level.touched)
             if level.new_values is not None:
@@ -119,13 +119,13 @@ class Truncation:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
         level = self.grids[k]
         grid, rows, entries = level.grid, level.rows, level.values.size
-        sweeps.first_sweep(*rows, level.inverse, level.b, level.x)
+        sweeps.first_sweep(rows, level.inverse, level.b, level.x)
         self.work += 0.5 * entries
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
         grid.peers.fetch(level.x)
-        sweeps.residual_after_first_sweep(*rows, level.inverse, grid.weight, level.x, level.residual[: grid.n])
+        sweeps.residual_after_first_sweep(rows, level.inverse, grid.weight, level.x, level.residual[: grid.n])
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
         sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
@@ -133,7 +133,7 @@ class Truncation:
         below.grid.peers.fetch(below.x)
         sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
         grid.peers.fetch(level.x)
-        sweeps.sweep(*rows, level.inverse, True, level.b, level.x)
+        sweeps.sweep(rows, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def correct_transposed(self, k: int) -> None:
@@ -163,5 +163,5 @@ class Truncation:
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
             level.grid.peers.fetch(level.x)
-            sweeps.sweep(*level.rows, level.inverse, sweep % 2 == 0, level.b, level.x)
+            sweeps.sweep(level.rows, level.inverse, sweep % 2 == 0, level.b, level.x)
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size

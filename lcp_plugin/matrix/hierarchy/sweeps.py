@@ -150,11 +150,10 @@ def _sweep(  # type: ignore[no-untyped-def]
                 sums[p] = before - sums[p] * (relaxation * inverse[begin + p])
             before = (x[i + size] if backward else x[i - 1]) if near < last else 0.0
             for step in range(size):  # the only loop in which a row waits for the one before
-                p = uintp(size - 1 - step if backward else step)
-                before = sums[p] - weight * inverse[begin + p] * before
-                if has_bounds:
-                    before = _clamped(before, lower[begin + p], upper[begin + p])
-                x[begin + p] = before
+                place = uintp(size - 1 - step if backward else step)
+                p = begin + place
+                before = sums[place] - weight * inverse[p] * before
+                x[p] = before = _clamped(before, lower[p], upper[p]) if has_bounds else before
 
 
 @njit(inline="always")
@@ -279,13 +278,13 @@ def free_rows(  # type: ignore[no-untyped-def]
             if snaps:
                 _snap(begin, begin + size, residual, inverse, lower, upper, z)
             for k in range(size):
-                p = begin + k
-                w, above, below = residual[p], z[p] - lower[p], z[p] - upper[p]
-                room[k] = abs(_clamped(w * inverse[p], below, above))
+                row = begin + k
+                w, above, below = residual[row], z[row] - lower[row], z[row] - upper[row]
+                room[k] = abs(_clamped(w * inverse[row], below, above))
                 is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
-                is_changed[p] = is_off != is_free[p]
-                is_free[p] = is_off
-                residual[p] = -w if is_off else 0.0
+                is_changed[row] = is_off != is_free[row]
+                is_free[row] = is_off
+                residual[row] = -w if is_off else 0.0
             for k in range(size):
                 changed += is_changed[begin + k]
                 largest = max(largest, bits[k])

@@ -195,10 +195,28 @@ def test_a_program_that_is_not_the_problem_is_never_optimal(
 
 
 @pytest.mark.parametrize("planted", PLANTED)
-def test_the_points_of_a_re_solve_show_every_planted_error(planted: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a problem was judged before and only parameters changed, fewer points are enough for the same errors."""
-    monkeypatch.setattr(user_terms, "STEPS", user_terms.FEWER_STEPS)
-    test_a_program_that_is_not_the_problem_is_never_optimal(planted, {"solver": QPSolver}, monkeypatch)
+def test_a_re_solve_is_judged_as_a_first_solve_is(planted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same errors show where they come with new vectors only, to a program whose matrices were right before."""
+    status, tamper = PLANTED[planted]
+    problem, original = PROBLEMS[status](), QuadraticProgram.with_vectors
+    problem.solve(solver=QPSolver)
+    monkeypatch.setattr(QuadraticProgram, "with_vectors", lambda *args, **kwargs: tamper(original(*args, **kwargs)))
+    with pytest.raises(SolverError, match="the problem itself contradicts"):
+        problem.solve(solver=QPSolver)
+    assert problem.status is None
+
+
+def test_a_re_solve_is_looked_at_far_away_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bound that is not the user's, and costs little near the answer, shows in a re-solve as in a first one."""
+    x, p = cp.Variable(), cp.Parameter(value=3.0)
+    problem = cp.Problem(cp.Minimize(3e-4 * x), [x >= p])
+    problem.solve(solver=QPSolver)
+    original, p.value = QuadraticProgram.with_vectors, 0.0
+    monkeypatch.setattr(
+        QuadraticProgram, "with_vectors", lambda *args, **kwargs: changed(original(*args, **kwargs), lower=[1.0])
+    )
+    with pytest.raises(SolverError, match="its Lagrangian is"):
+        problem.solve(solver=QPSolver)
 
 
 def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:

@@ -149,7 +149,8 @@ def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones(
     second = QPSolver.solve_via_data(data, True, False, {}, cache)
     assert second.solution.program.matrices is not first.solution.program.matrices
     np.testing.assert_allclose(second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal())
-    assert QPSolver.solve_via_data(data, True, False, {}, cache).is_repeated
+    third = QPSolver.solve_via_data(data, True, False, {}, cache)
+    assert third.solution.program.matrices is second.solution.program.matrices
 
 
 def test_a_limit_keeps_the_values_and_warns() -> None:

@@ -94,7 +94,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
         if verbose:
             settings.LOGGER.info(result.explain())
-        return Answer(result, solution, status, goal, is_repeated=compiled.z is not None)
+        return Answer(result, solution, status, goal)
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
@@ -129,16 +129,12 @@ def statistics(result: Result) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal.
-
-    `is_repeated` where an earlier program of the same matrices has been solved, which only a parameter changed.
-    """
+    """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal."""
 
     result: Result
     solution: QPSolution
     status: str
     goal: float
-    is_repeated: bool = False
 
     def claim(self, unpacked: Solution, invert: Callable[[Answer], Solution]) -> Claim | None:
         """Return what is claimed, in the user's variables and constraints; None where nothing is.
@@ -172,7 +168,7 @@ class Answer:
             return None  # a limit came first: the values are the best so far, and nobody claims anything
         errors = (self.goal, self.solution.residual, self.solution.row_residual)
         limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
-        return Claim(unpacked, limit, is_repeated=self.is_repeated)
+        return Claim(unpacked, limit)
 
 
 class _Compiled(NamedTuple):

@@ -43,7 +43,6 @@ CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, A
 
 SEED = 16
 STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
-FEWER_STEPS = (0.01,)  # of a problem judged before; the values from before are looked at besides
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
 FAR = 10.0  # of 1 + |point|, along a direction without end
 
@@ -62,16 +61,12 @@ class Claim:
         Of "infeasible": the multipliers of the proof, as duals, and the c > 0 that they prove.
     points : list of cvxpy Solution
         Of "unbounded": three points with equal steps between them along the ray, with the values that the program has.
-    is_repeated : bool
-        Whether what cvxpy made of the problem has been judged before, with other values of its parameters: fewer points
-        are looked at then.
     """
 
     solution: Solution
     tolerance: float
     contradiction: tuple[Solution, float] | None = None
     points: tuple[Solution, ...] = ()
-    is_repeated: bool = False
 
 
 def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
@@ -118,8 +113,7 @@ def _against_optimality(
 ) -> str | None:
     """Look for a point where the Lagrangian is below the claimed minimum."""
     claimed = sense_of(problem) * float(claim.solution.opt_val)
-    steps = FEWER_STEPS if claim.is_repeated else STEPS
-    for value, size in _weighed(problem, terms, claim.solution, _trials(problem, values, before, steps), 1.0):
+    for value, size in _weighed(problem, terms, claim.solution, _trials(problem, values, before), 1.0):
         if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
             return (
                 f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
@@ -132,7 +126,7 @@ def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, 
     if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
         return None  # a parameter crosses the bounds: no point at all has these attributes
     zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-    for value, size in _weighed(problem, StatedTerms(problem), duals, _trials(problem, zero, before, STEPS), 0.0):
+    for value, size in _weighed(problem, StatedTerms(problem), duals, _trials(problem, zero, before), 0.0):
         if value < contradiction - ROUNDING * (contradiction + size):
             return (
                 f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
@@ -179,13 +173,13 @@ def _violated(problem: Any, slacks: list[Any], least: float, tolerance: float) -
     return None
 
 
-def _trials(problem: Any, base: Values, before: Values, steps: tuple[float, ...]) -> Iterator[Values]:
+def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
     """Yield the values from before, where there are some, and points on either side of the base, near and far."""
     variables = problem.variables()
     if all(before.get(v.id) is not None and np.isfinite(before[v.id]).all() for v in variables):
         yield {v.id: nearest(v, before[v.id]) for v in variables}
     generator = np.random.default_rng(SEED)
-    for size in steps:
+    for size in STEPS:
         step = {v.id: size * (1.0 + np.abs(base[v.id])) * generator.normal(size=v.shape) for v in variables}
         for side in (1.0, -1.0):
             yield {v.id: nearest(v, base[v.id] + side * step[v.id]) for v in variables}

@@ -26,7 +26,7 @@ from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
-from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved
+from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_room
 from ._compat import leaf_value, name_of
 from .qp_solver import QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of
@@ -141,7 +141,12 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
         least = float(dense_value(duals[constraint.id]).min(initial=0.0))
         if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
             return f"the dual value {least:.3g} of {name_of(constraint)} has the wrong sign"
-    left = reduced.gradient_left(duals, x, tolerance)
+    y = reduced.multipliers(duals)
+    if y is None:
+        return ""
+    if idle := multiplier_beside_room(reduced.program, x, np.nan_to_num(y), tolerance):
+        return idle
+    left = reduced.gradient_left(y, x, tolerance)
     return f"the dual values leave {left:.3g} of the gradient" if left else ""
 
 
@@ -218,19 +223,23 @@ class ReducedProblem:
                 x[added] = best.x
         return x
 
-    def gradient_left(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> float:
-        """Return what is left of the gradient beside these duals and any multipliers of rows that cvxpy added.
+    def multipliers(self, duals: dict[int, Any]) -> FloatVector | None:
+        """Return these duals as multipliers of [G; A], NaN for rows that cvxpy added; None where one has no place."""
+        if self.dual_places is None or any(key not in self.dual_places for key in duals):
+            return None
+        y = np.full(self.program.constraints.rows, np.nan)
+        for key, dual in duals.items():
+            place = self.dual_places[key]
+            y[np.abs(place[place != 0]) - 1] = np.sign(place[place != 0]) * dense_value(dual)[place != 0]
+        return y
+
+    def gradient_left(self, y: FloatVector, x: FloatVector, tolerance: float) -> float:
+        """Return what is left of the gradient beside these multipliers and any of the rows that cvxpy added.
 
         0 where it is no more than errors of multipliers may be, and where nothing can be said.
         """
         program, rows = self.program, self.program.constraints
-        if self.dual_places is None or any(key not in self.dual_places for key in duals):
-            return 0.0
-        y, is_added = np.zeros(rows.rows), np.ones(rows.rows, dtype=bool)
-        for key, dual in duals.items():
-            place = self.dual_places[key]
-            at = np.abs(place[place != 0]) - 1
-            y[at], is_added[at] = np.sign(place[place != 0]) * dense_value(dual)[place != 0], False
+        is_added, y = np.isnan(y), np.nan_to_num(y)
         matrix = rows.matrix[: rows.rows]
         value = np.abs(matrix @ x - rows.limit[: rows.rows])
         is_equality = rows.is_equality[: rows.rows]

@@ -47,8 +47,9 @@ def certify(
     tolerance : float
         "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (1 + |f(x)|), and
         neither is x proved to be farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one, nor are multipliers
-        that came with it wrong by more than 10 · tolerance beside the terms of their conditions. Of "infeasible": that
-        every x violates a constraint by more than this, so that no x can be proved to be optimal.
+        that came with it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0
+        where x leaves room. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
+        proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 

@@ -333,6 +333,8 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
     for name, part in zip(names, given, strict=False):
         if name != "equality" and part.size and part.min() < -LOOSE * tolerance * size:
             return f"the multiplier {name}[{int(part.argmin())}] = {part.min():.3g} has the wrong sign"
+    if idle := multiplier_beside_room(program, x, np.concatenate(given), tolerance):
+        return idle
     inequality, equality = given[:2]
     terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
     terms += [abs(sp.csr_array(rows)).T @ np.abs(y) for rows, y in ((program.G, inequality), (program.A, equality))]
@@ -349,6 +351,26 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
     if wrong.max(initial=0.0) > 0.0:
         j = int(wrong.argmax())
         return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
+    return ""
+
+
+def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
+    """Return which of the first multipliers is not 0 although x leaves room at its inequality, or nothing.
+
+    Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
+    """
+    rows, k = program.constraints, y.size
+    matrix, limit = rows.matrix[:k], rows.limit[:k]
+    is_finite = np.isfinite(limit)
+    room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), 1.0)  # y itself has to be 0 at no limit
+    terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), 1.0)
+    value = np.where(is_finite, abs(program.objective(x)), 0.0)
+    excess = np.abs(y * room) - LOOSE * tolerance * (1.0 + np.maximum(value, np.abs(y) * terms))
+    excess[rows.is_equality[:k]] = 0.0
+    if excess.max(initial=0.0) > 0.0:
+        i = int(excess.argmax())
+        what = f"{room[i]:.3g} of room" if is_finite[i] else "no limit"
+        return f"a multiplier {y[i]:.3g} stands where there is {what}"
     return ""
 
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from lcp_plugin import Certification, QuadraticProgram, certify
 
+MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
 TOLERANCE = 1e-6
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
@@ -126,6 +127,12 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
         k = int(rng.choice(used))
         y[k] = -y[k]
         wrong["a sign"] = (x, y)
+    apart = np.flatnonzero(program.lower < program.upper)
+    if apart.size:
+        both = [part.copy() for part in multipliers]
+        for part in both[2:]:
+            part[apart[0]] += 1.0
+        wrong["both bounds"] = (x, both)
     step = rng.normal(size=x.size)
     step /= np.abs(step).max()
     wrong["off by 1e-4"], wrong["off by 1e-2"] = (x + 1e-4 * step, None), (x + 1e-2 * step, None)
@@ -175,7 +182,7 @@ def main() -> int:
         for name, (x, y) in answers.items():
             said = certify(given.program, x, y, tolerance=TOLERANCE)
             wrong = faults(given, x, said)
-            is_planted = name == "a sign" or (name.startswith(("off", "a con")) and not is_still_right(given, x))
+            is_planted = name in MULTIPLIERS or (name.startswith(("off", "a con")) and not is_still_right(given, x))
             if said.verdict == "proved" and is_planted:
                 wrong.append(f"proved: {name}")
             counts[name, said.verdict] += 1

@@ -307,6 +307,18 @@ def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
     np.testing.assert_allclose(answer.x, x, atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+def test_squares_that_no_double_holds_are_not_formed(size: float) -> None:
+    """Where AᵀA overflows or vanishes the mixed form states the problem, and the normal one is refused."""
+    A, b = size * np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([2.0, 1.0, -1.0])
+    problem = lcp_from_least_squares(A, b)
+    assert problem.origin.form == "mixed"
+    np.testing.assert_allclose(size * problem.origin.recover(solve(problem)).x, [1.5, 0.0], atol=1e-9)
+    with pytest.raises(UnsuitableProblem, match='form="mixed"'):
+        lcp_from_least_squares(A, b, form="normal")
+
+
+
 def test_an_lcp_needs_entries() -> None:
     """A LinearOperator and unknown forms are refused in words."""
     with pytest.raises(UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"):

@@ -94,7 +94,7 @@ def lcp_from_least_squares(
         - mixed: z = (x, r), r = √W(b − A x) free, M = [[ridge I, −Aᵀ√W], [√W A, I]], q = (0, −√W b); n + m rows,
           monotone, as sparse and about as well-conditioned as A.
 
-        auto: normal where AᵀA has surely no more entries than the mixed M, else mixed.
+        auto: normal where AᵀA has surely no more entries than the mixed M, and doubles hold it, else mixed.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def lcp_from_least_squares(
     InvalidProblem, InvalidOption
         Where the data do not state such a problem; an unknown form.
     UnsuitableProblem
-        A is a LinearOperator.
+        A is a LinearOperator; form="normal", but AᵀWA overflows or vanishes.
 
     Notes
     -----
@@ -132,8 +132,11 @@ def lcp_from_least_squares(
     m, n = stated.shape
     root, rows = stated.root_weights, sp.csr_array(stated.A)
     scaled = sp.csr_array(sp.diags_array(root, shape=(m, m)) @ rows)
+    has_squares = _has_squares(scaled)
     if form == "auto":
-        form = "normal" if _most_entries_of_normal(rows) <= 2 * rows.nnz + m + n else "mixed"
+        form = "normal" if has_squares and _most_entries_of_normal(rows) <= 2 * rows.nnz + m + n else "mixed"
+    if form == "normal" and not has_squares:
+        raise UnsuitableProblem('squares of entries of A overflow, or vanish; use form="mixed", or rescale A and b')
     if form == "normal":
         dense = stated.A * root[:, None] if stated.is_dense else scaled
         ridges = np.full(n, stated.ridge)
@@ -155,3 +158,11 @@ def _most_entries_of_normal(rows: sp.csr_array) -> int:
     """Return how many entries AᵀA has at the most."""
     per_row = np.diff(rows.indptr).astype(np.int64)
     return int(min(rows.shape[1] ** 2, per_row @ per_row))
+
+
+def _has_squares(rows: sp.csr_array) -> bool:
+    """Return whether no column that is not zero has a sum of squares that overflows, or vanishes."""
+    with np.errstate(over="ignore", under="ignore"):
+        squares = np.bincount(rows.indices, rows.data**2, minlength=rows.shape[1])
+    filled = np.bincount(rows.indices, np.abs(rows.data), minlength=rows.shape[1]) > 0.0
+    return bool(np.isfinite(squares).all() and (squares[filled] >= np.finfo(np.float64).tiny).all())

@@ -25,7 +25,7 @@ from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoint
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
 from lcp_plugin.modeling.user_terms import size_of
-from lcp_plugin.solving.program_proofs import ProgramProofs, distances
+from lcp_plugin.solving.program_proofs import SMALL, ProgramProofs, distances
 from lcp_plugin.strategies import convex_qps
 
 INF = np.inf
@@ -154,6 +154,17 @@ def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> No
     said = certify(program, [0.5, 1.5], wrong)
     assert said.verdict == "unproved"
     assert "of room" in said.reason or "no limit" in said.reason
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
+def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float) -> None:
+    """Where a row's unit is small, so is the violation of an x that is far off: its own multipliers prove nothing."""
+    n = SMALL + 20
+    P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
+    program = QuadraticProgram(P, np.append(-1e3, np.zeros(n - 1)), G=sp.csr_array(([1e-7], ([0], [0])), (1, n)), h=[0])
+    x = np.append(1.0, np.zeros(n - 1))  # the minimum of the objective alone, and −500 instead of 0
+    assert certify(program, 0.0 * x, [1e10]).verdict == "proved"
+    assert certify(program, x, [0.0], tolerance=tolerance).verdict == "refuted"
 
 
 def test_duals_of_a_problem_that_cancel_are_wrong_where_nothing_holds() -> None:

@@ -77,6 +77,8 @@ def certify(
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
     answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.
+    A violation, however small, may buy any objective where units are small: unless a feasible point shows that it does
+    not, the bound by multipliers of our own has to agree with f(x).
 
     Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
     of the program that cvxpy makes of it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +35,6 @@ OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multi
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 LOOSE = 10.0  # times the tolerance: errors of x beside 1 + ‖x‖∞, of multipliers beside the terms of their column
-BUYS_LITTLE = 1e-3  # of the tolerance: a violation beside which no solution of our own is asked for
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 
@@ -189,11 +188,11 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        # A violation within the tolerance may buy much: then bounds of multipliers that came with x say little.
-        is_close = value[1] - lower <= tolerance * (1.0 + abs(value[0])) and violation[1] <= BUYS_LITTLE * tolerance
-        if self.is_small or not is_close:
-            lower = max(lower, self.own_lower)
         found = Proved(value, violation, lower, self.upper(x), tolerance)
+        if self.is_small or not found.is_proved() or found.may_have_bought():
+            found = replace(found, lower=max(lower, self.own_lower), points=self.upper(x))
+            if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
+                complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
         return found.certification(self, x, complaint)
 
 
@@ -245,6 +244,13 @@ class Proved:
         """Return whether the answer is optimal to the tolerance, by its value."""
         size = 1.0 + max(self.value[0], -self.value[1], 0.0)
         return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
+
+    def may_have_bought(self) -> bool:
+        """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
+
+        Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
+        """
+        return self.violation[1] > 0.0 and self.upper > self.value[1] + self.tolerance * (1.0 + abs(self.value[0]))
 
     def certification(
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)

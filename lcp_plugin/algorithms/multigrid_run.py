@@ -79,7 +79,8 @@ class GridProblem:
         before = z[: self.q.size].copy()
         self.peers.fetch(z)
         sweeps.projected_sweep(self.grid.rows, self.vectors, 1.0, False, z)
-        before -= z[: self.q.size]
+        with np.errstate(over="ignore"):  # between bounds of ±1e308
+            before -= z[: self.q.size]
         return self.peers.largest(span(before))
 
 

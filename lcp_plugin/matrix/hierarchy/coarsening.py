@@ -3,11 +3,16 @@
 Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
 pass of Ruge and Stüben: take the unknown on which most others depend, interpolate those from it, and prefer from
 then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
-of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
+of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative. A fine unknown on
+which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row interpolates
+it from, i included (extended interpolation): where couplings jump from edge to edge many have no coarse neighbour at
+all. Only the largest weights of such a row are kept.
 
 References
 ----------
 J. W. Ruge, K. Stüben, *Algebraic multigrid*, in: Multigrid Methods, SIAM 1987, doi:10.1137/1.9781611971057.ch4.
+H. De Sterck, R. D. Falgout, J. W. Nolting, U. M. Yang, *Distance-two interpolation for parallel algebraic multigrid*,
+Numer. Linear Algebra Appl. 15 (2008), doi:10.1002/nla.559.
 """
 
 from __future__ import annotations
@@ -18,6 +23,8 @@ from numba import njit, uintp
 from ...kernels.compilation import compiled
 
 UNDECIDED, COARSE, FINE = 0, 1, 2
+SMALLEST_SHARE = 0.2  # of the largest weight, and
+MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
 
 
 @compiled
@@ -115,12 +122,17 @@ def choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, af
 
 
 @compiled
-def direct_interpolation(  # type: ignore[no-untyped-def]
+def interpolate(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
 ):
-    """Write the interpolation in CSR; return its number of entries. `number` numbers the coarse unknowns."""
+    """Write the interpolation in CSR; return its number of entries. `number` numbers the coarse unknowns.
+
+    `p_indices` and `p_data` have room for the entries of M and MOST_WEIGHTS more a row.
+    """
     one = uintp(1)
     size = uintp(0)
+    coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
+    place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
     for i in range(uintp(indptr.size - 1)):
         p_indptr[i] = size
         if kind[i] == COARSE:
@@ -128,6 +140,7 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
+        count = 0
         diagonal = 0.0
         all_negative = 0.0
         interpolating = 0.0
@@ -139,17 +152,89 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
                 all_negative += data[k]
                 if is_strong[k] and kind[j] == COARSE:
                     interpolating += data[k]
+                    coarse[count], weights[count] = j, data[k]
+                    place[j], met_by[j] = count, i
+                    count += 1
+        through, back, count = _through_fine(
+            indptr, indices, data, is_strong, kind, i, count, coarse, weights, place, met_by
+        )
+        interpolating += through
         if not (interpolating < 0.0 and diagonal > 0.0):
             continue
         factor = all_negative / interpolating
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            j = uintp(indices[k])
-            if is_strong[k] and kind[j] == COARSE:
-                p_indices[size] = number[j]
-                p_data[size] = factor * (-data[k] / diagonal)
-                size += one
+        own_share = diagonal + factor * back
+        if not own_share > 0.0:
+            continue
+        if through < 0.0:
+            count, kept = _largest_weights(count, coarse, weights)
+            factor /= kept
+        for k in range(count):
+            p_indices[size] = number[uintp(coarse[k])]
+            p_data[size] = factor * (-weights[k] / own_share)
+            size += one
     p_indptr[indptr.size - 1] = size
     return size
+
+
+@compiled
+def _through_fine(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, i, count, coarse, weights, place, met_by
+):
+    """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
+
+    Returns the sum of these couplings, what of it comes back to i, and how many coarse unknowns row i has met. All
+    are own ones: who shares the rest of a row elsewhere need not know of neighbours' neighbours.
+    """
+    one = uintp(1)
+    direct, own = count, uintp(indptr.size - 1)
+    through, back = 0.0, 0.0
+    for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+        j = uintp(indices[k])
+        if not is_strong[k] or kind[j] == COARSE or j >= own:
+            continue
+        total, to_i, is_alone = 0.0, 0.0, True
+        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+            c = uintp(indices[m])
+            if c == i:
+                to_i = min(data[m], 0.0)
+            elif is_strong[m] and kind[c] == COARSE:
+                total += data[m]
+                is_alone = is_alone and c < own and not (met_by[c] == i and place[c] < direct)
+        if total == 0.0 or not is_alone:
+            continue
+        share = data[k] / (total + to_i)
+        through += data[k]
+        back += share * to_i
+        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+            c = uintp(indices[m])
+            if is_strong[m] and kind[c] == COARSE:
+                if met_by[c] != i:
+                    coarse[count], weights[count] = c, 0.0
+                    place[c], met_by[c] = count, i
+                    count += 1
+                weights[place[c]] += share * data[m]
+    return through, back, count
+
+
+@compiled
+def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
+    """Keep MOST_WEIGHTS of the weights and none below SMALLEST_SHARE; return how many, and their share of the sum."""
+    total, kept = 0.0, 0.0
+    for k in range(count):  # all are negative: the largest ones first
+        total += weights[k]
+    least = 0.0
+    for end in range(count):
+        first = end
+        for k in range(end + 1, count):
+            if weights[k] < weights[first]:
+                first = k
+        weights[end], weights[first] = weights[first], weights[end]
+        coarse[end], coarse[first] = coarse[first], coarse[end]
+        least = SMALLEST_SHARE * weights[0]
+        if end == MOST_WEIGHTS or weights[end] > least:
+            return end, kept / total
+        kept += weights[end]
+    return count, kept / total
 
 
 @compiled

@@ -303,8 +303,9 @@ def _interpolation(grid: Grid, strength: float) -> Interpolation | None:
         peers.fetch(numbers)
         number = numbers.astype(indices.dtype)
     p_indptr = np.empty(n + 1, indptr.dtype)
-    p_indices, p_data = np.empty(data.size, indices.dtype), np.empty(data.size)
-    size = coarsening.direct_interpolation(
+    room = data.size + coarsening.MOST_WEIGHTS * n
+    p_indices, p_data = np.empty(room, indices.dtype), np.empty(room)
+    size = coarsening.interpolate(
         indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
     )  # memory behind `size` was never touched
     rows = peers.with_foreign_rows((p_indptr, p_indices[:size], p_data[:size]))

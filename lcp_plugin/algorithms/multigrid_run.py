@@ -22,8 +22,8 @@ from .base import Step
 if TYPE_CHECKING:
     from .multigrid import Multigrid
 
-COARSE_CYCLES, MOST_COARSE_CYCLES = 3, 10
-COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
+COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
+COARSE_CHANGES = 1e-2  # share of a coarse grid's unknowns that may still change sides when its answer is taken
 COARSEST_SWEEPS = 50
 CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
 CREPT_LONG = 2  # such cycles in a row

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit, uintp
 
 from ...kernels.compilation import compiled
+from .units import LACKING
 
 UNDECIDED, COARSE, FINE = 0, 1, 2
 SMALLEST_SHARE = 0.2  # of the largest weight, and
@@ -238,12 +239,15 @@ def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def positive_couplings(indptr, indices, data):  # type: ignore[no-untyped-def]
-    """Return the sum of the positive off-diagonal entries, and that of all in absolute value."""
+def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
+    """Return the sum of the positive off-diagonal entries, that of all in absolute value, and how many rows lack.
+
+    A row lacks what would let it sum to zero where its negative couplings outweigh all else noticeably.
+    """
     one = uintp(1)
-    positive, total = 0.0, 0.0
+    positive, total, lacking = 0.0, 0.0, 0.0
     for i in range(uintp(indptr.size - 1)):
-        row_positive, row_total = 0.0, 0.0
+        row_positive, row_total, diagonal = 0.0, 0.0, 0.0
         largest = 0.0
         for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
             if uintp(indices[k]) != i:
@@ -252,10 +256,14 @@ def positive_couplings(indptr, indices, data):  # type: ignore[no-untyped-def]
                 if data[k] > 0.0:
                     row_positive += data[k]
                 largest = max(largest, size)
+            else:
+                diagonal = data[k]
+        if diagonal + row_positive < (1.0 - LACKING) * (row_total - row_positive):
+            lacking += 1.0
         if largest > 0.0:  # each row counts alike, whatever its unit
             positive += row_positive / largest
             total += row_total / largest
-    return positive, total
+    return positive, total, lacking
 
 
 @njit(inline="always")

@@ -21,6 +21,7 @@ from ..pivots import pivot_weight
 from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
 from .stretches import Stretches, stretches_of
+from .units import units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
@@ -195,15 +196,20 @@ def build_hierarchy(
     grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
     entries = max(peers.total(grid.own_entries), 1)
     work = 0.0
+    positive, total, lacking = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
+    work += entries
     if strength is None:
-        strength = _usual_strength(grid)
-        work += entries
+        strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
+    units = None
+    if peers.is_empty:
+        units, further = units_of(matrix, lacking)
+        work += further
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
     growth = LARGEST_GROWTH if peers.is_empty else LARGEST_GROWTH_OF_PARTS
     stored, products, size = 0.0, 0.0, peers.total(grid.n)
     while size > coarsest:
         work += PASSES_TO_COARSEN * grid.own_entries
-        interpolation = _interpolation(grid, strength)
+        interpolation = _interpolation(grid, strength, units)
         if interpolation is None:
             break
         finer, own_indptr = grid, grid.own_arrays[0]
@@ -212,10 +218,11 @@ def build_hierarchy(
         is_too_large = peers.total(interpolation.own) > LARGEST_GRID_SHARE * size
         if is_too_large or peers.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
-        coarser = _coarser(finer, interpolation, scales_rows)
+        coarser = _coarser(finer, interpolation, scales_rows, units)
         if coarser is None:
             break
         transfer, grid = coarser
+        units = None if units is None else units[interpolation.is_coarse]
         if peers.total(grid.own_entries) > growth * peers.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = peers.total(grid.n)
@@ -273,14 +280,11 @@ def _weighted_grid(matrix: Operator, peers: Peers, own: int, scales_rows: bool) 
     return grid_of(matrix, peers, own, weight)
 
 
-def _usual_strength(grid: Grid) -> float:
-    positive, total = map(grid.peers.total, coarsening.positive_couplings(*grid.own_arrays))
-    return STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
-
-
-def _interpolation(grid: Grid, strength: float) -> Interpolation | None:
+def _interpolation(grid: Grid, strength: float, units: FloatVector | None) -> Interpolation | None:
     """Return the interpolation from coarse unknowns of any process; None where nothing is coupled any more."""
     indptr, indices, data = grid.own_arrays
+    if units is not None:
+        data = Operator(indptr, indices, data * units[indices]).data
     n, peers = grid.n, grid.peers
     is_strong = np.empty(data.size, np.bool_)
     kind = chosen_kinds(indptr, indices, data, strength, is_strong)
@@ -308,6 +312,8 @@ def _interpolation(grid: Grid, strength: float) -> Interpolation | None:
     size = coarsening.interpolate(
         indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
     )  # memory behind `size` was never touched
+    if units is not None:
+        p_data[:size] *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices[:size]]
     rows = peers.with_foreign_rows((p_indptr, p_indices[:size], p_data[:size]))
     return Interpolation(*rows, is_coarse, count, below)
 
@@ -327,7 +333,9 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
     return np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
 
 
-def _coarser(grid: Grid, interpolation: Interpolation, scales_rows: bool) -> tuple[Transfer, Grid] | None:
+def _coarser(
+    grid: Grid, interpolation: Interpolation, scales_rows: bool, units: FloatVector | None
+) -> tuple[Transfer, Grid] | None:
     """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
     peers = grid.peers
     p_indptr, columns, p_data, is_coarse, count, below = interpolation
@@ -340,6 +348,8 @@ def _coarser(grid: Grid, interpolation: Interpolation, scales_rows: bool) -> tup
             inverse = np.zeros(grid.width)
             inverse[: grid.n] = grid.inverse
             peers.fetch(inverse)
+        elif units is not None:  # the rows of M V, not those of M, are brought to one size
+            inverse = inverse / units**2
         with np.errstate(over="ignore"):
             restriction[2][:] *= inverse[restriction[1]]
         if not peers.everywhere(bool(np.isfinite(restriction[2]).all())):

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from ...checks import FloatVector
+from ..factors import Factor, dense_lu
 from . import galerkin, sweeps
 from .levels import Grid, Hierarchy
 from .stretches import without
 
-COARSEST_SWEEPS = 10
+COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
+FACTORISED_UP_TO = 150  # unknowns: the factor takes no more than sweeps over some thousand entries
 
 
 class TruncatedGrid:
@@ -32,12 +34,36 @@ class TruncatedGrid:
         self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
         self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(grid.width)
+        self._factor: Factor | None = None
+        self._is_factorised = False
+
+    def factor(self) -> tuple[Factor | None, float]:
+        """Return the factor of the free block, the identity elsewhere, and the work; None where there is none.
+
+        Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
+        """
+        n = self.grid.n
+        if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.peers.is_empty:
+            return self._factor, 0.0
+        indptr, indices, _ = self.grid.matrix.arrays
+        dense = np.zeros((n, n))
+        dense[np.repeat(np.arange(n), np.diff(indptr)), indices] = self.values
+        is_fixed = self.inverse == 0.0
+        dense[is_fixed, :] = dense[:, is_fixed] = 0.0
+        dense[is_fixed, is_fixed] = 1.0
+        self._factor, self._is_factorised = dense_lu(dense), True
+        return self._factor, n**3 / 3.0
+
+    def forget_factor(self) -> None:
+        """Say that values or free unknowns have changed."""
+        self._factor, self._is_factorised = None, False
 
     def release(self) -> float:
         """Make all unknowns free; return the matrix entries touched."""
         if self.is_whole:
             return 0.0
         self.is_whole = True
+        self.forget_factor()
         self.is_free[:] = True
         self.inverse[:] = self.grid.inverse
         if self.new_values is not None:
@@ -56,6 +82,7 @@ class TruncatedGrid:
 
     def note_changed_rows(self) -> None:
         """Take note of rows that were computed again: they are like no other."""
+        self.forget_factor()
         self.has_changed |= self.row_changed
         self.stretches = without(self.grid.stretches, self.has_changed)
 
@@ -89,6 +116,7 @@ class Truncation:
         """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
         top = self.grids[self.top]
         top.is_whole = False
+        top.forget_factor()
         np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
         top.row_changed[:] = False
         for k in range(self.top, len(self.transfers)):
@@ -119,6 +147,8 @@ class Truncation:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
         level = self.grids[k]
         grid, rows, entries = level.grid, level.rows, level.values.size
+        if k == len(self.transfers) and self._solves_directly(level, transposed=False):
+            return
         sweeps.first_sweep(rows, level.inverse, level.b, level.x)
         self.work += 0.5 * entries
         if k == len(self.transfers):
@@ -139,6 +169,8 @@ class Truncation:
     def correct_transposed(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
         level = self.grids[k]
+        if k == len(self.transfers) and self._solves_directly(level, transposed=True):
+            return
         arrays = *level.grid.matrix.arrays[:2], level.values
         is_free, residual = level.inverse != 0.0, level.b.copy()
         level.x[:] = 0.0
@@ -159,6 +191,19 @@ class Truncation:
             sweeps.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
             self.work += level.values.size
         self.work += level.values.size
+
+    @np.errstate(all="ignore")
+    def _solves_directly(self, level: TruncatedGrid, *, transposed: bool) -> bool:
+        """Solve the coarsest system by its factor, if that gives finite numbers."""
+        factor, work = level.factor()
+        self.work += work
+        if factor is None:
+            return False
+        right = np.where(level.inverse != 0.0, level.b, 0.0)
+        x = (factor.solve_transposed if transposed else factor.solve)(right)
+        self.work += factor.solve_work
+        level.x[:] = x
+        return bool(np.isfinite(x).all())
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):

@@ -30,6 +30,7 @@ CREPT_LONG = 2  # such cycles in a row
 SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
+LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
 PATIENCE = 12  # cycles without a new best residual
 OUT_OF_HAND = 100.0  # times the best residual, which no patience is for
@@ -255,7 +256,8 @@ class MultigridRun:
                 self.truncation.start_at(0)
                 changed_before, crept, nested_at = self.size, 0, largest
             elif is_slow and changed <= max(SETTLED * self.size, 1):
-                yield from self._krylov(z, SHORT_KRYLOV if changed else LONG_KRYLOV)
+                long = LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV
+                yield from self._krylov(z, SHORT_KRYLOV if changed else long)
             else:
                 self._correct(0, z)
             fine.sweep(z, backward=True)

@@ -1,8 +1,9 @@
 """The units of the unknowns in which an error that sweeps leave over is locally constant.
 
 Interpolation reproduces constants, which is right where rows of M sum to about zero. Of D M D, or of M with scaled
-columns, others do: those v > 0 with M v about zero. A few sweeps on M v = 0 find one, if they begin in units not too far
-from it. Where they begin is tried: in the given ones, and in those that bring the diagonal of V M V, or of M V, to 1.
+columns, others do: those v > 0 with M v about zero. A few sweeps on M v = 0 find one, if they begin in units not too
+far from it. Where they begin is tried: in the given ones, and in those that bring the diagonal of V M V, or of M V,
+to 1.
 """
 
 from __future__ import annotations

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
-from lcp_plugin.matrix.hierarchy import galerkin, levels, stretches, sweeps
+from lcp_plugin.evidence.gallery.stencil import balanced_matrix
+from lcp_plugin.matrix.hierarchy import coarsening, galerkin, levels, stretches, sweeps, units
+from lcp_plugin.matrix.hierarchy.krylov import KrylovCorrection
 from lcp_plugin.matrix.hierarchy.levels import Hierarchy, Operator, build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import Truncation
 from lcp_plugin.matrix.symmetry import is_symmetric_entrywise
@@ -140,6 +142,46 @@ def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPa
     for one, other in zip(usual.grids, build_hierarchy(M).grids, strict=True):
         assert (one.matrix.indices.dtype, other.matrix.indices.dtype) == (np.int32, np.int64)
         assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_interpolation_reaches_through_fine_unknowns(decades: int) -> None:
+    """Where couplings jump from edge to edge few rows have a coarse one near: still every fine row interpolates."""
+    generator = np.random.default_rng(0)
+    size = 40
+    across, along = 10.0 ** (decades * generator.random((2, size + 1, size)))
+    legs = [-across[:-1], -along.T[:, :-1]], [-across[1:], -along.T[:, 1:]]
+    M = balanced_matrix((size, size), legs)
+    hierarchy = build_hierarchy(M)
+    P = hierarchy.transfers[0].prolongation
+    assert np.diff(P.indptr).min() >= 1
+    correction = KrylovCorrection(Truncation(hierarchy), generator.normal(size=size**2), True)
+    begun = np.linalg.norm(correction.residual)
+    for _ in range(16):
+        assert correction.step()
+    assert np.linalg.norm(correction.residual) <= 1e-6 * begun
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_scenes_keep_their_units(text: str) -> None:
+    """No other units are tried where rows do not sum to less than zero."""
+    M = gallery.parse(text).problem.csr
+    _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
+    assert units.units_of(M, lacking) == (None, 0.0)
+
+
+@pytest.mark.parametrize("is_symmetric", [True, False])
+def test_units_are_found(is_symmetric: bool) -> None:
+    """Of D M D and M D, M with rows that sum to zero, the units are 1/D but for a factor that varies slowly."""
+    M = gallery.build("obstacle_2d", size=30).problem.csr
+    d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
+    scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
+    _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
+    v, work = units.units_of(scaled, lacking)
+    assert v is not None
+    assert 0.0 < work <= 50 * M.nnz
+    field = (v * d).reshape(30, 30)[3:-3, 3:-3]
+    assert max(np.abs(np.diff(np.log(field), axis=axis)).max() for axis in (0, 1)) <= 0.2
 
 
 # --- When to stop -------------------------------------------------------------------------------------------
@@ -275,6 +317,27 @@ def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None
         assert 0.5 * x @ (M @ x) - b @ x < 0.0
         answers.append(x)
     assert right[0] @ answers[1] == pytest.approx(right[1] @ answers[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=8", "convection_diffusion:size=8"])
+def test_the_coarsest_grid_is_solved(text: str) -> None:
+    """A cycle on the coarsest grid answers the free rows' system, of M and of Mᵀ; after each change of the free set."""
+    M = gallery.parse(text).problem.csr
+    truncation = Truncation(build_hierarchy(M, coarsest=100))
+    top = truncation.grids[0]
+    generator = np.random.default_rng(0)
+    for _ in range(3):
+        flips = generator.random(top.is_free.size) < 0.3
+        top.free_changed[:] = flips
+        top.is_free ^= flips
+        truncation.update()
+        free = np.flatnonzero(top.is_free)
+        for matrix, correct in ((M, truncation.correct), (M.T, truncation.correct_transposed)):
+            top.b[:] = generator.normal(size=top.b.size)
+            correct(0)
+            expected = np.zeros(top.b.size)
+            expected[free] = np.linalg.solve(matrix.toarray()[np.ix_(free, free)], top.b[free])
+            np.testing.assert_allclose(top.x, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_sweeps_agree_with_triangular_solves() -> None:

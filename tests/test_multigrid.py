@@ -13,6 +13,7 @@ from scipy.sparse.linalg import spsolve
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Result, Status, UnknownAlgorithm, UnsuitableMatrix, solve
 from lcp_plugin.algorithms.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.evidence import gallery
+from lcp_plugin.evidence.gallery.stencil import balanced_matrix
 from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
 from lcp_plugin.solving.batch import prepare, solve_many
 
@@ -74,6 +75,74 @@ def test_every_smoother_arrives(smoother: str, text: str) -> None:
     result = solve(problem, "multigrid", smoother=smoother, relaxation=relaxation, max_iterations=60)
     assert result.status is Status.SOLVED
     assert_same(problem, result)
+
+
+def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> LCP:
+    """Return a membrane whose every edge, or cell, has a stiffness of its own."""
+    generator = np.random.default_rng(seed)
+
+    def stiffness(*shape: int) -> np.ndarray:
+        share = generator.random(shape)
+        return 10.0 ** (decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind])
+
+    across, along = stiffness(size + 1, size), stiffness(size, size + 1)
+    M = balanced_matrix((size, size), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
+    return LCP(M, gallery.build("coefficient_jumps", size=size).problem.q)
+
+
+@pytest.mark.parametrize("kind", ["all", "half", "tenth"])
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
+    """Contrasts up to 1e10 between neighbouring edges are SOLVED, and up to 1e6 the error is small as well."""
+    problem = jumps_by_edge(kind, decades)
+    result = solve(problem, "multigrid", max_iterations=100)
+    assert result.status is Status.SOLVED
+    if decades <= 6:
+        assert_same(problem, result)
+
+
+def test_energy_that_falls_is_progress() -> None:
+    """Where blocks land one after the other the residual stands still for long, and the run goes on."""
+    problem = jumps_by_edge("half", 6, size=100, seed=1)
+    result = solve(problem, "multigrid")
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.parametrize("decades", [1, 3, 10])
+@pytest.mark.parametrize("scaled", ["rows", "columns", "both alike", "both"])
+def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades: int) -> None:
+    """Rows and columns times random powers of ten: the same answer in its units, with at most 8 cycles more."""
+    problem = gallery.build("obstacle_2d", size=60).problem
+    plain = solve(problem, "multigrid")
+    rows, columns = 10.0 ** np.rint(np.random.default_rng(0).uniform(-decades, decades, (2, problem.n)))
+    rows = np.ones(problem.n) if scaled == "columns" else rows
+    columns = np.ones(problem.n) if scaled == "rows" else rows if scaled == "both alike" else columns
+    M = sp.csr_array(sp.diags_array(rows) @ problem.csr @ sp.diags_array(columns))
+    result = solve(LCP(M, rows * problem.q, lower=problem.lower / columns), "multigrid", tolerance=1e-10)
+    assert result.status is Status.SOLVED
+    assert result.iterations <= plain.iterations + 8
+    z = result.z * columns
+    expected = active_set(problem, plain.z.copy())
+    largest = np.abs(result.z * (1.0 - expected / np.where(z != 0.0, z, 1.0))).max() / np.abs(result.z).max()
+    assert largest <= 1e-6  # the unknowns with the largest unit decide what SOLVED means
+
+
+def plate(size: int) -> LCP:
+    """Return a simply supported plate above a paraboloid: thirteen points, no M-matrix."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(size, size))
+    laplacian = sp.kron(line, sp.eye_array(size)) + sp.kron(sp.eye_array(size), line)
+    axis = np.linspace(-0.5, 0.5, size + 2)[1:-1]
+    obstacle = (0.1 - 2.0 * np.add.outer(axis**2, axis**2)).ravel()
+    return LCP(sp.csr_array(laplacian @ laplacian), np.full(size**2, 20.0 / (size + 1) ** 4), lower=obstacle)
+
+
+def test_a_plate_above_an_obstacle() -> None:
+    """The biharmonic operator is SOLVED in at most 60 cycles."""
+    problem = plate(50)
+    result = solve(problem, "multigrid", max_iterations=60)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result, 1e-5)
 
 
 def planted(seed: int) -> tuple[LCP, np.ndarray]:

@@ -39,6 +39,7 @@ GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by l
 MOST_FAILED_ROUNDS = 3
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
+NOTEWORTHY_ENERGY = 1e-10  # relative, over PATIENCE cycles: it falls where the residual of stiff rows does not
 
 
 class GridProblem:
@@ -107,6 +108,7 @@ class MultigridRun:
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
         self.size = self.peers.total(finest.n)
         self.entries = max(self.peers.total(finest.matrix.data.size), 1.0)
+        self.energy = np.inf
 
     def iterates(self, start: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
@@ -237,6 +239,8 @@ class MultigridRun:
             if largest < best:
                 best, since = largest, 0
                 np.copyto(best_z, z)
+            elif since >= PATIENCE and self._energy_fell(z):
+                since = 0
             elif since >= PATIENCE:
                 failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
                 if failed_rounds >= MOST_FAILED_ROUNDS:
@@ -262,6 +266,17 @@ class MultigridRun:
                 self._correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
+
+    def _energy_fell(self, z: FloatVector) -> bool:
+        """Return whether M is symmetric and ½ zᵀMz + qᵀz noticeably less than when last asked."""
+        if not self.is_symmetric:
+            return False
+        own = z[: self.problem.q.size]
+        self.work += self.entries
+        energy = 0.5 * self.peers.total(float(own @ (self.problem.slack(own) + self.problem.q)))
+        fell = energy < self.energy - NOTEWORTHY_ENERGY * abs(energy)
+        self.energy = min(self.energy, energy)
+        return fell
 
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""

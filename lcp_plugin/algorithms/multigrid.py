@@ -41,12 +41,12 @@ class Multigrid(Algorithm):
     -----
     The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns where coarse ones are
     too far); columns may have any units. Unknowns at a bound are taken out of all grids, and a coarse row is computed
-    again only where that changes it. Where the free set hardly changes and
-    a cycle gains less than a factor 10, a few steps of conjugate gradients (M symmetric) or generalised conjugate
-    residuals accelerate the correction, one V-cycle each. A correction that raises the energy (M symmetric) is
-    shortened; where the residual grows a hundredfold or no longer falls, plain projected Gauss–Seidel sweeps from the
-    best iterate take over for a while, unless the energy falls. The run ends where three such rounds gain nothing. Where coarser grids would
-    cost too much there are sweeps only, as long as they contract.
+    again only where that changes it. Where the free set hardly changes and a cycle gains less than a factor 10, a few
+    steps of conjugate gradients (M symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle
+    each. A correction that raises the energy (M symmetric) is shortened; where the residual grows a hundredfold, or no
+    longer falls and the energy neither, plain projected Gauss–Seidel sweeps from the best iterate take over for a
+    while. The run ends where three such rounds gain nothing. Where coarser grids would cost too much there are sweeps
+    only, as long as they contract.
 
     Memory, five-point matrix: 580 bytes an unknown (116 a nonzero of M) at the peak, the problem included; measured at
     n = 10⁷: 5.8 GB.

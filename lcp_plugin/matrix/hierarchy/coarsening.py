@@ -134,6 +134,7 @@ def interpolate(  # type: ignore[no-untyped-def]
     size = uintp(0)
     coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
     place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
+    first, near = _strong_coarse(indptr, indices, is_strong, kind)
     for i in range(uintp(indptr.size - 1)):
         p_indptr[i] = size
         if kind[i] == COARSE:
@@ -157,7 +158,7 @@ def interpolate(  # type: ignore[no-untyped-def]
                     place[j], met_by[j] = count, i
                     count += 1
         through, back, count = _through_fine(
-            indptr, indices, data, is_strong, kind, i, count, coarse, weights, place, met_by
+            indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
         )
         interpolating += through
         if not (interpolating < 0.0 and diagonal > 0.0):
@@ -178,8 +179,23 @@ def interpolate(  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped-def]
+    """Return where the strong couplings to coarse unknowns stand: near[first[i]:first[i + 1]] of row i."""
+    one, size = uintp(1), uintp(0)
+    first, near = np.empty(indptr.size, indptr.dtype), np.empty(indices.size, indptr.dtype)
+    for i in range(uintp(indptr.size - 1)):
+        first[i] = size
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if is_strong[k] and kind[uintp(indices[k])] == COARSE:
+                near[size] = k
+                size += one
+    first[indptr.size - 1] = size
+    return first, near
+
+
+@compiled
 def _through_fine(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_strong, kind, i, count, coarse, weights, place, met_by
+    indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
 ):
     """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
 
@@ -194,26 +210,27 @@ def _through_fine(  # type: ignore[no-untyped-def]
         if not is_strong[k] or kind[j] == COARSE or j >= own:
             continue
         total, to_i, is_alone = 0.0, 0.0, True
-        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
-            c = uintp(indices[m])
-            if c == i:
-                to_i = min(data[m], 0.0)
-            elif is_strong[m] and kind[c] == COARSE:
-                total += data[m]
-                is_alone = is_alone and c < own and not (met_by[c] == i and place[c] < direct)
+        for a in range(uintp(first[j]), uintp(first[j + one])):
+            c = uintp(indices[uintp(near[a])])
+            total += data[uintp(near[a])]
+            if c >= own or (met_by[c] == i and place[c] < direct):
+                is_alone = False
+                break
         if total == 0.0 or not is_alone:
             continue
+        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+            if uintp(indices[m]) == i:
+                to_i = min(data[m], 0.0)
         share = data[k] / (total + to_i)
         through += data[k]
         back += share * to_i
-        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
-            c = uintp(indices[m])
-            if is_strong[m] and kind[c] == COARSE:
-                if met_by[c] != i:
-                    coarse[count], weights[count] = c, 0.0
-                    place[c], met_by[c] = count, i
-                    count += 1
-                weights[place[c]] += share * data[m]
+        for a in range(uintp(first[j]), uintp(first[j + one])):
+            c = uintp(indices[uintp(near[a])])
+            if met_by[c] != i:
+                coarse[count], weights[count] = c, 0.0
+                place[c], met_by[c] = count, i
+                count += 1
+            weights[place[c]] += share * data[uintp(near[a])]
     return through, back, count
 
 

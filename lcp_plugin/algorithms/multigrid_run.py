@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .multigrid import Multigrid
 
 COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
-COARSE_CHANGES = 1e-2  # share of a coarse grid's unknowns that may still change sides when its answer is taken
+COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
 COARSEST_SWEEPS = 50
 CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
 CREPT_LONG = 2  # such cycles in a row
@@ -178,7 +178,7 @@ class MultigridRun:
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
             finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
-            sweeps.restrict(*transfer.restriction.arrays, finer, q)
+            sweeps.restrict(*transfer.restriction.arrays, read_only(finer), q)
             self.work += transfer.restriction.data.size
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
@@ -303,7 +303,7 @@ class MultigridRun:
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         fine.peers.fetch(fine.residual)
-        sweeps.restrict(*transfer.restriction.arrays, fine.residual, below.b)
+        sweeps.restrict(*transfer.restriction.arrays, read_only(fine.residual), below.b)
         self.truncation.correct(k + 1)
         below.grid.peers.fetch(below.x)
         before = z.copy() if k == 0 and self.is_symmetric else None

@@ -3,10 +3,11 @@
 Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
 pass of Ruge and Stüben: take the unknown on which most others depend, interpolate those from it, and prefer from
 then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
-of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative. A fine unknown on
-which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row interpolates
-it from, i included (extended interpolation): where couplings jump from edge to edge many have no coarse neighbour at
-all. Only the largest weights of such a row are kept.
+of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
+
+Where couplings jump from edge to edge, many a fine unknown has no coarse neighbour. There interpolation is extended: a
+fine unknown on which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row
+interpolates it from, i included. Only the largest weights of such a row are kept.
 
 References
 ----------
@@ -123,15 +124,57 @@ def choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, af
 
 
 @compiled
-def interpolate(  # type: ignore[no-untyped-def]
+def direct_interpolation(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
 ):
-    """Write the interpolation in CSR; return its number of entries. `number` numbers the coarse unknowns.
+    """Write the interpolation in CSR; return its number of entries, and how many rows are coupled to no coarse one.
+
+    `number` numbers the coarse unknowns.
+    """
+    one = uintp(1)
+    size, lonely = uintp(0), 0
+    for i in range(uintp(indptr.size - 1)):
+        p_indptr[i] = size
+        if kind[i] == COARSE:
+            p_indices[size] = number[i]
+            p_data[size] = 1.0
+            size += one
+            continue
+        diagonal = 0.0
+        all_negative = 0.0
+        interpolating = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if data[k] > 0.0 or j == i:
+                diagonal += data[k]
+            else:
+                all_negative += data[k]
+                if is_strong[k] and kind[j] == COARSE:
+                    interpolating += data[k]
+        if not (interpolating < 0.0 and diagonal > 0.0):
+            lonely += all_negative < 0.0
+            continue
+        factor = all_negative / interpolating
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if is_strong[k] and kind[j] == COARSE:
+                p_indices[size] = number[j]
+                p_data[size] = factor * (-data[k] / diagonal)
+                size += one
+    p_indptr[indptr.size - 1] = size
+    return size, lonely
+
+
+@compiled
+def extended_interpolation(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+):
+    """Write the interpolation that reaches through fine unknowns; return its number of entries, and how many it read.
 
     `p_indices` and `p_data` have room for the entries of M and MOST_WEIGHTS more a row.
     """
     one = uintp(1)
-    size = uintp(0)
+    size, read = uintp(0), 4 * indices.size  # twice to find the strong coarse ones, twice for the rows themselves
     coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
     place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
     first, near = _strong_coarse(indptr, indices, is_strong, kind)
@@ -157,10 +200,11 @@ def interpolate(  # type: ignore[no-untyped-def]
                     coarse[count], weights[count] = j, data[k]
                     place[j], met_by[j] = count, i
                     count += 1
-        through, back, count = _through_fine(
+        through, back, count, scanned = _through_fine(
             indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
         )
         interpolating += through
+        read += scanned
         if not (interpolating < 0.0 and diagonal > 0.0):
             continue
         factor = all_negative / interpolating
@@ -175,7 +219,7 @@ def interpolate(  # type: ignore[no-untyped-def]
             p_data[size] = factor * (-weights[k] / own_share)
             size += one
     p_indptr[indptr.size - 1] = size
-    return size
+    return size, read
 
 
 @compiled
@@ -199,12 +243,13 @@ def _through_fine(  # type: ignore[no-untyped-def]
 ):
     """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
 
-    Returns the sum of these couplings, what of it comes back to i, and how many coarse unknowns row i has met. All
-    are own ones: who shares the rest of a row elsewhere need not know of neighbours' neighbours.
+    Returns the sum of these couplings, what of it comes back to i, how many coarse unknowns row i has met, and how many
+    entries were read. All unknowns are own ones: who shares the rest of a row elsewhere need not know of neighbours'
+    neighbours.
     """
     one = uintp(1)
     direct, own = count, uintp(indptr.size - 1)
-    through, back = 0.0, 0.0
+    through, back, read = 0.0, 0.0, 0
     for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
         j = uintp(indices[k])
         if not is_strong[k] or kind[j] == COARSE or j >= own:
@@ -213,6 +258,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
         for a in range(uintp(first[j]), uintp(first[j + one])):
             c = uintp(indices[uintp(near[a])])
             total += data[uintp(near[a])]
+            read += 1
             if c >= own or (met_by[c] == i and place[c] < direct):
                 is_alone = False
                 break
@@ -221,6 +267,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
         for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
             if uintp(indices[m]) == i:
                 to_i = min(data[m], 0.0)
+        read += indptr[j + one] - indptr[j] + first[j + one] - first[j]
         share = data[k] / (total + to_i)
         through += data[k]
         back += share * to_i
@@ -231,7 +278,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
                 place[c], met_by[c] = count, i
                 count += 1
             weights[place[c]] += share * data[uintp(near[a])]
-    return through, back, count
+    return through, back, count, read
 
 
 @compiled

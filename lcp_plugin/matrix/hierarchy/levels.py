@@ -25,6 +25,8 @@ from .units import units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
+MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no units to be found
+NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
@@ -145,7 +147,7 @@ class Interpolation(NamedTuple):
     """The rows of P: those of the own unknowns and, behind them, of the foreign ones whose rows are here.
 
     `columns` counts the coarse unknowns over all processes; `own` is how many of them are own ones, `below` who
-    shares them.
+    shares them. Where it `extends`, so many entries were `read` for it.
     """
 
     indptr: NDArray[Any]
@@ -154,6 +156,8 @@ class Interpolation(NamedTuple):
     is_coarse: NDArray[np.bool_]
     own: int
     below: Peers
+    extends: bool
+    read: int
 
 
 def build_hierarchy(
@@ -200,8 +204,8 @@ def build_hierarchy(
     work += entries
     if strength is None:
         strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
-    units = None
-    if peers.is_empty:
+    units, extends = None, None
+    if peers.is_empty and positive <= MOST_POSITIVE * total:
         units, further = units_of(matrix, lacking)
         work += further
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
@@ -209,9 +213,11 @@ def build_hierarchy(
     stored, products, size = 0.0, 0.0, peers.total(grid.n)
     while size > coarsest:
         work += PASSES_TO_COARSEN * grid.own_entries
-        interpolation = _interpolation(grid, strength, units)
+        interpolation = _interpolation(grid, strength, units, extends)
         if interpolation is None:
             break
+        extends = interpolation.extends  # what holds on the finest grid
+        work += interpolation.read
         finer, own_indptr = grid, grid.own_arrays[0]
         stored += peers.total(finer.own_entries)
         products += galerkin.count_products(own_indptr, finer.matrix.indices, interpolation.indptr)
@@ -280,8 +286,13 @@ def _weighted_grid(matrix: Operator, peers: Peers, own: int, scales_rows: bool) 
     return grid_of(matrix, peers, own, weight)
 
 
-def _interpolation(grid: Grid, strength: float, units: FloatVector | None) -> Interpolation | None:
-    """Return the interpolation from coarse unknowns of any process; None where nothing is coupled any more."""
+def _interpolation(
+    grid: Grid, strength: float, units: FloatVector | None, extends: bool | None
+) -> Interpolation | None:
+    """Return the interpolation from coarse unknowns of any process; None where nothing is coupled any more.
+
+    Whether it reaches through fine unknowns is said by `extends`, or found out where that is None.
+    """
     indptr, indices, data = grid.own_arrays
     if units is not None:
         data = Operator(indptr, indices, data * units[indices]).data
@@ -307,15 +318,19 @@ def _interpolation(grid: Grid, strength: float, units: FloatVector | None) -> In
         peers.fetch(numbers)
         number = numbers.astype(indices.dtype)
     p_indptr = np.empty(n + 1, indptr.dtype)
-    room = data.size + coarsening.MOST_WEIGHTS * n
+    room = data.size + coarsening.MOST_WEIGHTS * n  # memory that nothing is written to was never touched
     p_indices, p_data = np.empty(room, indices.dtype), np.empty(room)
-    size = coarsening.interpolate(
-        indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
-    )  # memory behind `size` was never touched
+    operands = indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+    read = 0
+    if not extends:
+        size, lonely = coarsening.direct_interpolation(*operands)
+        extends = extends is None and peers.total(lonely) > NOTEWORTHY_LONELY * peers.total(n)
+    if extends:
+        size, read = coarsening.extended_interpolation(*operands)
     if units is not None:
         p_data[:size] *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices[:size]]
     rows = peers.with_foreign_rows((p_indptr, p_indices[:size], p_data[:size]))
-    return Interpolation(*rows, is_coarse, count, below)
+    return Interpolation(*rows, is_coarse, count, below, extends, read)
 
 
 def _mended(grid: Grid, strength: float, kind: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -338,7 +353,7 @@ def _coarser(
 ) -> tuple[Transfer, Grid] | None:
     """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
     peers = grid.peers
-    p_indptr, columns, p_data, is_coarse, count, below = interpolation
+    p_indptr, columns, p_data, is_coarse, count, below, *_ = interpolation
     others = below.outside(columns)
     p_indices = below.local(columns, others)
     restriction = _restriction(grid, count, (p_indptr, p_indices, p_data))

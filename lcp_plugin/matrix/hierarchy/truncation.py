@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps
 from .levels import Grid, Hierarchy
@@ -158,7 +158,7 @@ class Truncation:
         sweeps.residual_after_first_sweep(rows, level.inverse, grid.weight, level.x, level.residual[: grid.n])
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        sweeps.restrict(*transfer.restriction.arrays, level.residual, below.b)
+        sweeps.restrict(*transfer.restriction.arrays, read_only(level.residual), below.b)
         self.correct(k + 1)
         below.grid.peers.fetch(below.x)
         sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)

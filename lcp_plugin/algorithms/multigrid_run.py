@@ -267,6 +267,7 @@ class MultigridRun:
             fine.sweep(z, backward=True)
             self.work += self.entries
 
+    @np.errstate(all="ignore")
     def _energy_fell(self, z: FloatVector) -> bool:
         """Return whether M is symmetric and ½ zᵀMz + qᵀz noticeably less than when last asked."""
         if not self.is_symmetric:

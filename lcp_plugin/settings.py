@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -136,6 +138,30 @@ def _flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
     return bool(value)
+
+
+@lru_cache(maxsize=1)
+def _usable_threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_usable_threads.cache_clear)  # workers may be bound to some of the cores
+
+
+def checked_threads(threads: Any, name: str = "threads") -> int:
+    """Return how many threads take part; all that the process may use for None.
+
+    Raises
+    ------
+    InvalidOption
+        Where it is no whole number ≥ 1.
+    """
+    if threads is None:
+        return _usable_threads()
+    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise InvalidOption(f"{name} must be a whole number ≥ 1, or None for all that may be used, got {threads!r}")
+    return int(threads)
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {

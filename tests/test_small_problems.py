@@ -16,7 +16,7 @@ from small_families import FAMILIES, problem
 import lcp_plugin.algorithms.short_road as short_road
 from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption
-from lcp_plugin.solving import chunks
+from lcp_plugin.kernels import threads as sharing
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -254,7 +254,7 @@ def test_ctrl_c_ends_a_batch_and_keeps_what_is_solved(monkeypatch: pytest.Monkey
     M, q = definite(4000, 30)
     for threads in (1, 2):
         with monkeypatch.context() as patch:
-            patch.setattr(chunks, "LARGEST_CHUNK", 10)
+            patch.setattr(sharing, "LARGEST_CHUNK", 10)
             main = threading.main_thread().ident
             timer = threading.Timer(0.01, lambda main=main: signal.pthread_kill(main, signal.SIGINT))
             timer.start()

@@ -15,11 +15,10 @@ from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.bands import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
-from ..settings import CallersOwn, Settings, Status
+from ..settings import CallersOwn, Settings, Status, checked_threads
 from .batch_items import Items, Listed, Stacked
 from .batch_result import BatchResult
 from .batch_run import BatchRun
-from .chunks import checked_threads
 from .result import Result
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..checks import read_only
+from ..kernels.threads import in_chunks
 from .batch_items import Group
-from .chunks import in_chunks
 
 
 class BatchPart:

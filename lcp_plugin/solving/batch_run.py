@@ -12,13 +12,13 @@ from ..algorithms.base import Plan
 from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import Answers
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
+from ..kernels.threads import in_chunks
 from ..peers.alone import ALONE
 from ..policy.choice import policy_for
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
 from .batch_items import Group, Items
 from .batch_result import BatchResult
-from .chunks import in_chunks
 from .driver import solve
 from .result import Result
 from .sprint import arrival, is_unwatched

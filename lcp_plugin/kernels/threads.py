@@ -1,0 +1,201 @@
+"""Compiled loops cut into pieces that several threads take: the rows of one large problem, or many small problems.
+
+A hand-over costs 10–50 µs, more where other programs want the cores; so the thread that has work to share does what
+nobody has begun, and waits for no more than what others are in the middle of.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from contextvars import Context, ContextVar, copy_context
+from itertools import pairwise
+from queue import SimpleQueue
+from typing import Any, TypeVar
+
+from ..locks import Lock
+
+T = TypeVar("T")
+LARGEST_CHUNK = 256  # problems between two looks at the clock
+CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
+
+_count: ContextVar[int] = ContextVar("threads", default=1)
+
+
+class threads_for:  # noqa: N801 - read as a function; a generator takes three times as long
+    """Let what runs inside a ``with`` statement be shared among so many threads.
+
+    Parameters
+    ----------
+    count : int
+
+    Examples
+    --------
+    >>> with threads_for(3):
+    ...     threads_now()
+    3
+    >>> threads_now()
+    1
+    """
+
+    __slots__ = ("count", "token")
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def __enter__(self) -> None:
+        self.token = _count.set(self.count)
+
+    def __exit__(self, *_: object) -> None:
+        _count.reset(self.token)
+
+
+def threads_now() -> int:
+    """Return how many threads may share what runs here: 1 where nobody said so, and inside a piece of shared work."""
+    return _count.get()
+
+
+def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
+    """Return what ``work(first, end)`` gives for consecutive pieces of 0 ≤ k < count, in order.
+
+    Parameters
+    ----------
+    work : callable
+        It may be called in other threads, in a copy of this one's context. It must not wait for a lock that this one
+        may hold, as the facts of a matrix do: what it needs of them is taken out before.
+    count : int
+    smallest : int
+        No piece is shorter, unless count is; there are as many as threads, or fewer.
+
+    Raises
+    ------
+    Exception
+        What the first piece that failed has raised, when all that were begun have ended; after Ctrl-C, too.
+
+    Examples
+    --------
+    >>> with threads_for(2):
+    ...     share(lambda first, end: (first, end), 10, 4)
+    [(0, 5), (5, 10)]
+    """
+    threads = _count.get()
+    if threads == 1 or count < 2 * smallest:
+        return [work(0, count)]
+    pieces = min(threads, count // max(smallest, 1))
+    return _shared(work, [k * count // pieces for k in range(pieces + 1)], threads)
+
+
+def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
+    """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C the chunks that wait are not begun."""
+    size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
+    ends = [*range(0, count, size), count]
+    if threads == 1 or len(ends) <= 2:
+        for first, end in pairwise(ends):
+            work(first, end)
+        return
+    _shared(work, ends, threads)
+
+
+def _shared(work: Callable[[int, int], T], ends: Sequence[int], threads: int) -> list[T]:
+    """Return what the pieces between consecutive ends give, on so many threads, this one among them."""
+    job = _Job(work, ends)
+    helpers = min(threads, len(ends) - 1) - 1
+    own = copy_context()
+    try:
+        _pool.ask(job, helpers)
+        own.run(job.take_part)
+    finally:
+        job.wait()
+    return job.results()
+
+
+class _Job:
+    """Pieces of work, each taken by whoever comes first. Nothing here is locked: dict.setdefault happens at once."""
+
+    def __init__(self, work: Callable[[int, int], Any], ends: Sequence[int]) -> None:
+        self.work, self.ends, self.pieces = work, ends, range(len(ends) - 1)
+        self.caller = threading.get_ident()
+        self.takers: dict[int, int] = {}
+        self.given: dict[int, Any] = {}
+        self.errors: dict[int, BaseException] = {}
+        self.ended: SimpleQueue[int] = SimpleQueue()
+
+    def take_part(self) -> None:
+        """Do what nobody has begun; what it shares in turn stays in this thread. After an error nothing is begun."""
+        _count.set(1)
+        me = threading.get_ident()
+        for k in self.pieces:
+            if k in self.takers or self.errors or self.takers.setdefault(k, me) != me:
+                continue
+            try:
+                self.given[k] = self.work(self.ends[k], self.ends[k + 1])
+            except BaseException as error:
+                self.errors[k] = error
+                if me == self.caller and not isinstance(error, Exception):
+                    raise  # Ctrl-C comes before anything else
+            finally:
+                self.ended.put(k)
+
+    def wait(self) -> None:
+        """Let nobody begin any more, and return when nobody is at work; Ctrl-C meanwhile is raised afterwards."""
+        interruption: BaseException | None = None
+        while True:
+            try:
+                for k in self.pieces:
+                    self.takers.setdefault(k, self.caller)
+                while any(taker != self.caller and not self._is_over(k) for k, taker in self.takers.items()):
+                    self.ended.get()
+                break
+            except KeyboardInterrupt as error:
+                interruption = error
+        if interruption is not None:
+            raise interruption
+
+    def _is_over(self, k: int) -> bool:
+        return k in self.given or k in self.errors
+
+    def results(self) -> list[Any]:
+        """Return what the pieces have given, or raise what the first that failed has raised."""
+        if self.errors:
+            raise self.errors[min(self.errors)]
+        return [self.given[k] for k in self.pieces]
+
+
+class _Pool:
+    """Threads of this process that wait for work, as many as were ever asked for."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self.forget()
+
+    def forget(self) -> None:
+        """Have no threads; for the child of a fork, in which there are none."""
+        self.size = 0
+        self._jobs: SimpleQueue[tuple[_Job, Context]] = SimpleQueue()
+
+    def ask(self, job: _Job, helpers: int) -> None:
+        """Let so many threads take part."""
+        if self.size < helpers:
+            self._grow(helpers)
+        for _ in range(helpers):
+            self._jobs.put((job, copy_context()))
+
+    def _grow(self, size: int) -> None:
+        with self._lock.held(), suppress(RuntimeError):  # no more threads may begin: those there are will do
+            while self.size < size:
+                threading.Thread(target=_work, args=(self._jobs,), daemon=True, name="lcp_plugin").start()
+                self.size += 1
+
+
+def _work(jobs: SimpleQueue[tuple[_Job, Context]]) -> None:
+    while True:
+        job, context = jobs.get()
+        context.run(job.take_part)
+        del job, context  # and with them the arrays that they hold
+
+
+_pool = _Pool()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.forget)

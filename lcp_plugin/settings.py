@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from functools import lru_cache
 from typing import Any
@@ -70,6 +70,8 @@ class Settings:
         In seconds; None means no limit.
     record, error_bound : bool
         Whether to keep samples, and whether to bound the error.
+    threads : int or None
+        At least 1; None means all that the process may use. Ranks may differ in it.
 
     Raises
     ------
@@ -84,12 +86,13 @@ class Settings:
     max_seconds: Any = None
     record: Any = False
     error_bound: Any = False
+    threads: Any = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not field.default or value is None:
-                object.__setattr__(self, field.name, CHECKS[field.name](value, field.name))
+        for name, check in CHECKS.items():
+            value = getattr(self, name)
+            if value is not getattr(Settings, name) or value is None:  # what stands in the class is the default
+                object.__setattr__(self, name, check(value, name))
 
     @property
     def is_on_error(self) -> bool:
@@ -166,7 +169,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _number, "tolerance_on": _target, "measure": _measure, "max_iterations": _count,
-    "max_seconds": _seconds, "record": _flag, "error_bound": _flag,
+    "max_seconds": _seconds, "record": _flag, "error_bound": _flag, "threads": checked_threads,
 }
 
 

@@ -143,6 +143,7 @@ def solve(
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
+    threads: Annotated[int | None, typer.Option(help="How many threads it may use; all by default.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
     out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
     sensitivity: Annotated[
@@ -166,7 +167,7 @@ def solve(
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
         tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
-        max_iterations=max_iterations, max_seconds=max_seconds,
+        max_iterations=max_iterations, max_seconds=max_seconds, threads=threads,
     )
     options = solving.options(relaxation, option or [])
     return solving.run(

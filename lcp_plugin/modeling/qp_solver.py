@@ -42,7 +42,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.infeasibility``.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
-    go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds`` and the algorithm's own.
+    go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
+    ``threads`` and the algorithm's own.
     """
 
     MIP_CAPABLE = False

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..kernels.threads import threads_for
 from ..matrix.bands import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
@@ -22,7 +23,7 @@ from .batch_run import BatchRun
 from .result import Result
 
 
-def prepare(problem: LCP) -> LCP:
+def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
     """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
@@ -31,11 +32,13 @@ def prepare(problem: LCP) -> LCP:
     Parameters
     ----------
     problem : LCP
+    threads : int, optional
+        As for :func:`lcp_plugin.solve`.
 
     Raises
     ------
     InvalidOption
-        Where it is no LCP.
+        Where it is no LCP, or `threads` no number of threads.
 
     Examples
     --------
@@ -49,13 +52,15 @@ def prepare(problem: LCP) -> LCP:
     from ..algorithms.multigrid import Multigrid
     from ..matrix.hierarchy.levels import hierarchy_of
 
-    inverse_residual_scale(problem.matrix)
-    if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
-        bands(problem.matrix)
-    for backward in (False, True):
-        row_splits(problem.matrix, backward)
-    if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
-        hierarchy_of(problem.matrix, Multigrid.coarsest)
+    allowed = problem.peers.together(lambda: checked_threads(threads))
+    with threads_for(1 if threads is None and problem.is_distributed else allowed):
+        inverse_residual_scale(problem.matrix)
+        if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
+            bands(problem.matrix)
+        for backward in (False, True):
+            row_splits(problem.matrix, backward)
+        if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
+            hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 
 
@@ -89,8 +94,8 @@ def solve_batch(
     max_seconds : float, optional
         In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
     threads : int, optional
-        How many take part in the compiled loop; by default all that the process may use. The bits are the same for
-        any number.
+        How many take part in the compiled loop; by default all that the process may use. What it leaves open is
+        solved on one. The bits are the same for any number.
 
     Returns
     -------
@@ -118,7 +123,7 @@ def solve_batch(
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
         items = Stacked(M, q, lower, upper, z0)
-    wishes = {"tolerance": tolerance, "measure": measure, "max_iterations": max_iterations}
+    wishes = {"tolerance": tolerance, "measure": measure, "max_iterations": max_iterations, "threads": 1}
     limit = Settings(max_seconds=max_seconds).max_seconds
     return BatchRun(items, algorithm, wishes, threads=checked_threads(threads), limit=limit).run()
 

@@ -16,6 +16,7 @@ from ..algorithms.rehearsal import rehearse
 from ..checks import FloatVector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..kernels.threads import threads_for
 from ..policy.choice import Policy, policy_for
 from ..policy.pacing import CheckSchedule, Progress
 from ..policy.stages import Choice, Stage
@@ -48,6 +49,7 @@ def solve(
     record: bool = False,
     callback: Callback | None = None,
     error_bound: bool = False,
+    threads: int | None = None,
     **options: Any,
 ) -> Result:
     """Return the best z an algorithm finds, judged by a certificate on the problem's own data.
@@ -80,6 +82,9 @@ def solve(
     error_bound : bool
         Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
         clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
+    threads : int, optional
+        How many threads this solve may use; by default all that the process may use, but one where the rows are on
+        ranks. The answer is the same bit for bit for any number.
     **options
         Options of the named algorithm.
 
@@ -109,29 +114,31 @@ def solve(
     with np.errstate(), peers.interruptions() as clock.hears:
         policy, settings, callers, start = peers.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed),
-            Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound),
+            Settings(tolerance, tolerance_on, measure, max_iterations, max_seconds, record, error_bound, threads),
             checked_callback(callback), checked_start(problem, z0),
         ))
         asked = policy.chosen, settings
         peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         run: Run | None = None
-        try:
-            rehearse(None, problem)  # the judge
-            warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
-            first = policy.first(problem)
-            if callers is None and (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
-                return arrived
-            run = Run(problem, policy, settings, callers, clock)
-            if settings.is_on_error:
-                run.judge.require_rigorous_bounds()
-            with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
-                reason = run.drive(start, first)
-            return run.judged(start, reason)
-        except KeyboardInterrupt:
-            if problem.is_distributed:
-                raise  # the second one: the other ranks have not heard of it
-            run = run or Run(problem, policy, settings, callers, clock)
-            return run.judged(start, Status.INTERRUPTED)
+        with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
+            try:
+                rehearse(None, problem)  # the judge
+                warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
+                first = policy.first(problem)
+                arrived = None if callers is not None else sprinted(problem, policy, first, settings, start, clock)
+                if arrived is not None:
+                    return arrived
+                run = Run(problem, policy, settings, callers, clock)
+                if settings.is_on_error:
+                    run.judge.require_rigorous_bounds()
+                with nullcontext() if settings.max_seconds == math.inf else time_limit(settings.max_seconds):
+                    reason = run.drive(start, first)
+                return run.judged(start, reason)
+            except KeyboardInterrupt:
+                if problem.is_distributed:
+                    raise  # the second one: the other ranks have not heard of it
+                run = run or Run(problem, policy, settings, callers, clock)
+                return run.judged(start, Status.INTERRUPTED)
 
 
 def _remedy(given: Any) -> str:

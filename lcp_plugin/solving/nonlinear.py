@@ -16,6 +16,7 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
 from ..deadline import time_limit
 from ..errors import InvalidOption, InvalidProblem
+from ..kernels.threads import threads_for
 from ..peers.alone import ALONE
 from ..policy.choice import Single, policy_for
 from ..policy.stages import Choice, Stage
@@ -44,6 +45,7 @@ def solve_nonlinear(
     callback: Callback | None = None,
     error_bound: bool = False,
     check_jacobian: bool = True,
+    threads: int | None = None,
 ) -> Result:
     """Return the best x that Josephy–Newton finds, judged by a certificate on F.
 
@@ -71,6 +73,8 @@ def solve_nonlinear(
         at. It speaks of the only solution within that distance of x.
     check_jacobian : bool
         Compare a `jacobian` that was given with differences of F near the start.
+    threads : int, optional
+        As for :func:`lcp_plugin.solve`; F itself is called in this thread.
 
     Returns
     -------
@@ -106,13 +110,13 @@ def solve_nonlinear(
             f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
             "solve(problem) for an LCP"
         )
-    settings = Settings(tolerance, "residual", measure, max_iterations, max_seconds, record, error_bound)
+    settings = Settings(tolerance, "residual", measure, max_iterations, max_seconds, record, error_bound, threads)
     policy_for(algorithm, {})
     callers, start = checked_callback(callback), _checked_start(problem, x0)
     problem = problem.sized(start.size)
     clock = Clock(ALONE)
     start = read_only(np.clip(start, problem.lower, problem.upper))
-    with np.errstate():
+    with np.errstate(), threads_for(settings.threads):
         points = Linearisations(problem)
         reference = Reference.of(problem, start)
         first = points.at(start)

@@ -16,7 +16,7 @@ from ..exact.rounding import gamma
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..matrix.structure import row_numbers
 
-MOST_PASSES = 10_000  # a chain of equations needs one a link; .1 ms each, as only rows beside new bounds are looked at
+MOST_PASSES = 10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
 
 Box = tuple[FloatVector, FloatVector]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import pickle
 import tracemalloc
 from fractions import Fraction
 from pathlib import Path
@@ -93,6 +94,19 @@ def test_what_refutes_is_said(x: list[float], reason: str) -> None:
     said = certify(SIMPLE, x)
     assert said.verdict == "refuted"
     assert said.reason.startswith(reason)
+
+
+def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
+    """Proofs are made once a program; what a pickle holds does not grow with them, and its data stay read-only."""
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+    before = pickle.dumps(program)
+    said = certify(program, [0.5, 1.5])
+    assert ProgramProofs.of(program) is ProgramProofs.of(program)
+    after = pickle.dumps(program)
+    assert len(after) == len(before)
+    copy = pickle.loads(after)
+    assert not copy.c.flags.writeable
+    assert str(certify(copy, [0.5, 1.5])) == str(said)
 
 
 def test_a_value_that_no_feasible_point_has_is_refuted() -> None:

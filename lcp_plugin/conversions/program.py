@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +10,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound, checked_vector, read_only, rectangular_matrix
+from ..checks import (
+    FloatVector,
+    check_order,
+    checked_bound,
+    checked_vector,
+    read_only,
+    rectangular_matrix,
+    restored,
+)
 from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_semidefinite_to_rounding
@@ -243,6 +251,13 @@ class QuadraticProgram:
         averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
         rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"
         return f"QuadraticProgram(n={self.n}, {rows}{averaged})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        data = {one.name for one in fields(self)}
+        return {name: value for name, value in self.__dict__.items() if name in data}
+
+    __setstate__ = restored
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:

@@ -105,28 +105,27 @@ def _is_smooth_at(problem: NonlinearProblem, point: FloatVector) -> bool:
     return True
 
 
-def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
+def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w: FloatVector) -> str | None:
     """Return what the expressions themselves, evaluated by cvxpy, say against w = F(z), or None.
 
     Parameters
     ----------
-    model : Model
-        Nonlinear, its variables having the values of z.
+    sources : Sources
+        Expressions whose variables have the values of z.
+    problem : NonlinearProblem
+        What was made of them; its enclosure says how much F may be off by rounding, nothing without one.
     z, w : array, shape (n,)
     """
-    assert isinstance(model.problem, NonlinearProblem)
     with np.errstate(all="ignore"):
-        values = [np.ravel(dense(expression.value), order="F") for expression in model.sources.functions]
-    theirs = model.sources.signs * np.concatenate(values)[model.sources.places]
-    enclosure = model.problem.enclosure
-    assert enclosure is not None
-    lower, upper = enclosure.interval_F(z, z)
+        values = [np.ravel(dense(expression.value), order="F") for expression in sources.functions]
+    theirs = sources.signs * np.concatenate(values)[sources.places]
+    lower, upper = (0.0, 0.0) if problem.enclosure is None else problem.enclosure.interval_F(z, z)
     allowed = DISAGREEMENT * (1.0 + np.abs(w)) + ROUNDINGS * (upper - lower)
     wrong = np.flatnonzero(np.isfinite(w) & ~(np.abs(theirs - w) <= allowed))
     if not wrong.size:
         return None
-    owner = np.searchsorted(np.cumsum([value.size for value in values]), model.sources.places[wrong[0]], side="right")
+    owner = np.searchsorted(np.cumsum([value.size for value in values]), sources.places[wrong[0]], side="right")
     return (
-        f"{name_of(model.sources.functions[owner])} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
+        f"{name_of(sources.functions[owner])} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
         f"variables, and {w[wrong[0]]:.9g} was computed"
     )

@@ -347,7 +347,7 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
             constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
     if isinstance(model.problem, NonlinearProblem) and status != settings.INFEASIBLE:
-        what = contradiction(model, result.z, result.w)
+        what = contradiction(model.sources, model.problem, result.z, result.w)
         if what is not None:
             problem._clear_solution()
             raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")

@@ -1,8 +1,10 @@
 """An affine cvxpy expression and its matrices state the same map, whatever atoms it is written with."""
 
+import sys
 import time
 import tracemalloc
 import warnings
+from collections import Counter
 
 import cvxpy as cp
 import numpy as np
@@ -417,19 +419,35 @@ def test_deep_and_long_sums_do_not_recurse():
     np.testing.assert_array_equal(affine_map(nested).blocks[x.id].toarray(), 2 * np.eye(2))
 
 
-def test_thousands_of_scalar_expressions_are_fine():
-    """2000 scalar rows, and 2000 scalar variables, take about a second of the processor."""
-    x = cp.Variable(2000)
-    rows = cp.hstack([2 * x[i] - x[i - 1] + i for i in range(2000)])
-    scalars = [cp.Variable() for _ in range(2000)]
-    stacked = cp.hstack([2 * scalars[i] - scalars[i - 1] for i in range(2000)])
-    start = time.process_time()
-    found, others = affine_map(rows), affine_map(stacked)
-    assert time.process_time() - start < 6.0
-    expected = 2 * sp.eye_array(2000) - sp.csr_array(np.roll(np.eye(2000), -1, axis=1))
-    assert abs(found.blocks[x.id] - expected).max() == 0.0
-    np.testing.assert_array_equal(found.offset, np.arange(2000))
-    assert len(others.blocks) == 2000
+def stacked(n, are_apart):
+    """Return n scalar rows of one variable or of n scalar ones, and what these are."""
+    scalars, x = [cp.Variable() for _ in range(n)], cp.Variable(n)
+    each = scalars if are_apart else x
+    return cp.hstack([2 * each[i] - each[i - 1] + i for i in range(n)]), scalars if are_apart else [x]
+
+
+def calls_of(work):
+    """Return how many functions are called, compiled ones included."""
+    events = Counter()
+    before = sys.getprofile()
+    sys.setprofile(lambda frame, event, argument: events.update([event]))
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return events["call"] + events["c_call"]
+
+
+@pytest.mark.parametrize("are_apart", [False, True], ids=["rows", "variables"])
+def test_each_of_many_scalar_expressions_costs_the_same(are_apart):
+    """Twice as many scalar rows, or scalar variables, take twice as many calls; 400 of them give the right matrix."""
+    (few, _), (many, variables) = (stacked(n, are_apart) for n in (200, 400))
+    affine_map(few)  # what is done once
+    assert calls_of(lambda: affine_map(many)) < 2.1 * calls_of(lambda: affine_map(few))
+    found = affine_map(many)
+    block = sp.hstack([found.blocks[variable.id] for variable in variables])
+    assert abs(block - 2 * sp.eye_array(400) + sp.csr_array(np.roll(np.eye(400), -1, axis=1))).max() == 0.0
+    np.testing.assert_array_equal(found.offset, np.arange(400))
 
 
 def test_sparse_data_never_become_dense():

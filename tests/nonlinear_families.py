@@ -14,8 +14,11 @@ from lcp_plugin import NonlinearProblem
 
 KINDS = (
     "monotone polynomial", "monotone exponential", "scaled rows", "triangular polynomial", "triangular exponential",
+    "far exponential",
 )
+FAR = 20.0  # below 0, where an exponential has become flat: ‖r(z°)‖ is huge there and no reference
 DIGITS = 60
+DOUBLES = 1e-9  # far above what rounding does to the sums of positive terms in the reference
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,7 @@ class Planted:
     """F(x) = s (M x + Bᵀ g(B x) + L g(x) + c), by rows, with a solution x.
 
     g is t + t³ or exp t, increasing. M positive semidefinite and L = 0: F is monotone; s > 0 by rows: P₀ as before. M
-    and L lower triangular, the diagonals ≥ 0: F is P₀.
+    and L lower triangular, the diagonals ≥ 0: F is P₀. "far": M = 0 and x is FAR below 0.
     """
 
     M: np.ndarray
@@ -56,36 +59,44 @@ class Planted:
             g = np.vectorize((lambda t: t.exp()) if self.is_exponential else (lambda t: t + t * t * t), otypes=[object])
             return s * (M.dot(x) + B.T.dot(g(B.dot(x))) + L.dot(g(x)) + c)
 
-    def sharp_relative_residual(self, x: np.ndarray, scale: np.ndarray, reference: np.ndarray) -> Decimal:
-        """‖r(x)‖∞/‖r(reference)‖∞ in the given scale d, in sixty digits."""
-        return sharp_relative_residual(self.sharp_F, self.lower, self.upper, x, scale, reference)
+    def sharp_relative_residual(self, x: np.ndarray, scale: np.ndarray) -> Decimal:
+        """‖r(x)‖∞ beside its reference in the given scale d, F in sixty digits.
+
+        The reference is ‖r(z°)‖∞, or where that is less ‖r(x)‖∞ + max_i (|x − z°|_i + (|F′(x)| |x − z°|)_i / d_i), the
+        most that an affine F with this derivative has there.
+        """
+        origin = np.clip(0.0, self.lower, self.upper)
+        distance = np.abs(x - origin)
+        reach = (distance + np.abs(self.jacobian(x)) @ distance / scale).max(initial=0.0) * (1.0 + DOUBLES)
+        with localcontext() as context:
+            context.prec = DIGITS
+            left = sharp_residual(self.sharp_F, self.lower, self.upper, x, scale)
+            if not left:
+                return left
+            there = sharp_residual(self.sharp_F, self.lower, self.upper, origin, scale)
+            return left / min(there, left + Decimal(float(reach)))
 
 
 def exact(values: np.ndarray) -> np.ndarray:
     return np.vectorize(lambda value: Decimal(float(value)), otypes=[object])(values)
 
 
-def sharp_relative_residual(
-    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray,
-    reference: np.ndarray,
+def sharp_residual(
+    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray
 ) -> Decimal:
-    """‖r(x)‖∞/‖r(reference)‖∞ in the given scale d, F in sixty digits."""
-    def residual(point: np.ndarray) -> Decimal:
-        values = zip(exact(point), exact(lower), exact(upper), F(point), exact(scale), strict=True)
-        return max((abs(min(max(p - u, w / d), p - l)) for p, l, u, w, d in values), default=Decimal(0))
-
-    with localcontext() as context:
-        context.prec = DIGITS
-        left = residual(x)
-        return left / residual(reference) if left else left
+    """‖r(x)‖∞ in the given scale d, F in sixty digits."""
+    values = zip(exact(x), exact(lower), exact(upper), F(x), exact(scale), strict=True)
+    return max((abs(min(max(p - u, w / d), p - l)) for p, l, u, w, d in values), default=Decimal(0))
 
 
 def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
     """A random problem of that kind and size."""
-    is_exponential, is_triangular = "exp" in kind or ("scaled" in kind and rng.random() < 0.5), "triangular" in kind
+    is_exponential, is_far = "exp" in kind or ("scaled" in kind and rng.random() < 0.5), "far" in kind
+    is_triangular = is_far or "triangular" in kind
     density = min(1.0, 5.0 / n)
     with np.errstate(invalid="ignore"):
         lower, upper, x, w = _bounds(rng, n)
+        lower, upper, x = (points - FAR * is_far for points in (lower, upper, x))
     rank = int(rng.integers(max(1, n // 2), n + 1))
     B = np.where(rng.random((rank, n)) < density, rng.standard_normal((rank, n)), 0.0) / np.sqrt(density * n)
     L = np.zeros((n, n))
@@ -93,6 +104,7 @@ def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
         M = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.3
         L = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.1
         M += np.diag(np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.1, 2.0, n)))
+        M *= not is_far
         L += np.diag(np.where((rng.random(n) < 0.2) & (M.diagonal() > 0.0), 0.0, rng.uniform(0.1, 1.0, n)))
         is_flat = (w != 0.0) & (rng.random(n) < 0.3)  # F_i does not depend on x_i: P₀ and no more
         M[is_flat, is_flat] = L[is_flat, is_flat] = 0.0

@@ -546,7 +546,7 @@ def test_bench_lists_what_it_can_run() -> None:
 
 def test_bench_runs_by_name() -> None:
     """A named benchmark prints its lines and exits with 0."""
-    done = lcp_plugin("bench", "small", "--quick")
+    done = lcp_plugin("bench", "sweeps", "--quick")
     assert done.exit_code == 0
     assert len(done.stdout.splitlines()) >= 1
     assert done.stderr == ""

@@ -302,7 +302,7 @@ def test_a_run_leaves_the_data_alone() -> None:
 # --- Where it is no help ------------------------------------------------------------------------------------
 
 
-def random_sparse(margin: float, *, n: int = 5000, positive: bool = False) -> LCP:
+def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LCP:
     generator = np.random.default_rng(5)
     B = sp.csr_array(
         (generator.random(n * 7), (np.repeat(np.arange(n), 7), generator.integers(0, n, n * 7))), shape=(n, n)

@@ -46,6 +46,21 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
+def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
+    """Return a sum with the rounded product h = fl(a b) in it, the errors so far added up, and their magnitudes."""
+    e = fused(a, b, -h)
+    total, f = split_sum(total, h)
+    return total, errors + (e + f), size + (abs(e) + abs(f))
+
+
+@njit(inline="always")
+def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
+    """Return such a sum of so many terms, and how far it may be off: γ₂ₖ times the magnitudes, and what was left."""
+    high, low = split_sum(total, errors)
+    return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
+
+
+@njit(inline="always")
 def _outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
@@ -161,12 +176,8 @@ def residual_ends(  # type: ignore[no-untyped-def]
                 a, b = data[k], x[uintp(indices[k - shift])]
                 h = a * b
                 is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
-                e = fused(a, b, -h)
-                total, f = split_sum(total, h)
-                errors += e + f
-                size += abs(e) + abs(f)
-            largest[i], low = split_sum(total, errors)
-            smallest[i] = abs(low) + size * (4.0 * (end - first) + 8.0) * UNIT
+                total, errors, size = with_term(total, errors, size, h, a, b)
+            largest[i], smallest[i] = of_terms(total, errors, size, end - first)
             if is_small:
                 smallest[i] += _underflow(indices, data, x, first, end, shift)
         for i in range(begin, begin + here):

@@ -33,8 +33,8 @@ from .desk import (
     Z,
     sizes,
 )
-from .enclosures import MAY_UNDERFLOW, fused, row_ends, split_sum
-from .floats import NEGLIGIBLE_DIAGONAL, UNIT
+from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
+from .floats import NEGLIGIBLE_DIAGONAL
 from .small_systems import solve_free
 from .tableau import follow_path
 
@@ -222,12 +222,8 @@ def _ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
             terms += a != 0.0 and not is_dense
             h = a * b
             is_small |= (abs(h) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0)
-            e = fused(a, b, -h)
-            total, f = split_sum(total, h)
-            errors += e + f
-            size += abs(e) + abs(f)
-        high, low = split_sum(total, errors)
-        slip = abs(low) + size * (4.0 * terms + 8.0) * UNIT
+            total, errors, size = with_term(total, errors, size, h, a, b)
+        high, slip = of_terms(total, errors, size, terms)
         smallest, largest = row_ends(high, slip, real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i])
         least, most = max(least, smallest), max(most, np.inf if is_small else largest)
     return least, most

@@ -24,65 +24,99 @@ from numba import njit, uintp
 from ...kernels.compilation import compiled
 from .units import LACKING
 
-UNDECIDED, COARSE, FINE = 0, 1, 2
+COARSE, FINE = 1, 2
 SMALLEST_SHARE = 0.2  # of the largest weight, and
 MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
 
 
 @compiled
-def strong_couplings(indptr, indices, data, strength, own, is_strong, first):  # type: ignore[no-untyped-def]
-    """Mark the entries i → j, j < own, where i depends strongly on j; count the dependents of j in first[j + 1].
+def strong_couplings(indptr, indices, data, strength, own, is_strong, columns, last):  # type: ignore[no-untyped-def]
+    """Mark the entries i → j, j < own, where i depends strongly on j; list these j in columns[indptr[i]:last[i]].
 
     Strong is what is so among all couplings of the row.
     """
     one = uintp(1)
     for i in range(uintp(indptr.size - 1)):
+        begin, end = uintp(indptr[i]), uintp(indptr[i + one])
         largest = 0.0
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+        for k in range(begin, end):
             if -data[k] > largest and uintp(indices[k]) != i:
                 largest = -data[k]
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+        size = begin
+        for k in range(begin, end):
             j = uintp(indices[k])
             is_strong[k] = j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
             if is_strong[k]:
-                first[j + one] += 1
+                columns[size] = j
+                size += one
+        last[i] = size
 
 
 @compiled
-def list_dependents(indptr, indices, is_strong, first, dependents):  # type: ignore[no-untyped-def]
-    """Fill dependents[first[j]:first[j + 1]] with the unknowns that depend strongly on j."""
-    one = uintp(1)
-    place = first[:-1].copy()
-    for i in range(uintp(indptr.size - 1)):
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            if is_strong[k]:
-                j = uintp(indices[k])
-                dependents[uintp(place[j])] = i
-                place[j] += 1
+def are_mutual(last, columns, place):  # type: ignore[no-untyped-def]
+    """Return whether i depends strongly on j wherever j does on i; `place` says where rows begin, and is overwritten.
 
-
-@compiled
-def choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after):  # type: ignore[no-untyped-def]
-    """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
-
-    The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
-    once more. One list a weight holds the unknowns that had it at some time; an entry whose unknown has lost
-    weight since goes to the list where it belongs when its turn comes. `entry` and `after`, each of
-    shape (n + number of entries,), are work space for the lists.
+    What stands before the diagonal was met from the other side when its row's turn comes: place[i] is behind it.
     """
     one = uintp(1)
-    n = uintp(indptr.size - 1)
-    weight = np.empty(n, np.int32)
+    for i in range(uintp(last.size)):
+        begin, end = uintp(place[i]), uintp(last[i])
+        if begin < end and uintp(columns[begin]) < i:
+            return False
+        for k in range(begin, end):
+            j = uintp(columns[k])
+            p = uintp(place[j])
+            if p >= uintp(last[j]) or uintp(columns[p]) != i:
+                return False
+            place[j] = p + one
+    return True
+
+
+@compiled
+def list_dependents(begin, last, columns, first, dependents):  # type: ignore[no-untyped-def]
+    """Fill dependents[first[j]:first[j + 1]] with the unknowns that depend strongly on j; `first` is zero before."""
+    one = uintp(1)
+    n = uintp(last.size)
+    for i in range(n):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            first[uintp(columns[k]) + one] += 1
+    for j in range(n):
+        first[j + one] += first[j]
+    place = first[:-1].copy()
+    for i in range(n):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            j = uintp(columns[k])
+            dependents[uintp(place[j])] = i
+            place[j] += 1
+
+
+@compiled
+def choose_coarse(  # type: ignore[no-untyped-def]
+    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after
+):
+    """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
+
+    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it; where that is the same
+    for all i, `is_mutual`, all of them are FINE once i is COARSE.
+
+    The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
+    once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
+    unknown has lost weight since goes to the list where it belongs when its turn comes. `weight`, shape (n,), `entry`
+    and `after`, each of shape (n + number of columns,), are work space.
+    """
+    one = uintp(1)
+    n = uintp(last.size)
     heaviest = 0
     for i in range(n):
-        weight[i] = first[i + one] - first[i]
+        weight[i] = t_last[i] - t_begin[i]
         heaviest = max(heaviest, weight[i])
-    head = np.full(2 * heaviest + 2, -1, indptr.dtype)
+    head = np.full(2 * heaviest + 2, -1, begin.dtype)
     size = uintp(0)
     for back in range(n):
         i = n - one - back
+        kind[i] = FINE
         if weight[i] == 0:
-            kind[i] = FINE
+            weight[i] = -1
         else:
             entry[size], after[size] = i, head[uintp(weight[i])]
             head[uintp(weight[i])] = size
@@ -94,32 +128,35 @@ def choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, af
         place = uintp(head[heaviest])
         head[heaviest] = after[place]
         i = uintp(entry[place])
-        if kind[i] != UNDECIDED:
+        if weight[i] < 0:
             continue
         if weight[i] < heaviest:
             if weight[i] == 0:
-                kind[i] = FINE
+                weight[i] = -1
             else:
                 after[place] = head[uintp(weight[i])]
                 head[uintp(weight[i])] = place
             continue
         kind[i] = COARSE
-        for k in range(uintp(first[i]), uintp(first[i + one])):
+        weight[i] = -1
+        for k in range(uintp(t_begin[i]), uintp(t_last[i])):
             j = uintp(dependents[k])
-            if kind[j] != UNDECIDED:
+            if weight[j] < 0:
                 continue
-            kind[j] = FINE
-            for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
-                p = uintp(indices[m])
-                if is_strong[m] and kind[p] == UNDECIDED:
+            weight[j] = -1
+            for m in range(uintp(begin[j]), uintp(last[j])):
+                p = uintp(columns[m])
+                if weight[p] >= 0:
                     weight[p] += 1
                     entry[size], after[size] = p, head[uintp(weight[p])]
                     head[uintp(weight[p])] = size
                     size += one
                     heaviest = max(heaviest, weight[p])
-        for m in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            p = uintp(indices[m])
-            if is_strong[m] and kind[p] == UNDECIDED:
+        if is_mutual:
+            continue
+        for m in range(uintp(begin[i]), uintp(last[i])):
+            p = uintp(columns[m])
+            if weight[p] >= 0:
                 weight[p] -= 1
 
 

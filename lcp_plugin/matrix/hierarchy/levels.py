@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from ...kernels import splitting_sweeps as kernels
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
 from ..matrix import Matrix, fact
@@ -262,15 +262,19 @@ def chosen_kinds(
     indptr: NDArray[Any], indices: NDArray[Any], data: FloatVector, strength: float, is_strong: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Return who is COARSE and who FINE, decided among the unknowns that have rows; fill `is_strong`."""
+    # Allocated here and not in the kernels, see galerkin.transposed.
     n = indptr.size - 1
-    first = np.zeros(n + 1, indptr.dtype)
-    coarsening.strong_couplings(indptr, indices, data, strength, n, is_strong, first)
-    np.cumsum(first, out=first)
-    dependents = np.empty(int(first[-1]), indices.dtype)
-    coarsening.list_dependents(indptr, indices, is_strong, first, dependents)
-    kind = np.zeros(n, np.uint8)
+    columns, last = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
+    coarsening.strong_couplings(indptr, indices, data, strength, n, is_strong, columns, last)
+    depends = tuple(map(read_only, (indptr[:-1], last, columns)))
+    dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
+    if not is_mutual:
+        first, rows = np.zeros(n + 1, indptr.dtype), np.empty(int((last - indptr[:-1]).sum()), indices.dtype)
+        coarsening.list_dependents(*depends, first, rows)
+        dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
+    kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
-    coarsening.choose_coarse(indptr, indices, is_strong, first, dependents, kind, entry, after)
+    coarsening.choose_coarse(*depends, *dependents, is_mutual, kind, weight, entry, after)
     return kind
 
 
@@ -310,9 +314,8 @@ def _interpolation(
     number = np.cumsum(is_coarse, dtype=indices.dtype)
     number += indices.dtype.type(below.first - 1)
     if not peers.is_empty:
-        coarsening.strong_couplings(
-            indptr, indices, data, strength, grid.width, is_strong, np.zeros(grid.width + 1, indptr.dtype)
-        )
+        unused = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
+        coarsening.strong_couplings(indptr, indices, data, strength, grid.width, is_strong, *unused)
         kind, numbers = _kinds_of_all(grid, is_coarse), np.zeros(grid.width)
         numbers[:n] = number
         peers.fetch(numbers)

@@ -53,18 +53,16 @@ def _transpose(indptr, indices, data, t_indptr, t_indices, t_data):  # type: ign
 
 
 @njit(inline="always")
-def _sort_row(indices, data, begin, end):  # type: ignore[no-untyped-def]
+def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
     """Sort by insertion: the rows are short."""
     one = uintp(1)
     for a in range(begin + one, end):
-        column, value = indices[a], data[a]
+        column = indices[a]
         place = a
         while place > begin and indices[place - one] > column:
             indices[place] = indices[place - one]
-            data[place] = data[place - one]
             place -= one  # type: ignore[assignment]
         indices[place] = column
-        data[place] = value
 
 
 @compiled
@@ -99,15 +97,20 @@ def galerkin_product(
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
     c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
-    after = np.zeros(columns, indptr.dtype)
+    work_space = *_row_space(prolongation[0].size - 1, indices.dtype), *_row_space(columns, indices.dtype)[::2]
     operands = *matrix, *prolongation, *restriction, step, repeats, longest
-    rows = _product_rows(*operands, 0, after, c_indptr, c_indices, c_data)
+    rows = _product_rows(*operands, 0, *work_space, c_indptr, c_indices, c_data)
     while rows < n:  # the room did not suffice
         size, room = int(c_indptr[rows]), room + room // 2 + n
         c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
-        rows = _product_rows(*operands, rows, after, c_indptr, c_indices, c_data)
+        rows = _product_rows(*operands, rows, *work_space, c_indptr, c_indices, c_data)
     size = int(c_indptr[n])
     return c_indptr, c_indices[:size], c_data[:size]
+
+
+def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
+    """Return room for one row of so many columns: where each stands, zero if nowhere; which they are; their sums."""
+    return np.zeros(width, dtype), np.empty(width, dtype), np.empty(width)
 
 
 def _enlarged(values: Any, size: int, room: int) -> Any:
@@ -166,11 +169,11 @@ def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[n
 @compiled
 def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    step, repeats, longest, first_row, after, c_indptr, c_indices, c_data,
+    step, repeats, longest, first_row, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
 ):
     """Compute the rows of R M P from `first_row` on; return the first that the room may not hold, or their number.
 
-    `after` holds, behind the rows already done, one more than the place of each column in the row that met it last.
+    A row of R M comes first: it meets a fine unknown many times, and so multiplies by its row of P but once.
     """
     one = uintp(1)
     n = uintp(r_indptr.size - 1)
@@ -178,39 +181,54 @@ def _product_rows(  # type: ignore[no-untyped-def]
     size = uintp(c_indptr[first_row])
     for row in range(uintp(first_row), n):
         begin = size
-        needed = one
-        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
-            i = uintp(r_indices[a])
-            needed += uintp(longest) * uintp(indptr[i + one] - indptr[i])
-        if room - size < min(needed, uintp(after.size)):
-            return row
         if step > 0 and row > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
+            if room - size < size - uintp(c_indptr[row - one]):
+                return row
             for k in range(uintp(c_indptr[row - one]), begin):
                 c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
                 size += one
             c_indptr[row + one] = size
             continue
-        c_indices[size] = row
-        c_data[size] = 0.0
-        size += one
-        after[row] = size
+        count = uintp(0)
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             i = uintp(r_indices[a])
             weight = r_data[a]
             for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 k = uintp(indices[b])
-                value = weight * data[b]
-                for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
-                    column = uintp(p_indices[c])
-                    place = uintp(after[column])
-                    if place <= begin:
-                        c_indices[size] = column
-                        c_data[size] = value * p_data[c]
-                        size += one
-                        after[column] = size
-                    else:
-                        c_data[place - one] += value * p_data[c]
-        _sort_row(c_indices, c_data, begin, size)
+                at = uintp(fine_place[k])
+                if at == 0:
+                    fine[count] = k
+                    fine_sums[count] = weight * data[b]
+                    count += one
+                    fine_place[k] = count
+                else:
+                    fine_sums[at - one] += weight * data[b]
+        for f in range(count):
+            fine_place[uintp(fine[f])] = 0
+        if room - size < min(one + count * uintp(longest), uintp(place.size)):
+            return row
+        c_indices[size] = row
+        sums[0] = 0.0
+        size += one
+        place[row] = 1
+        for f in range(count):
+            k = uintp(fine[f])
+            value = fine_sums[f]
+            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
+                column = uintp(p_indices[c])
+                at = uintp(place[column])
+                if at == 0:
+                    c_indices[size] = column
+                    sums[size - begin] = value * p_data[c]
+                    size += one
+                    place[column] = size - begin
+                else:
+                    sums[at - one] += value * p_data[c]
+        _sort_row(c_indices, begin, size)
+        for c in range(begin, size):
+            column = uintp(c_indices[c])
+            c_data[c] = sums[uintp(place[column]) - one]
+            place[column] = 0
         c_indptr[row + one] = size
     return n
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...kernels.compilation import compiled
 from ...peers.alone import Arrays
 from .stretches import Stretches
@@ -254,18 +254,31 @@ def mark_rows(indptr, indices, stretches, is_free_changed, is_row_changed, touch
                 k += one
 
 
+def update_product(
+    indptr: Indices, indices: Indices, data: FloatVector, is_free: BoolVector, touched: BoolVector, *others: Any
+) -> tuple[float, int]:
+    """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
+
+    The `others` are P, R, and the coarse grid's arrays as `_update_rows` names them.
+    """
+    space = _row_space(is_free.size, indices.dtype)
+    products, rows = _update_rows(indptr, indices, data, is_free, touched, *others, *space)
+    return products, rows
+
+
 @compiled
-def update_product(  # type: ignore[no-untyped-def]
+def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
+    fine_place, fine, fine_sums,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
-    """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
+    """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
     one = uintp(1)
     n = uintp(r_indptr.size - 1)
-    where = np.empty(c_is_free.size, indptr.dtype)
+    sums = np.empty(c_is_free.size)
     products = 0.0
     changed_rows = 0
     for row in range(n):
@@ -279,21 +292,37 @@ def update_product(  # type: ignore[no-untyped-def]
         if not is_changed:
             continue
         changed_rows += 1
-        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
-            where[uintp(c_indices[c])] = c
-            c_data[c] = 0.0
+        count, added = uintp(0), uintp(0)
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             i = uintp(r_indices[a])
             if not is_free[i]:
                 continue
+            weight = r_data[a]
+            added += uintp(indptr[i + one] - indptr[i])
             for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 k = uintp(indices[b])
                 if not is_free[k]:
                     continue
-                value = r_data[a] * data[b]
-                products += p_indptr[k + one] - p_indptr[k]
-                for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
-                    c_data[uintp(where[uintp(p_indices[c])])] += value * p_data[c]
+                at = uintp(fine_place[k])
+                if at == 0:
+                    fine[count] = k
+                    fine_sums[count] = weight * data[b]
+                    count += one
+                    fine_place[k] = count
+                else:
+                    fine_sums[at - one] += weight * data[b]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            sums[uintp(c_indices[c])] = 0.0
+        for f in range(count):
+            k = uintp(fine[f])
+            fine_place[k] = 0
+            value = fine_sums[f]
+            added += uintp(p_indptr[k + one] - p_indptr[k])
+            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
+                sums[uintp(p_indices[c])] += value * p_data[c]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            c_data[c] = sums[uintp(c_indices[c])]
+        products += added
         pivot = c_data[uintp(c_diagonal[row])]
         free = pivot > SMALLEST_PIVOT
         weight = c_weight[row] if c_weight.size > 0 else 0.0

@@ -73,9 +73,11 @@ def count_products(indptr, indices, p_indptr):  # type: ignore[no-untyped-def]
     for i in range(uintp(indptr.size - 1)):
         own = p_indptr[i + one] - p_indptr[i]
         if own > 0:
+            met = 0  # a sum of integers need not wait for the one before
             for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 j = uintp(indices[k])
-                total += own * (p_indptr[j + one] - p_indptr[j])
+                met += p_indptr[j + one] - p_indptr[j]
+            total += own * met
     return total
 
 
@@ -88,11 +90,11 @@ def galerkin_product(
     """
     indptr, indices, _ = matrix
     n = restriction[0].size - 1
-    step, repeats = 0, np.zeros(indptr.size - 1, np.bool_)
+    step, repeats = 0, np.zeros(indptr.size - 1, np.uint8)
     if stretches is not None and n > 1:
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
-            is_same = np.zeros(repeats.size, np.bool_)
+            is_same = np.zeros(prolongation[0].size - 1, np.uint8)
             _mark_repeats(step, stretches, indptr, indices, *prolongation, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     room = indices.size + n
@@ -131,7 +133,10 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
 def _mark_repeats(  # type: ignore[no-untyped-def]
     step, stretches, indptr, indices, p_indptr, p_indices, p_data, is_same, repeats
 ):
-    """Mark the rows i of M P that are those of i − step with each column one further, and such rows of P."""
+    """Mark the rows i of M P that are those of i − step with each column one further, and such rows of P.
+
+    Both flags are bytes.
+    """
     one = uintp(1)
     for i in range(uintp(step), uintp(is_same.size)):
         k, before = uintp(p_indptr[i]), uintp(p_indptr[i - uintp(step)])
@@ -143,11 +148,15 @@ def _mark_repeats(  # type: ignore[no-untyped-def]
             before += one
         is_same[i] = same
     for s in range(stretches.shape[0]):
-        if stretches[s, 2] > 0:
-            for i in range(uintp(stretches[s, 0] + step), uintp(stretches[s, 1])):
-                repeats[i] = True
-                for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                    repeats[i] &= is_same[uintp(indices[k])]
+        first, end = uintp(stretches[s, 0]), uintp(stretches[s, 1])
+        begin = first + uintp(step)
+        if stretches[s, 2] > 0 and begin < end:  # the rows meet the same neighbours
+            for p in range(begin, end):
+                repeats[p] = 1
+            for k in range(uintp(indptr[begin]), uintp(indptr[begin + one])):
+                to = uintp(indices[k])
+                for p in range(end - begin):
+                    repeats[begin + p] &= is_same[to + p]
 
 
 @njit(inline="always")

@@ -73,24 +73,6 @@ def are_mutual(last, columns, place):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def list_dependents(begin, last, columns, first, dependents):  # type: ignore[no-untyped-def]
-    """Fill dependents[first[j]:first[j + 1]] with the unknowns that depend strongly on j; `first` is zero before."""
-    one = uintp(1)
-    n = uintp(last.size)
-    for i in range(n):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            first[uintp(columns[k]) + one] += 1
-    for j in range(n):
-        first[j + one] += first[j]
-    place = first[:-1].copy()
-    for i in range(n):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            j = uintp(columns[k])
-            dependents[uintp(place[j])] = i
-            place[j] += 1
-
-
-@compiled
 def choose_coarse(  # type: ignore[no-untyped-def]
     begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after
 ):
@@ -170,6 +152,7 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
     """
     one = uintp(1)
     size, lonely = uintp(0), 0
+    near = np.empty(number.size, indptr.dtype)  # where the strong coarse ones of the row stand
     for i in range(uintp(indptr.size - 1)):
         p_indptr[i] = size
         if kind[i] == COARSE:
@@ -177,9 +160,8 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        diagonal = 0.0
-        all_negative = 0.0
-        interpolating = 0.0
+        count = 0
+        diagonal, all_negative, interpolating = 0.0, 0.0, 0.0
         for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
             j = uintp(indices[k])
             if data[k] > 0.0 or j == i:
@@ -188,16 +170,17 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
                 all_negative += data[k]
                 if is_strong[k] and kind[j] == COARSE:
                     interpolating += data[k]
+                    near[count] = k
+                    count += 1
         if not (interpolating < 0.0 and diagonal > 0.0):
             lonely += all_negative < 0.0
             continue
         factor = all_negative / interpolating
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            j = uintp(indices[k])
-            if is_strong[k] and kind[j] == COARSE:
-                p_indices[size] = number[j]
-                p_data[size] = factor * (-data[k] / diagonal)
-                size += one
+        for c in range(count):
+            k = uintp(near[c])
+            p_indices[size] = number[uintp(indices[k])]
+            p_data[size] = factor * (-data[k] / diagonal)
+            size += one
     p_indptr[indptr.size - 1] = size
     return size, lonely
 

@@ -52,6 +52,24 @@ def _transpose(indptr, indices, data, t_indptr, t_indices, t_data):  # type: ign
             place[j] = p + one
 
 
+@compiled
+def transpose_pattern(begin, last, columns, first, rows):  # type: ignore[no-untyped-def]
+    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; `first` is zero before."""
+    one = uintp(1)
+    n = uintp(last.size)
+    for i in range(n):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            first[uintp(columns[k]) + one] += 1
+    for j in range(n):
+        first[j + one] += first[j]
+    place = first[:-1].copy()
+    for i in range(n):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            j = uintp(columns[k])
+            rows[uintp(place[j])] = i
+            place[j] += 1
+
+
 @njit(inline="always")
 def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
     """Sort by insertion: the rows are short."""

@@ -270,7 +270,7 @@ def chosen_kinds(
     dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
     if not is_mutual:
         first, rows = np.zeros(n + 1, indptr.dtype), np.empty(int((last - indptr[:-1]).sum()), indices.dtype)
-        coarsening.list_dependents(*depends, first, rows)
+        galerkin.transpose_pattern(*depends, first, rows)
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
     kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)

@@ -30,13 +30,15 @@ MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unk
 
 
 @compiled
-def strong_couplings(indptr, indices, data, strength, own, is_strong, columns, last):  # type: ignore[no-untyped-def]
+def strong_couplings(  # type: ignore[no-untyped-def]
+    indptr, indices, data, strength, own, is_strong, columns, last, first_row, end_row
+):
     """Mark the entries i → j, j < own, where i depends strongly on j; list these j in columns[indptr[i]:last[i]].
 
     Strong is what is so among all couplings of the row.
     """
     one = uintp(1)
-    for i in range(uintp(indptr.size - 1)):
+    for i in range(uintp(first_row), uintp(end_row)):
         begin, end = uintp(indptr[i]), uintp(indptr[i + one])
         largest = 0.0
         for k in range(begin, end):
@@ -144,17 +146,17 @@ def choose_coarse(  # type: ignore[no-untyped-def]
 
 @compiled
 def direct_interpolation(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+    indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
 ):
-    """Write the interpolation in CSR; return its number of entries, and how many rows are coupled to no coarse one.
+    """Write rows of the interpolation in CSR; return their number of entries, and how many have no coarse neighbour.
 
     `number` numbers the coarse unknowns.
     """
     one = uintp(1)
     size, lonely = uintp(0), 0
     near = np.empty(number.size, indptr.dtype)  # where the strong coarse ones of the row stand
-    for i in range(uintp(indptr.size - 1)):
-        p_indptr[i] = size
+    for i in range(uintp(first_row), uintp(end_row)):
+        p_indptr[i - uintp(first_row)] = size
         if kind[i] == COARSE:
             p_indices[size] = number[i]
             p_data[size] = 1.0
@@ -181,15 +183,15 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
             p_indices[size] = number[uintp(indices[k])]
             p_data[size] = factor * (-data[k] / diagonal)
             size += one
-    p_indptr[indptr.size - 1] = size
+    p_indptr[end_row - first_row] = size
     return size, lonely
 
 
 @compiled
 def extended_interpolation(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
+    indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
 ):
-    """Write the interpolation that reaches through fine unknowns; return its number of entries, and how many it read.
+    """Write rows that reach through fine unknowns; return their number of entries, and how many were read for all rows.
 
     `p_indices` and `p_data` have room for the entries of M and MOST_WEIGHTS more a row.
     """
@@ -198,8 +200,8 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
     coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
     place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
     first, near = _strong_coarse(indptr, indices, is_strong, kind)
-    for i in range(uintp(indptr.size - 1)):
-        p_indptr[i] = size
+    for i in range(uintp(first_row), uintp(end_row)):
+        p_indptr[i - uintp(first_row)] = size
         if kind[i] == COARSE:
             p_indices[size] = number[i]
             p_data[size] = 1.0
@@ -238,7 +240,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
             p_indices[size] = number[uintp(coarse[k])]
             p_data[size] = factor * (-weights[k] / own_share)
             size += one
-    p_indptr[indptr.size - 1] = size
+    p_indptr[end_row - first_row] = size
     return size, read
 
 

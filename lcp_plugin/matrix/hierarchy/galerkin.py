@@ -9,21 +9,53 @@ Positions are unsigned, which spares the test for a negative index at each acces
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ...checks import BoolVector, FloatVector
+from ...checks import FloatVector
 from ...kernels.compilation import compiled
 from ...peers.alone import Arrays
 from .stretches import Stretches
 
 Indices = NDArray[Any]
+Result = TypeVar("Result")
 
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 STEPS_SEEN = 1000  # rows either side of the middle
+SMALLEST_PIECE = 4096  # rows
+
+
+def share(work: Callable[[int, int], Result], count: int, smallest: int) -> list[Result]:
+    """Return what work(first, end) gives for consecutive pieces of range(count), in order: here, for one."""
+    return [work(0, count)]
+
+
+def joined(pieces: list[Arrays]) -> Arrays:
+    """Return the CSR rows of consecutive pieces of rows."""
+    if len(pieces) == 1:
+        return pieces[0]
+    before = np.cumsum([indptr[-1] for indptr, _, _ in pieces], dtype=pieces[0][0].dtype)
+    further = [piece[0][1:] + size for piece, size in zip(pieces[1:], before, strict=False)]
+    indices, data = (np.concatenate([piece[k] for piece in pieces]) for k in (1, 2))
+    return np.concatenate([pieces[0][0], *further]), indices, data
+
+
+def written_rows(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
+    """Return the rows of P that a kernel writes with room for those of M and `more` a row, and what else it tells."""
+    indptr, indices = operands[:2]
+
+    def piece(first: int, end: int) -> tuple[Arrays, int]:
+        room = int(indptr[end] - indptr[first]) + more * (end - first)
+        rows = np.empty(end - first + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+        size, told = kernel(*operands, first, end, *rows)
+        return (rows[0], rows[1][:size], rows[2][:size]), told
+
+    pieces, told = zip(*share(piece, indptr.size - 1, smallest), strict=True)
+    return joined(list(pieces)), sum(told)
 
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
@@ -115,16 +147,23 @@ def galerkin_product(
             is_same = np.zeros(prolongation[0].size - 1, np.uint8)
             _mark_repeats(step, stretches, indptr, indices, *prolongation, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
-    room = indices.size + n
-    c_indptr, c_indices, c_data = np.zeros(n + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
-    work_space = *_row_space(prolongation[0].size - 1, indices.dtype), *_row_space(columns, indices.dtype)[::2]
     operands = *matrix, *prolongation, *restriction, step, repeats, longest
-    rows = _product_rows(*operands, 0, *work_space, c_indptr, c_indices, c_data)
-    while rows < n:  # the room did not suffice
-        size, room = int(c_indptr[rows]), room + room // 2 + n
+    return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
+
+
+def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, end: int) -> Arrays:
+    """Return the rows [first, end) of the n of R M P, which do not depend on where pieces begin."""
+    indptr, indices = operands[:2]
+    width, rows = operands[3].size - 1, end - first
+    room = indices.size * rows // max(n, 1) + rows
+    c_indptr, c_indices, c_data = np.zeros(rows + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+    space = *_row_space(width, indices.dtype), *_row_space(columns, indices.dtype)[::2]
+    row = _product_rows(*operands, first, first, end, *space, c_indptr, c_indices, c_data)
+    while row < end:  # the room did not suffice
+        size, room = int(c_indptr[row - first]), room + room // 2 + max(n, columns)
         c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
-        rows = _product_rows(*operands, rows, *work_space, c_indptr, c_indices, c_data)
-    size = int(c_indptr[n])
+        row = _product_rows(*operands, first, row, end, *space, c_indptr, c_indices, c_data)
+    size = int(c_indptr[rows])
     return c_indptr, c_indices[:size], c_data[:size]
 
 
@@ -196,25 +235,24 @@ def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[n
 @compiled
 def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    step, repeats, longest, first_row, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
+    step, repeats, longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
 ):
-    """Compute the rows of R M P from `first_row` on; return the first that the room may not hold, or their number.
+    """Compute the rows [first, end) of R M P from `next_row` on; return the first that the room may not hold, or `end`.
 
     A row of R M comes first: it meets a fine unknown many times, and so multiplies by its row of P but once.
     """
     one = uintp(1)
-    n = uintp(r_indptr.size - 1)
     room = uintp(c_indices.size)
-    size = uintp(c_indptr[first_row])
-    for row in range(uintp(first_row), n):
-        begin = size
-        if step > 0 and row > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
-            if room - size < size - uintp(c_indptr[row - one]):
+    size = uintp(c_indptr[next_row - first])
+    for row in range(uintp(next_row), uintp(end)):
+        begin, own = size, row - uintp(first)
+        if step > 0 and own > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
+            if room - size < size - uintp(c_indptr[own - one]):
                 return row
-            for k in range(uintp(c_indptr[row - one]), begin):
+            for k in range(uintp(c_indptr[own - one]), begin):
                 c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
                 size += one
-            c_indptr[row + one] = size
+            c_indptr[own + one] = size
             continue
         count = uintp(0)
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
@@ -256,8 +294,8 @@ def _product_rows(  # type: ignore[no-untyped-def]
             column = uintp(c_indices[c])
             c_data[c] = sums[uintp(place[column]) - one]
             place[column] = 0
-        c_indptr[row + one] = size
-    return n
+        c_indptr[own + one] = size
+    return uintp(end)
 
 
 @compiled
@@ -281,34 +319,36 @@ def mark_rows(indptr, indices, stretches, is_free_changed, is_row_changed, touch
                 k += one
 
 
-def update_product(
-    indptr: Indices, indices: Indices, data: FloatVector, is_free: BoolVector, touched: BoolVector, *others: Any
-) -> tuple[float, int]:
+def update_product(*operands: Any) -> tuple[float, int]:
     """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
 
-    The `others` are P, R, and the coarse grid's arrays as `_update_rows` names them.
+    The operands are the arrays that `_update_rows` names first.
     """
-    space = _row_space(is_free.size, indices.dtype)
-    products, rows = _update_rows(indptr, indices, data, is_free, touched, *others, *space)
-    return products, rows
+    indices, is_free, r_indptr = operands[1], operands[3], operands[8]
+
+    def piece(first: int, end: int) -> tuple[float, int]:
+        counts: tuple[float, int] = _update_rows(*operands, *_row_space(is_free.size, indices.dtype), first, end)
+        return counts
+
+    products, changed = zip(*share(piece, r_indptr.size - 1, SMALLEST_PIECE), strict=True)
+    return sum(products), sum(changed)
 
 
 @compiled
 def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
-    fine_place, fine, fine_sums,
+    fine_place, fine, fine_sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
     one = uintp(1)
-    n = uintp(r_indptr.size - 1)
     sums = np.empty(c_is_free.size)
     products = 0.0
     changed_rows = 0
-    for row in range(n):
+    for row in range(uintp(first), uintp(end)):
         is_changed = False
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             if touched[uintp(r_indices[a])]:

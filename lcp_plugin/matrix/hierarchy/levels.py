@@ -265,7 +265,8 @@ def chosen_kinds(
     # Allocated here and not in the kernels, see galerkin.transposed.
     n = indptr.size - 1
     columns, last = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
-    coarsening.strong_couplings(indptr, indices, data, strength, n, is_strong, columns, last)
+    operands = indptr, indices, data, strength, n, is_strong, columns, last
+    galerkin.share(lambda *rows: coarsening.strong_couplings(*operands, *rows), n, galerkin.SMALLEST_PIECE)
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
     dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
     if not is_mutual:
@@ -315,24 +316,22 @@ def _interpolation(
     number += indices.dtype.type(below.first - 1)
     if not peers.is_empty:
         unused = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
-        coarsening.strong_couplings(indptr, indices, data, strength, grid.width, is_strong, *unused)
+        coarsening.strong_couplings(indptr, indices, data, strength, grid.width, is_strong, *unused, 0, n)
         kind, numbers = _kinds_of_all(grid, is_coarse), np.zeros(grid.width)
         numbers[:n] = number
         peers.fetch(numbers)
         number = numbers.astype(indices.dtype)
-    p_indptr = np.empty(n + 1, indptr.dtype)
-    room = data.size + coarsening.MOST_WEIGHTS * n  # memory that nothing is written to was never touched
-    p_indices, p_data = np.empty(room, indices.dtype), np.empty(room)
-    operands = indptr, indices, data, is_strong, kind, number, p_indptr, p_indices, p_data
-    read = 0
+    operands, read = (indptr, indices, data, is_strong, kind, number), 0
     if not extends:
-        size, lonely = coarsening.direct_interpolation(*operands)
+        kernel, smallest = coarsening.direct_interpolation, galerkin.SMALLEST_PIECE
+        (p_indptr, p_indices, p_data), lonely = galerkin.written_rows(kernel, operands, 0, smallest)
         extends = extends is None and peers.total(lonely) > NOTEWORTHY_LONELY * peers.total(n)
     if extends:
-        size, read = coarsening.extended_interpolation(*operands)
+        kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
+        (p_indptr, p_indices, p_data), read = galerkin.written_rows(kernel, operands, more, n)  # all rows at once
     if units is not None:
-        p_data[:size] *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices[:size]]
-    rows = peers.with_foreign_rows((p_indptr, p_indices[:size], p_data[:size]))
+        p_data *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices]
+    rows = peers.with_foreign_rows((p_indptr, p_indices, p_data))
     return Interpolation(*rows, is_coarse, count, below, extends, read)
 
 

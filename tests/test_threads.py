@@ -173,6 +173,17 @@ def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
     assert shared()
 
 
+def test_helpers_end_with_what_they_helped() -> None:
+    """No thread is left when nobody may share any more."""
+    with threads_for(4):
+        share(lambda first, end: None, 4, 1)
+        helpers = [thread for thread in threading.enumerate() if thread.name == "lcp_plugin"]
+        assert len(helpers) == 3
+    for thread in helpers:
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
 class Seen(NPGS):
     """Sweeps that note how many threads they may use."""
 

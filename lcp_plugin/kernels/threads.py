@@ -6,7 +6,6 @@ nobody has begun, and waits for no more than what others are in the middle of.
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -15,17 +14,12 @@ from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from ..locks import Lock
-
 T = TypeVar("T")
 LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 
-_count: ContextVar[int] = ContextVar("threads", default=1)
-
-
 class threads_for:  # noqa: N801 - read as a function; a generator takes three times as long
-    """Let what runs inside a ``with`` statement be shared among so many threads.
+    """Let what runs inside a ``with`` statement be shared among so many threads, which begin when first needed.
 
     Parameters
     ----------
@@ -40,21 +34,38 @@ class threads_for:  # noqa: N801 - read as a function; a generator takes three t
     1
     """
 
-    __slots__ = ("count", "token")
+    __slots__ = ("_helpers", "_jobs", "_token", "count")
 
     def __init__(self, count: int) -> None:
-        self.count = count
+        self.count, self._helpers = count, 0
 
     def __enter__(self) -> None:
-        self.token = _count.set(self.count)
+        self._token = _crew.set(self)
 
     def __exit__(self, *_: object) -> None:
-        _count.reset(self.token)
+        _crew.reset(self._token)
+        for _helper in range(self._helpers):
+            self._jobs.put(None)
+
+    def help_with(self, job: _Job, helpers: int) -> None:
+        """Let so many other threads take part."""
+        if self._helpers == 0:
+            self._jobs: SimpleQueue[tuple[_Job, Context] | None] = SimpleQueue()
+        with suppress(RuntimeError):  # no more threads may begin: those there are will do
+            while self._helpers < helpers:
+                threading.Thread(target=_work, args=(self._jobs,), daemon=True, name="lcp_plugin").start()
+                self._helpers += 1
+        for _ in range(helpers):
+            self._jobs.put((job, copy_context()))
+
+
+_crew: ContextVar[threads_for | None] = ContextVar("threads", default=None)
 
 
 def threads_now() -> int:
     """Return how many threads may share what runs here: 1 where nobody said so, and inside a piece of shared work."""
-    return _count.get()
+    crew = _crew.get()
+    return 1 if crew is None else crew.count
 
 
 def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
@@ -80,11 +91,11 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
     ...     share(lambda first, end: (first, end), 10, 4)
     [(0, 5), (5, 10)]
     """
-    threads = _count.get()
-    if threads == 1 or count < 2 * smallest:
+    crew = _crew.get()
+    if crew is None or crew.count == 1 or count < 2 * smallest:
         return [work(0, count)]
-    pieces = min(threads, count // max(smallest, 1))
-    return _shared(work, [k * count // pieces for k in range(pieces + 1)], threads)
+    pieces = min(crew.count, count // max(smallest, 1))
+    return _shared(work, [k * count // pieces for k in range(pieces + 1)], crew)
 
 
 def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
@@ -95,16 +106,17 @@ def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> Non
         for first, end in pairwise(ends):
             work(first, end)
         return
-    _shared(work, ends, threads)
+    crew = threads_for(threads)
+    with crew:
+        _shared(work, ends, crew)
 
 
-def _shared(work: Callable[[int, int], T], ends: Sequence[int], threads: int) -> list[T]:
-    """Return what the pieces between consecutive ends give, on so many threads, this one among them."""
+def _shared(work: Callable[[int, int], T], ends: Sequence[int], crew: threads_for) -> list[T]:
+    """Return what the pieces between consecutive ends give, on the threads of a crew, this one among them."""
     job = _Job(work, ends)
-    helpers = min(threads, len(ends) - 1) - 1
     own = copy_context()
     try:
-        _pool.ask(job, helpers)
+        crew.help_with(job, min(crew.count, len(ends) - 1) - 1)
         own.run(job.take_part)
     finally:
         job.wait()
@@ -124,7 +136,7 @@ class _Job:
 
     def take_part(self) -> None:
         """Do what nobody has begun; what it shares in turn stays in this thread. After an error nothing is begun."""
-        _count.set(1)
+        _crew.set(None)
         me = threading.get_ident()
         for k in self.pieces:
             if k in self.takers or self.errors or self.takers.setdefault(k, me) != me:
@@ -163,39 +175,8 @@ class _Job:
         return [self.given[k] for k in self.pieces]
 
 
-class _Pool:
-    """Threads of this process that wait for work, as many as were ever asked for."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self.forget()
-
-    def forget(self) -> None:
-        """Have no threads; for the child of a fork, in which there are none."""
-        self.size = 0
-        self._jobs: SimpleQueue[tuple[_Job, Context]] = SimpleQueue()
-
-    def ask(self, job: _Job, helpers: int) -> None:
-        """Let so many threads take part."""
-        if self.size < helpers:
-            self._grow(helpers)
-        for _ in range(helpers):
-            self._jobs.put((job, copy_context()))
-
-    def _grow(self, size: int) -> None:
-        with self._lock.held(), suppress(RuntimeError):  # no more threads may begin: those there are will do
-            while self.size < size:
-                threading.Thread(target=_work, args=(self._jobs,), daemon=True, name="lcp_plugin").start()
-                self.size += 1
-
-
-def _work(jobs: SimpleQueue[tuple[_Job, Context]]) -> None:
-    while True:
-        job, context = jobs.get()
+def _work(jobs: SimpleQueue[tuple[_Job, Context] | None]) -> None:
+    while (given := jobs.get()) is not None:
+        job, context = given
         context.run(job.take_part)
-        del job, context  # and with them the arrays that they hold
-
-
-_pool = _Pool()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.forget)
+        del given, job, context  # and with them the arrays that they hold

@@ -66,6 +66,8 @@ def residual_ends_of(
     smallest, largest = np.empty(z.size), np.empty(z.size)
     if sp.issparse(M):
         indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
+        if not x.any():  # as z° is, most often; no entry adds anything
+            indptr = np.zeros_like(indptr)
     else:
         m, stride = M.shape
         indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)

@@ -8,12 +8,15 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lcp_plugin import LCP, solve
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
 from lcp_plugin.matrix.hierarchy import coarsening, galerkin, levels, stretches, sweeps, units
+from lcp_plugin.matrix.hierarchy.blocks import Blocks
+from lcp_plugin.matrix.hierarchy.grids import Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.krylov import KrylovCorrection
-from lcp_plugin.matrix.hierarchy.levels import Hierarchy, Operator, build_hierarchy
+from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import Truncation
 from lcp_plugin.matrix.symmetry import is_symmetric_entrywise
 
@@ -166,7 +169,7 @@ def test_interpolation_reaches_through_fine_unknowns(decades: int) -> None:
 def test_scenes_keep_their_units(text: str) -> None:
     """No other units are tried where rows do not sum to less than zero."""
     M = gallery.parse(text).problem.csr
-    _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
+    _, _, lacking, _ = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
     assert units.units_of(M, lacking) == (None, 0.0)
 
 
@@ -176,7 +179,7 @@ def test_units_are_found(is_symmetric: bool) -> None:
     M = gallery.build("obstacle_2d", size=30).problem.csr
     d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
     scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
-    _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
+    _, _, lacking, _ = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
     v, work = units.units_of(scaled, lacking)
     assert v is not None
     assert 0.0 < work <= 50 * M.nnz
@@ -346,13 +349,99 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
     b = np.random.default_rng(0).normal(size=M.shape[0])
     x, residual = np.empty_like(b), np.empty_like(b)
-    sweeps.first_sweep(grid.rows, grid.inverse, b, x)
-    sweeps.residual_after_first_sweep(grid.rows, grid.inverse, np.zeros(0), x, residual)
+    sweeps.first_sweep(grid.rows, grid.blocks, grid.inverse, b, x)
+    sweeps.residual_after_first_sweep(grid.rows, grid.blocks, grid.inverse, np.zeros(0), b, x, residual)
     dense = M.toarray()
     np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
     np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
-    sweeps.sweep(grid.rows, grid.inverse, True, b, x)
+    sweeps.sweep(grid.rows, grid.blocks, grid.inverse, True, b, x)
     np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=12", "rotated_anisotropy:size=12", "obstacle_3d:size=6"])
+@pytest.mark.parametrize("share_free", [1.0, 0.7])
+def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(text: str, share_free: float) -> None:
+    """Even blocks first and then odd ones, backward the other way round; the first sweep tells the residual it left."""
+    M = gallery.parse(text).problem.csr
+    n, generator = M.shape[0], np.random.default_rng(0)
+    grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
+    reach = int(np.abs(M.tocoo().row - M.tocoo().col).max())
+    edges = np.linspace(0, n, 5).astype(np.int64)
+    assert np.diff(edges).min() >= reach
+    blocks = Blocks(read_only(edges), reach)
+    b, start, free = generator.normal(size=n), generator.normal(size=n), generator.random(n) < share_free
+    inverse = grid.inverse * free
+    order = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in (0, 2, 1, 3)])
+    kept = order[free[order]]
+    dense, right = M.toarray()[np.ix_(kept, kept)], b[kept]
+
+    x, residual = np.full(n, np.nan), np.empty(n)
+    sweeps.first_sweep(grid.rows, blocks, inverse, b, x)
+    sweeps.residual_after_first_sweep(grid.rows, blocks, inverse, np.zeros(0), b, x, residual)
+    np.testing.assert_allclose(x[kept], np.linalg.solve(np.tril(dense), right), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(residual[kept], right - dense @ x[kept], rtol=0, atol=1e-12)
+    assert not x[~free].any()
+    assert not residual[~free].any()
+    sweeps.sweep(grid.rows, blocks, inverse, True, b, x)
+    before = np.linalg.solve(np.tril(dense), right)
+    after = np.linalg.solve(np.triu(dense), right - np.tril(dense, -1) @ before)
+    np.testing.assert_allclose(x[kept], after, rtol=0, atol=1e-12)
+
+    q, lower, upper = map(read_only, (-b, np.full(n, -0.1), np.full(n, 0.2)))
+    z, expected = start.copy(), start.copy()
+    sweeps.projected_sweep(grid.rows, blocks, (grid.inverse, q, lower, upper), 1.0, False, z)
+    for i in order:
+        w = (M[[i]] @ expected)[0] - b[i]
+        expected[i] = np.clip(expected[i] - w / M[i, i], -0.1, 0.2)
+    np.testing.assert_allclose(z, expected, rtol=0, atol=1e-12)
+
+
+def test_blocks_of_one_kind_do_not_meet() -> None:
+    """No row of a block has an entry in the next block but one; nonsymmetric matrices and short ones have one block."""
+    hierarchy = levels.build_hierarchy(gallery.parse("obstacle_2d:size=300").problem.csr)
+    several = [grid for grid in hierarchy.grids if grid.blocks.edges.size > 2]
+    assert several
+    for grid in several:
+        edges, indptr, indices, _ = grid.blocks.edges, *grid.matrix.arrays
+        block = np.searchsorted(edges, np.arange(grid.n), side="right") - 1
+        rows = np.repeat(np.arange(grid.n), np.diff(indptr))
+        assert np.abs(block[rows] - block[indices]).max() == 1
+        assert grid.blocks.count(0) == grid.blocks.count(1) >= 2
+    wind = gallery.parse("convection_diffusion:size=300").problem.csr
+    for matrix, scales_rows in ((wind, True), (gallery.parse("obstacle_2d:size=100").problem.csr, False)):
+        assert levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=60", "coefficient_jumps:size=64,contrast=1e6"])
+def test_cycles_in_single_precision_are_those_in_double_to_its_rounding(text: str) -> None:
+    """A V-cycle on some free unknowns, and its transpose, whatever unit the right-hand side has."""
+    M = gallery.parse(text).problem.csr
+    generator = np.random.default_rng(1)
+    b, free = generator.normal(size=M.shape[0]), generator.random(M.shape[0]) < 0.8
+    answers = []
+    for single in (False, True):
+        hierarchy = build_hierarchy(M, single=single)
+        assert hierarchy.is_single == single
+        truncation = Truncation(hierarchy)
+        top = truncation.grids[0]
+        top.is_free[:] = free
+        top.free_changed[:] = ~free
+        truncation.update()
+        for unit in (1.0, 2.0**-180):
+            for correct in (truncation.correct, truncation.correct_transposed):
+                truncation.unit = unit
+                np.multiply(b, unit, out=top.b)
+                correct(0)
+                answers.append(top.x / unit)
+    for double, single in zip(answers[:4], answers[4:], strict=True):
+        np.testing.assert_allclose(single, double, rtol=0, atol=1e-4 * np.abs(double).max())
+
+
+@pytest.mark.parametrize("scale", [1e-60, 1e60])
+def test_matrices_beyond_single_precision_have_hierarchies_in_double(scale: float) -> None:
+    M = gallery.build("obstacle_2d", size=20).problem.csr * scale
+    assert not build_hierarchy(M, coarsest=5, single=True).is_single
+    assert solve(LCP(M, -np.ones(400) * scale), "multigrid").is_solved
 
 
 STRETCHED = [
@@ -377,16 +466,16 @@ def test_stretches_change_nothing_but_rounding(text: str) -> None:
             rows = *grid.rows[:4], which
             vectors = tuple(map(read_only, (grid.inverse, b, lower, upper)))
             x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
-            sweeps.first_sweep(rows, inverse, b, x)
+            sweeps.first_sweep(rows, grid.blocks, inverse, b, x)
             results = [x.copy()]
-            sweeps.residual_after_first_sweep(rows, inverse, np.zeros(0), x, residual)
+            sweeps.residual_after_first_sweep(rows, grid.blocks, inverse, np.zeros(0), b, x, residual)
             results.append(residual.copy())
             for backward in (True, False):
-                sweeps.sweep(rows, inverse, backward, b, x)
-                sweeps.projected_sweep(rows, vectors, 1.1, backward, z)
+                sweeps.sweep(rows, grid.blocks, inverse, backward, b, x)
+                sweeps.projected_sweep(rows, grid.blocks, vectors, 1.1, backward, z)
                 results += [x.copy(), z.copy()]
             is_free, changed = np.ones(grid.n, np.bool_), np.zeros(grid.n, np.bool_)
-            numbers = sweeps.free_rows(*rows, *vectors, z, False, is_free, changed, residual)
+            numbers = sweeps.free_rows(rows, vectors, z, False, is_free, changed, residual)
             sweeps.free_product(rows, inverse, start, x)
             found.append([*results, residual, x, np.array(numbers)])
         for ours, plain in zip(*found, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,10 @@ from scipy.sparse.linalg import spsolve
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Result, Status, UnknownAlgorithm, UnsuitableMatrix, solve
 from lcp_plugin.algorithms.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.evidence import gallery
+from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
+from lcp_plugin.kernels import threads
+from lcp_plugin.matrix.hierarchy import blocks, galerkin, grids, levels, pieces, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
 from lcp_plugin.solving.batch import prepare, solve_many
 
@@ -428,3 +432,56 @@ def test_solve_many_raises_what_concerns_all_columns() -> None:
         solve_many(problem, np.ones((2, 2)), "multigrid", smother="pgs")
     answers = solve_many(LCP([[0.0, 1.0], [1.0, 0.0]], [0.0, 0.0]), np.ones((2, 2)), "psor")
     assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)
+
+
+BLOCKS = [(blocks, "SMALLEST_BLOCK", 64), (blocks, "SMALLEST_SHARE", 64), (pieces, "SMALLEST_PIECE", 64)]
+
+
+@pytest.mark.parametrize("text", [
+    "obstacle_2d:size=60", "obstacle_3d:size=14", "convection_diffusion:size=60,diffusion=1e-3",
+    "coefficient_jumps:size=59,contrast=1e6", "rotated_anisotropy:size=60",
+])
+def test_neither_threads_nor_records_change_a_bit(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows are shared here as they are from 10⁵ on; z, iterations and work are those of one thread."""
+    for room, name, value in BLOCKS:
+        for module in (room, sweeps, vectors, galerkin, levels):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, value)
+    shared: list[int] = []
+    monkeypatch.setattr(threads._Job, "__init__", noted(threads._Job.__init__, shared))
+    problem = gallery.parse(text).problem
+    expected = solve(fresh(problem), "multigrid", threads=1)
+    assert not shared
+    for count in (2, 3, 4):
+        for record in (False, True):
+            result = solve(fresh(problem), "multigrid", threads=count, record=record)
+            np.testing.assert_array_equal(result.z, expected.z)
+            assert (result.iterations, result.work) == (expected.iterations, expected.work)
+    assert len(shared) > 100
+
+
+def noted(method: Any, calls: list[int]) -> Any:
+    """The method, which notes that it was called."""
+
+    def noting(*args: Any) -> None:
+        calls.append(1)
+        method(*args)
+
+    return noting
+
+
+def test_a_run_that_single_precision_fails_goes_on_in_double(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coarser grids that lead astray are noticed, and those in double precision take over."""
+    problem = gallery.build("obstacle_2d", size=40).problem
+    single = grids.Transfer.single
+
+    def astray(transfer: grids.Transfer) -> grids.Transfer:
+        way = single(transfer)
+        data = np.full_like(way.prolongation.data, np.nan)
+        return replace(way, prolongation=replace(way.prolongation, data=data))
+
+    monkeypatch.setattr(grids.Transfer, "single", astray)
+    result = solve(problem, Multigrid(nested=False))
+    assert result.is_solved
+    assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest, False)
+    assert not hierarchy_of(problem.matrix, Multigrid.coarsest, False).is_single

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import diags_array
 
-from ..checks import FloatVector, read_only
-from ..kernels import splitting_sweeps as kernels
-from ..matrix.hierarchy import sweeps
+from ..checks import FloatVector
+from ..matrix.hierarchy import sweeps, transfers
 from ..matrix.hierarchy.krylov import KrylovCorrection, power_of_two, span
-from ..matrix.hierarchy.levels import Grid, hierarchy_of
+from ..matrix.hierarchy.levels import hierarchy_of
 from ..matrix.hierarchy.truncation import Truncation
+from ..matrix.hierarchy.vectors import dot
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step
+from .multigrid_problem import GridProblem
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
@@ -40,50 +41,6 @@ MOST_FAILED_ROUNDS = 3
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
 NOTEWORTHY_ENERGY = 1e-10  # relative, over PATIENCE cycles: it falls where the residual of stiff rows does not
-
-
-class GridProblem:
-    """The complementarity problem of one grid, with its projected sweep."""
-
-    def __init__(
-        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
-    ) -> None:
-        self.grid, self.entries = grid, grid.matrix.data.size
-        # All read-only, so that every kernel is compiled once.
-        self.vectors = tuple(read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper))
-        _, self.q, self.lower, self.upper = self.vectors
-        self.residual = np.zeros(grid.width)
-        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
-        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
-        self.peers = grid.peers
-        if self.is_projected_type:
-            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
-            # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
-            self.splits = {False: grid.split, True: read_only(grid.split + 1)}
-            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
-            self.new = np.empty(grid.width)
-
-    def sweep(self, z: FloatVector, backward: bool) -> None:
-        """Overwrite z by one projected sweep."""
-        self.peers.fetch(z)
-        if not self.is_projected_type:
-            sweeps.projected_sweep(self.grid.rows, self.vectors, self.relaxation, backward, z)
-            return
-        indptr, _, indices, data, _ = self.grid.rows
-        self.new[self.q.size:] = z[self.q.size:]
-        kernels.splitting_sweep(
-            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
-        )
-        np.copyto(z, self.new)
-
-    def gauss_seidel(self, z: FloatVector) -> float:
-        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
-        before = z[: self.q.size].copy()
-        self.peers.fetch(z)
-        sweeps.projected_sweep(self.grid.rows, self.vectors, 1.0, False, z)
-        with np.errstate(over="ignore"):  # between bounds of ±1e308
-            before -= z[: self.q.size]
-        return self.peers.largest(span(before))
 
 
 class MultigridRun:
@@ -141,7 +98,7 @@ class MultigridRun:
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         self.peers.fetch(z)
         residual = fine.residual[: fine.q.size]
-        largest, _ = sweeps.free_rows(*fine.grid.rows, *fine.vectors, z, False, free, changed, residual)
+        largest, _ = sweeps.free_rows(fine.grid.rows, fine.vectors, z, False, free, changed, residual)
         self.work += fine.entries
         return self.peers.largest(float(largest))
 
@@ -164,23 +121,28 @@ class MultigridRun:
             self._add_coarse_problems(self.problem.slack(own), fine.lower - own, fine.upper - own)
             self.work += 3.0 * fine.entries
         coarsest, last = self.problems[-1], len(self.problems) - 1
-        answer = np.zeros(coarsest.grid.width)
+        answer = np.zeros_like(coarsest.residual)
         np.clip(0.0, coarsest.lower, coarsest.upper, out=answer[: coarsest.q.size])
         for k in range(COARSEST_SWEEPS):
             coarsest.sweep(answer, backward=k % 2 == 1)
         self.work += COARSEST_SWEEPS * coarsest.entries
         for k in range(last - 1, 0, -1):
-            answer = self._interpolated(k, answer, np.zeros(self.problems[k].grid.width))
+            answer = self._interpolated(k, answer, np.zeros_like(self.problems[k].residual))
             self._cycle_on(k, answer)
         self._interpolated(0, answer, z)
         del self.problems[1:]
 
+    @np.errstate(over="ignore", under="ignore")  # of bounds in single precision, or far from the unit
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+        unit = self.nested_unit = power_of_two(self.peers.largest(span(q * self.problems[0].grid.inverse)))
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
-            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
-            sweeps.restrict(*transfer.restriction.arrays, read_only(finer), q)
+            dtype = coarser.inverse.dtype
+            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n, dtype)
+            transfers.restrict(transfer, finer, unit, q)
             self.work += transfer.restriction.data.size
-            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
+            coarse = np.flatnonzero(transfer.is_coarse)
+            lower, upper = ((bound[coarse] / unit).astype(dtype) for bound in (lower, upper))
+            unit = 1.0
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
     def _whole(self, k: int, own: FloatVector) -> FloatVector:
@@ -189,7 +151,7 @@ class MultigridRun:
         if not grid.peers.foreign:
             grid.peers.fetch(own)
             return own
-        whole = np.zeros(grid.width)
+        whole = np.zeros(grid.width, own.dtype)
         whole[: own.size] = own
         grid.peers.fetch(whole)
         return whole
@@ -199,7 +161,8 @@ class MultigridRun:
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
         self.hierarchy.grids[k + 1].peers.fetch(coarse)
-        sweeps.prolong(*transfer.prolongation.arrays, coarse, everywhere, fine.lower, fine.upper, z)
+        unit = self.nested_unit if k == 0 else 1.0
+        transfers.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
         return z
 
@@ -242,7 +205,8 @@ class MultigridRun:
             elif since >= PATIENCE and self._energy_fell(z):
                 since = 0
             elif since >= PATIENCE:
-                failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
+                has_changed = self._goes_on_in_double()
+                failed_rounds = 0 if has_changed or best < GAINED * best_of_round else failed_rounds + 1
                 if failed_rounds >= MOST_FAILED_ROUNDS:
                     return
                 np.copyto(z, best_z)
@@ -263,9 +227,19 @@ class MultigridRun:
                 long = LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV
                 yield from self._krylov(z, SHORT_KRYLOV if changed else long)
             else:
+                self.truncation.unit = power_of_two(largest)
                 self._correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
+
+    def _goes_on_in_double(self) -> bool:
+        """Take coarser grids in double precision from here on; return False where they are so already."""
+        if not self.hierarchy.is_single:
+            return False
+        self.hierarchy = hierarchy_of(self.problem.matrix, self.algorithm.coarsest, False)
+        self.truncation = Truncation(self.hierarchy)
+        self.work += self.hierarchy.work
+        return True
 
     @np.errstate(all="ignore")
     def _energy_fell(self, z: FloatVector) -> bool:
@@ -274,7 +248,7 @@ class MultigridRun:
             return False
         own = z[: self.problem.q.size]
         self.work += self.entries
-        energy = 0.5 * self.peers.total(float(own @ (self.problem.slack(own) + self.problem.q)))
+        energy = 0.5 * self.peers.total(dot(own, self.problem.slack(own) + self.problem.q))
         fell = energy < self.energy - NOTEWORTHY_ENERGY * abs(energy)
         self.energy = min(self.energy, energy)
         return fell
@@ -284,7 +258,7 @@ class MultigridRun:
         top, fine = self.truncation.grids[k], self.problems[k]
         fine.peers.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            *fine.grid.rows, *fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
+            fine.grid.rows, fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
             fine.residual[: fine.q.size],
         )
         self.work += fine.entries
@@ -304,11 +278,12 @@ class MultigridRun:
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         fine.peers.fetch(fine.residual)
-        sweeps.restrict(*transfer.restriction.arrays, read_only(fine.residual), below.b)
+        unit = self.truncation.unit
+        transfers.restrict(transfer, fine.residual, unit, below.b)
         self.truncation.correct(k + 1)
         below.grid.peers.fetch(below.x)
         before = z.copy() if k == 0 and self.is_symmetric else None
-        cut = sweeps.prolong(*transfer.prolongation.arrays, below.x, top.is_free, fine.lower, fine.upper, z)
+        cut = transfers.prolong(transfer, below.x, unit, top.is_free, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is not None and self.peers.total(cut) > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)
@@ -324,8 +299,8 @@ class MultigridRun:
         self.peers.fetch(step)
         sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
         # w = −residual on the free rows; the others did not move
-        slope = -self.peers.total(float(step[:n] @ (fine.residual[:n] / unit)))
-        curvature = self.peers.total(float(step[:n] @ product))
+        slope = -self.peers.total(dot(step[:n], fine.residual[:n] / unit))
+        curvature = self.peers.total(dot(step[:n], product))
         self.work += self.entries
         size = 1.0
         for _ in range(HALVINGS):

@@ -254,7 +254,7 @@ def packed(*columns: Any) -> Any:
     """Return the vectors, each of shape (n,), side by side in an array of shape (n, number of vectors)."""
     rows = np.empty((columns[0].size, len(columns)))
     # One signature for all: views that are contiguous and read-only.
-    views = tuple(np.ascontiguousarray(column).view() for column in columns)
+    views = tuple(np.ascontiguousarray(column, np.float64).view() for column in columns)
     for view in views:
         view.flags.writeable = False
     pack_rows(views, rows)

@@ -21,7 +21,7 @@ from .structure import row_numbers
 from .symmetry import is_symmetric_entrywise
 
 if TYPE_CHECKING:
-    from .hierarchy.levels import Hierarchy
+    from .hierarchy.grids import Hierarchy
 
 Solver = Callable[[FloatVector], FloatVector]
 

@@ -9,8 +9,8 @@ Positions are unsigned, which spares the test for a negative index at each acces
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit, uintp
@@ -18,44 +18,16 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...kernels.compilation import compiled
+from ...kernels.threads import share
 from ...peers.alone import Arrays
-from .stretches import Stretches
+from .blocks import SMALLEST_SHARE
+from .pieces import SMALLEST_PIECE, joined
+from .stretches import Stretches, stretch_at
 
 Indices = NDArray[Any]
-Result = TypeVar("Result")
 
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 STEPS_SEEN = 1000  # rows either side of the middle
-SMALLEST_PIECE = 4096  # rows
-
-
-def share(work: Callable[[int, int], Result], count: int, smallest: int) -> list[Result]:
-    """Return what work(first, end) gives for consecutive pieces of range(count), in order: here, for one."""
-    return [work(0, count)]
-
-
-def joined(pieces: list[Arrays]) -> Arrays:
-    """Return the CSR rows of consecutive pieces of rows."""
-    if len(pieces) == 1:
-        return pieces[0]
-    before = np.cumsum([indptr[-1] for indptr, _, _ in pieces], dtype=pieces[0][0].dtype)
-    further = [piece[0][1:] + size for piece, size in zip(pieces[1:], before, strict=False)]
-    indices, data = (np.concatenate([piece[k] for piece in pieces]) for k in (1, 2))
-    return np.concatenate([pieces[0][0], *further]), indices, data
-
-
-def written_rows(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
-    """Return the rows of P that a kernel writes with room for those of M and `more` a row, and what else it tells."""
-    indptr, indices = operands[:2]
-
-    def piece(first: int, end: int) -> tuple[Arrays, int]:
-        room = int(indptr[end] - indptr[first]) + more * (end - first)
-        rows = np.empty(end - first + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
-        size, told = kernel(*operands, first, end, *rows)
-        return (rows[0], rows[1][:size], rows[2][:size]), told
-
-    pieces, told = zip(*share(piece, indptr.size - 1, smallest), strict=True)
-    return joined(list(pieces)), sum(told)
 
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
@@ -115,12 +87,16 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
         indices[place] = column
 
 
-@compiled
-def count_products(indptr, indices, p_indptr):  # type: ignore[no-untyped-def]
+def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
+    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SMALLEST_SHARE)))
+
+
+@compiled
+def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
     one = uintp(1)
-    total = 0.0
-    for i in range(uintp(indptr.size - 1)):
+    total = 0.0  # an integer, which more than 64 bits may take
+    for i in range(uintp(first), uintp(end)):
         own = p_indptr[i + one] - p_indptr[i]
         if own > 0:
             met = 0  # a sum of integers need not wait for the one before
@@ -155,7 +131,7 @@ def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, 
     """Return the rows [first, end) of the n of R M P, which do not depend on where pieces begin."""
     indptr, indices = operands[:2]
     width, rows = operands[3].size - 1, end - first
-    room = indices.size * rows // max(n, 1) + rows
+    room = indices.size * rows // max(n, 1) + rows if first else indices.size + n
     c_indptr, c_indices, c_data = np.zeros(rows + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
     space = *_row_space(width, indices.dtype), *_row_space(columns, indices.dtype)[::2]
     row = _product_rows(*operands, first, first, end, *space, c_indptr, c_indices, c_data)
@@ -163,8 +139,7 @@ def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, 
         size, room = int(c_indptr[row - first]), room + room // 2 + max(n, columns)
         c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
         row = _product_rows(*operands, first, row, end, *space, c_indptr, c_indices, c_data)
-    size = int(c_indptr[rows])
-    return c_indptr, c_indices[:size], c_data[:size]
+    return c_indptr, c_indices, c_data
 
 
 def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
@@ -298,25 +273,34 @@ def _product_rows(  # type: ignore[no-untyped-def]
     return uintp(end)
 
 
+def mark_rows(*operands: Any) -> None:
+    """Mark the rows whose contribution to the coarse matrix changed; the operands are those of `_mark_rows`."""
+    share(partial(_mark_rows, *operands), operands[0].size - 1, SMALLEST_SHARE)
+
+
 @compiled
-def mark_rows(indptr, indices, stretches, is_free_changed, is_row_changed, touched):  # type: ignore[no-untyped-def]
-    """Mark the rows whose contribution to the coarse matrix changed; all three flags are bytes."""
+def _mark_rows(  # type: ignore[no-untyped-def]
+    indptr, indices, stretches, is_free_changed, is_row_changed, touched, first_row, end_row
+):
+    """All three flags are bytes."""
     one = uintp(1)
-    for s in range(stretches.shape[0]):
-        first, end, reach = uintp(stretches[s, 0]), uintp(stretches[s, 1]), stretches[s, 2]
+    s = stretch_at(first_row, stretches)
+    while s < stretches.shape[0] and stretches[s, 0] < end_row:
+        first, end = uintp(max(first_row, stretches[s, 0])), uintp(min(end_row, stretches[s, 1]))
         for i in range(first, end):
             touched[i] = is_row_changed[i]
-        if reach > 0:  # the rows meet the same neighbours
+        if stretches[s, 2] > 0:  # the rows meet the same neighbours
             for k in range(uintp(indptr[first]), uintp(indptr[first + one])):
                 to = uintp(indices[k])
                 for p in range(end - first):
                     touched[first + p] |= is_free_changed[to + p]
-            continue
-        for i in range(first, end):
-            k, last = uintp(indptr[i]), uintp(indptr[i + one])
-            while k < last and not touched[i]:
-                touched[i] = is_free_changed[uintp(indices[k])]
-                k += one
+        else:
+            for i in range(first, end):
+                k, last = uintp(indptr[i]), uintp(indptr[i + one])
+                while k < last and not touched[i]:
+                    touched[i] = is_free_changed[uintp(indices[k])]
+                    k += one
+        s += 1
 
 
 def update_product(*operands: Any) -> tuple[float, int]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...checks import FloatVector, read_only
-from . import sweeps
+from . import sweeps, transfers
 from .truncation import Truncation
-from .vectors import add_both, add_within
+from .vectors import add_both, add_within, dot, largest_product
 
 
 class KrylovCorrection:
@@ -37,21 +37,24 @@ class KrylovCorrection:
         self.unit = power_of_two(self.peers.largest(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
+        # A transposed V-cycle divides by the diagonal last.
+        scaled = 1.0 if self.transposed else self.peers.largest(largest_product(residual, inverse))
+        truncation.unit = power_of_two(scaled)
         self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if self._weighs(transposed) else None
-        self._sum, self._scratch = truncation.vector(), truncation.vector()
+        self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
 
     def give_back(self) -> None:
         """Leave the room of all vectors to the next correction; this one has ended."""
-        self.truncation.spare += [self._sum, self._scratch]
+        self.truncation.spare.append(self._sum)
         self._forget_directions()
 
     def apply_within(
         self, origin: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
     ) -> None:
         """Overwrite z by mid(lower, upper, origin + c)."""
-        add_within(origin, self.unit, self._sum, *map(read_only, (lower, upper)), z)
+        add_within(origin, self.unit, self._sum, read_only(lower), read_only(upper), z)
 
     def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
         """Overwrite z by origin + c."""
@@ -60,21 +63,21 @@ class KrylovCorrection:
 
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
-        scaled = np.multiply(self.residual, self.truncation.grids[0].inverse, out=self._scratch)
-        return self.unit * self.peers.largest(span(scaled))
+        scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
+        return self.unit * self.peers.largest(scaled)
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
         """Take one step; return False where the matrix allows none."""
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
-        np.copyto(top.b, self.residual)
+        top.b = self.residual
         p, product = self.truncation.vector(), self.truncation.vector()
         if self.transposed:
             self.truncation.correct_transposed(0)
             np.copyto(p, top.x)
             product[:] = 0.0
-            sweeps.add_transposed_product(*matrix.arrays, 1.0, p, product)
+            transfers.add_transposed_product(*matrix.arrays, 1.0, p, product)
             product *= top.is_free
         else:
             self.truncation.correct(0)
@@ -102,7 +105,7 @@ class KrylovCorrection:
         self.directions.clear()
 
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
-        return self.peers.total(float(one @ other))
+        return self.peers.total(dot(one, other))
 
     def _weighs(self, transposed: bool) -> bool:
         return not (self.is_symmetric or transposed)

@@ -1,12 +1,13 @@
 """The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
 
-Memory at 12 bytes an entry, five-point matrix: 1.4 times the entries of M in all coarser matrices together, 0.8 times
-in P and as many in its transpose; a run adds 8 bytes for each coarse entry, its value while some unknowns are fixed.
+Memory, five-point matrix, at 12 bytes an entry, 8 in single precision: 1.4 times the entries of M in all coarser
+matrices together, 0.8 times in P and as many in its transpose; a run adds the value of each coarse entry while some
+unknowns are fixed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,17 +16,22 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
 from ...kernels import splitting_sweeps as kernels
+from ...kernels.threads import share
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
 from ..matrix import Matrix, fact
 from ..pivots import pivot_weight
 from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
-from .stretches import Stretches, stretches_of
+from .blocks import blocks_of
+from .grids import NO_WEIGHT, Grid, Hierarchy, Operator, Transfer
+from .pieces import SMALLEST_PIECE, written_rows
+from .stretches import stretches_of
 from .units import units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no units to be found
+NOTEWORTHY_UNEVEN = 0.01  # share of the rows: islands behind weak couplings would drift in single precision
 NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
@@ -35,112 +41,6 @@ LARGEST_COMPLEXITY = 8.0
 MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
 LARGEST_NARROW = 2**30  # entries; a coarser matrix may have more of them, which 32 bits must still count
 PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
-
-
-NO_WEIGHT = np.zeros(0)
-NO_WEIGHT.flags.writeable = False
-
-
-@dataclass(frozen=True, eq=False)
-class Operator:
-    """A read-only CSR matrix as bare arrays."""
-
-    indptr: NDArray[Any]
-    indices: NDArray[Any]
-    data: FloatVector
-
-    def __post_init__(self) -> None:
-        # One signature for every kernel: the caller's matrix is read-only as well.
-        for name in ("indptr", "indices", "data"):
-            view = getattr(self, name).view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
-
-    @property
-    def arrays(self) -> tuple[NDArray[Any], NDArray[Any], FloatVector]:
-        """The three arrays, in the order the kernels take them."""
-        return self.indptr, self.indices, self.data
-
-
-@dataclass(frozen=True, eq=False)
-class Transfer:
-    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
-
-    P has a row for each foreign unknown as well, which the Galerkin product needs.
-    """
-
-    prolongation: Operator
-    restriction: Operator
-    is_coarse: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """One grid: its matrix with every diagonal entry stored, where those stand, equal rows, inverses of the pivots.
-
-    A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
-    """
-
-    matrix: Operator
-    split: NDArray[Any]
-    stretches: Stretches
-    inverse: FloatVector
-    peers: Peers = ALONE
-    weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
-
-    @property
-    def n(self) -> int:
-        """Number of own unknowns."""
-        return self.inverse.size
-
-    @property
-    def width(self) -> int:
-        """Number of unknowns that the own rows meet."""
-        return self.inverse.size + self.peers.foreign
-
-    @property
-    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]:
-        """The matrix as sweeps take it."""
-        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.stretches
-
-    @property
-    def own_entries(self) -> int:
-        """Number of entries of the own rows."""
-        return int(self.matrix.indptr[self.n])
-
-    @property
-    def own_arrays(self) -> Arrays:
-        """The own rows, where those of foreign unknowns stand behind them."""
-        matrix = self.matrix
-        if matrix.indptr.size == self.n + 1:
-            return matrix.arrays
-        return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
-
-
-@dataclass(frozen=True, eq=False)
-class Hierarchy:
-    """The grids from the finest to the coarsest.
-
-    Attributes
-    ----------
-    grids : tuple of Grid
-    transfers : tuple of Transfer
-        One fewer: from each grid to the next.
-    work : float
-        Matrix entries touched to build them.
-    is_helpful : bool
-        False where coarser grids would cost too much: then there is only the finest.
-    """
-
-    grids: tuple[Grid, ...]
-    transfers: tuple[Transfer, ...]
-    work: float
-    is_helpful: bool
-
-    @property
-    def complexity(self) -> float:
-        """Entries of all matrices together, divided by those of the finest."""
-        return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
 
 
 class Interpolation(NamedTuple):
@@ -162,7 +62,7 @@ class Interpolation(NamedTuple):
 
 def build_hierarchy(
     matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
-    peers: Peers = ALONE,
+    peers: Peers = ALONE, single: bool = False,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
@@ -183,6 +83,9 @@ def build_hierarchy(
         but coarse matrices of a symmetric M are not symmetric.
     peers : Peers
         Who has the other rows; all of them call.
+    single : bool
+        Whether to keep the ways to coarser grids and those themselves in single precision, from where that can carry
+        them no more on in double.
 
     Examples
     --------
@@ -200,7 +103,8 @@ def build_hierarchy(
     grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
     entries = max(peers.total(grid.own_entries), 1)
     work = 0.0
-    positive, total, lacking = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
+    positive, total, lacking, uneven = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
+    single = single and grid.fits_single and uneven <= NOTEWORTHY_UNEVEN * peers.total(grid.n)
     work += entries
     if strength is None:
         strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
@@ -232,22 +136,34 @@ def build_hierarchy(
         if peers.total(grid.own_entries) > growth * peers.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = peers.total(grid.n)
+        single = single and grid.fits_single and uneven <= NOTEWORTHY_UNEVEN * peers.total(grid.n)
+        if single:
+            transfer = transfer.single()
+            if len(grids) > 1:
+                grids[-1] = finer.single()
         grids.append(grid)
         transfers.append(transfer)
+    if single and len(grids) > 1:
+        grids[-1] = grid.single()
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 
 @fact
-def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
-    """Return the hierarchy of M, which its solves share."""
+def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarchy:
+    """Return the hierarchy of M, which its solves share: in single precision below M itself, if that can carry it.
+
+    Ranks exchange doubles.
+    """
     scales_rows = not has_symmetric_entries(matrix)
-    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers)
+    single = single and matrix.peers.is_empty
+    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers, single=single)
 
 
 def grid_of(
-    matrix: Operator, peers: Peers = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT
+    matrix: Operator, peers: Peers = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT,
+    *, may_cut: bool = False,
 ) -> Grid:
-    """Return the grid of a matrix, whose first rows (all by default) are the own ones."""
+    """Return the grid of a matrix, whose first rows (all by default) are the own ones; whether it `may_cut` sweeps."""
     split = np.empty(matrix.indptr.size - 1 if own is None else own, matrix.indptr.dtype)
     kernels.split_rows(matrix.indptr, matrix.indices, False, split)
     diagonal = matrix.data[split]
@@ -255,7 +171,8 @@ def grid_of(
     pivot = diagonal + weight if weight.size else diagonal
     np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
-    return Grid(matrix, split, stretches_of(inverse, matrix.arrays), inverse, peers, weight)
+    blocks = blocks_of(matrix.indptr, matrix.indices, inverse.size, may_cut=may_cut)
+    return Grid(matrix, split, stretches_of(inverse, matrix.arrays), blocks, inverse, peers, weight)
 
 
 def chosen_kinds(
@@ -266,7 +183,7 @@ def chosen_kinds(
     n = indptr.size - 1
     columns, last = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
     operands = indptr, indices, data, strength, n, is_strong, columns, last
-    galerkin.share(lambda *rows: coarsening.strong_couplings(*operands, *rows), n, galerkin.SMALLEST_PIECE)
+    share(partial(coarsening.strong_couplings, *operands), n, SMALLEST_PIECE)
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
     dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
     if not is_mutual:
@@ -282,7 +199,8 @@ def chosen_kinds(
 def _weighted_grid(matrix: Operator, peers: Peers, own: int, scales_rows: bool) -> Grid:
     """Return the grid, with larger pivots where M is symmetric: others need none, and have any unit in any row."""
     if peers.is_empty or scales_rows:
-        return grid_of(matrix, peers, own)
+        # One that follows a wind gets farther than in pieces.
+        return grid_of(matrix, peers, own, may_cut=not scales_rows)
     indptr, indices, data = matrix.arrays
     width = own + peers.foreign
     rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, width))[:own]
@@ -323,12 +241,12 @@ def _interpolation(
         number = numbers.astype(indices.dtype)
     operands, read = (indptr, indices, data, is_strong, kind, number), 0
     if not extends:
-        kernel, smallest = coarsening.direct_interpolation, galerkin.SMALLEST_PIECE
-        (p_indptr, p_indices, p_data), lonely = galerkin.written_rows(kernel, operands, 0, smallest)
+        kernel, smallest = coarsening.direct_interpolation, SMALLEST_PIECE
+        (p_indptr, p_indices, p_data), lonely = written_rows(kernel, operands, 0, smallest)
         extends = extends is None and peers.total(lonely) > NOTEWORTHY_LONELY * peers.total(n)
     if extends:
         kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
-        (p_indptr, p_indices, p_data), read = galerkin.written_rows(kernel, operands, more, n)  # all rows at once
+        (p_indptr, p_indices, p_data), read = written_rows(kernel, operands, more, n)  # all rows at once
     if units is not None:
         p_data *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices]
     rows = peers.with_foreign_rows((p_indptr, p_indices, p_data))

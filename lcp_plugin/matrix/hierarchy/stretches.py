@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import uintp
+from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
@@ -42,6 +42,19 @@ def _noted(rows: int, note: Any) -> Stretches:
     noted = found[: note(found)].copy()
     noted.flags.writeable = False
     return noted
+
+
+@njit(inline="always")
+def stretch_at(row, stretches):  # type: ignore[no-untyped-def]
+    """Return which stretch that row belongs to."""
+    low, high = 0, stretches.shape[0] - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if stretches[middle, 0] <= row:
+            low = middle
+        else:
+            high = middle - 1
+    return low
 
 
 @compiled

@@ -6,35 +6,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector, read_only
+from ...checks import BoolVector, FloatVector, read_only
 from ...kernels.compilation import compiled
-from .stretches import LONGEST_REACH, Stretches
+from ...kernels.threads import share
+from .blocks import SMALLEST_SHARE, Blocks
+from .stretches import LONGEST_REACH, Stretches, stretch_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
-NO_BOUNDS = (read_only(np.zeros(0)),) * 2
+NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
 
 
-def first_sweep(rows: Matrix, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
-    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0: a pass over the lower triangle."""
-    indptr, split, *rest = rows
-    _sweep(indptr, split, split, *rest, read_only(inverse), -1.0, read_only(b), *NO_BOUNDS, 1.0, True, False, x)
+def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
+    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
+
+    A pass over the lower triangle, and over all of the rows from which an odd block meets the even one behind it.
+    """
+    _clear_seams(blocks.edges, blocks.reach, x)
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
+    _swept(rows[0], rows[1], rows[0][1:], *rows[1:], blocks, vectors, -1.0, 1.0, True, False, x)
 
 
 def residual_after_first_sweep(
-    rows: Matrix, inverse: FloatVector, weight: FloatVector, x: FloatVector, residual: FloatVector
+    rows: Matrix, blocks: Blocks, inverse: FloatVector, weight: FloatVector, b: FloatVector, x: FloatVector,
+    residual: FloatVector,
 ) -> None:
-    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then x_j, j > i, changed.
+    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed.
 
     It held with the pivot m_ii + weight_i, where there are weights.
     """
     indptr, split, *rest = rows
-    _free_product(indptr, split, 1, *rest, read_only(inverse), -1.0, x, residual)
+    operands = *rest, read_only(inverse), -1.0, read_only(b), False, x, residual
+    shared(partial(_free_product, indptr, split, 1, *operands), inverse.size)
+    reach = blocks.reach
+    operands = *rest, read_only(inverse), -1.0, read_only(b), True, x, residual
+    for edge in blocks.edges[2:-1:2].tolist():  # here others had changed before
+        _free_product(indptr, indptr, 0, *operands, edge - reach, edge + reach)
     if weight.size:
         residual += np.where(inverse != 0.0, weight * x[: weight.size], 0.0)
 
@@ -42,25 +56,66 @@ def residual_after_first_sweep(
 def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
     indptr, _, *rest = rows
-    _free_product(indptr, indptr, 0, *rest, read_only(inverse), 1.0, x, product)
+    inverse = read_only(inverse)
+    operands = *rest, inverse, 1.0, inverse, False, x, product
+    shared(partial(_free_product, indptr, indptr, 0, *operands), inverse.size)
 
 
-def sweep(rows: Matrix, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector) -> None:
+def sweep(
+    rows: Matrix, blocks: Blocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
+) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
-    indptr, *rest = rows
-    _sweep(indptr, indptr[1:], *rest, read_only(inverse), -1.0, read_only(b), *NO_BOUNDS, 1.0, False, backward, x)
+    ends = rows[0][1:]
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
+    _swept(rows[0], ends, ends, *rows[1:], blocks, vectors, -1.0, 1.0, False, backward, x)
 
 
 def projected_sweep(
-    rows: Matrix, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
+    rows: Matrix, blocks: Blocks, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
 ) -> None:
     """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
 
     `vectors` are the inverse pivots, q, lower and upper, read-only.
     """
-    indptr, *rest = rows
-    inverse, *problem = vectors
-    _sweep(indptr, indptr[1:], *rest, inverse, 1.0, *problem, relaxation, False, backward, z)
+    ends = rows[0][1:]
+    _swept(rows[0], ends, ends, *rows[1:], blocks, vectors, 1.0, relaxation, False, backward, z)
+
+
+def free_rows(
+    rows: Matrix, vectors: tuple[FloatVector, ...], z: FloatVector, snaps: bool, is_free: BoolVector,
+    is_changed: BoolVector, residual: FloatVector,
+) -> tuple[float, int]:
+    """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
+
+    With `snaps`, an unknown that a Gauss–Seidel step would put at a bound is put there: projected-type sweeps approach
+    a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
+    residual of the problem, and how many rows changed.
+    """
+    operands = *rows, *vectors, z, snaps, is_free, is_changed, residual
+    if snaps:  # the next rows meet what is put at a bound
+        found = [_free_rows(*operands, 0, residual.size)]
+    else:
+        found = shared(partial(_free_rows, *operands), residual.size)
+    largest = np.max([one for one, _ in found])  # a NaN kept
+    return float(largest), int(sum(changed for _, changed in found))
+
+
+def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
+    """Call ``work(first, end)`` on parts of all rows, which may be taken in any order."""
+    return share(work, rows, SMALLEST_SHARE)
+
+
+def _swept(
+    indptr: Any, ends: Any, full_ends: Any, split: Any, indices: Any, data: Any, stretches: Any, blocks: Blocks,
+    vectors: tuple[FloatVector, ...], sign: float, relaxation: float, is_first: bool, backward: bool, x: FloatVector,
+) -> None:
+    operands = (
+        indptr, ends, full_ends, split, indices, data, stretches, *vectors, sign, relaxation, is_first, backward, x,
+        *blocks,
+    )
+    for colour in (1, 0) if backward else (0, 1):
+        if count := blocks.count(colour):
+            share(partial(_sweep, *operands, colour), count, blocks.smallest_share)
 
 
 @njit(inline="always")
@@ -115,43 +170,75 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _clear_seams(edges, reach, x):  # type: ignore[no-untyped-def]
+    """Zero the rows from which an odd block meets the next even one."""
+    for at in range(2, edges.size, 2):
+        for i in range(uintp(edges[at] - reach), uintp(edges[at])):
+            x[i] = 0.0
+
+
+@compiled
 def _sweep(  # type: ignore[no-untyped-def]
-    indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation, is_first, backward, x
+    indptr, ends, full_ends, split, indices, data, stretches, inverse, b, lower, upper, sign, relaxation, is_first,
+    backward, x, edges, reach, colour, first_block, last_block,
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
-    Where `lower` is empty there are no bounds. The entries of row i end before ends[i]. The first sweep takes x for 0.
+    It does so in the blocks of one colour with these numbers. Where `lower` is empty there are no bounds. The entries
+    of row i end before ends[i]. The first sweep takes x for 0, and needs all entries where the other colour was met.
     """
-    count, has_bounds = stretches.shape[0], lower.size > 0
-    sums = np.empty(LONGEST_REACH)
-    for s in range(count):
-        at = count - 1 - s if backward else s
-        first, end, reach = stretches[at, 0], stretches[at, 1], stretches[at, 2]
+    sums = np.empty(LONGEST_REACH, x.dtype)
+    sign, relaxation = x.dtype.type(sign), x.dtype.type(relaxation)
+    for step in range(last_block - first_block):
+        block = 2 * (last_block - 1 - step if backward else first_block + step) + colour
+        begin, end = edges[block], edges[block + 1]
+        seam = end - reach if is_first and colour == 1 else end
+        _sweep_rows(
+            begin, seam, indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation,
+            is_first, backward, sums, x,
+        )
+        if seam < end:
+            _sweep_rows(
+                seam, end, indptr, full_ends, split, indices, data, stretches, inverse, sign, b, lower, upper,
+                relaxation, is_first, backward, sums, x,
+            )
+
+
+@compiled
+def _sweep_rows(  # type: ignore[no-untyped-def]
+    begin, end, indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation, is_first,
+    backward, sums, x,
+):
+    has_bounds, zero = lower.size > 0, x.dtype.type(0.0)
+    lowest, highest = stretch_at(begin, stretches), stretch_at(end - 1, stretches)
+    for s in range(highest + 1 - lowest):
+        at = highest - s if backward else lowest + s
+        first, last, reach = max(begin, stretches[at, 0]), min(end, stretches[at, 1]), stretches[at, 2]
         if reach == 0:
-            for step in range(end - first):
-                i = uintp(end - 1 - step if backward else first + step)
-                value, pivot = 0.0 if is_first else x[i], relaxation * inverse[i]
+            for step in range(last - first):
+                i = uintp(last - 1 - step if backward else first + step)
+                value, pivot = zero if is_first else x[i], relaxation * inverse[i]
                 if pivot != 0.0:
                     value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
                 x[i] = _clamped(value, lower[i], upper[i]) if has_bounds else value
             continue
-        lowest, last = uintp(indptr[first]), uintp(ends[first])
-        near = _place(lowest, last, first + 1 if backward else first - 1, indices)
-        weight = relaxation * data[near] if near < last else 0.0
-        for done in range(0, end - first, reach):
-            size = min(reach, end - first - done)
-            i = end - done - size if backward else first + done
-            begin = uintp(i)
+        from_entry, to_entry = uintp(indptr[first]), uintp(ends[first])
+        near = _place(from_entry, to_entry, first + 1 if backward else first - 1, indices)
+        weight = relaxation * data[near] if near < to_entry else zero
+        for done in range(0, last - first, reach):
+            size = min(reach, last - first - done)
+            i = last - done - size if backward else first + done
+            start = uintp(i)
             for p in range(uintp(size)):
-                sums[p] = sign * b[begin + p]
-            _add_products(lowest, last, near, i - first, indices, data, x, 0, size, sums)
+                sums[p] = sign * b[start + p]
+            _add_products(from_entry, to_entry, near, i - first, indices, data, x, 0, size, sums)
             for p in range(uintp(size)):
-                before = 0.0 if is_first else x[begin + p]
-                sums[p] = before - sums[p] * (relaxation * inverse[begin + p])
-            before = (x[i + size] if backward else x[i - 1]) if near < last else 0.0
+                before = zero if is_first else x[start + p]
+                sums[p] = before - sums[p] * (relaxation * inverse[start + p])
+            before = (x[i + size] if backward else x[i - 1]) if near < to_entry else zero
             for step in range(size):  # the only loop in which a row waits for the one before
                 place = uintp(size - 1 - step if backward else step)
-                p = begin + place
+                p = start + place
                 before = sums[place] - weight * inverse[p] * before
                 x[p] = before = _clamped(before, lower[p], upper[p]) if has_bounds else before
 
@@ -175,67 +262,6 @@ def _clamped(value, lower, upper):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # type: ignore[no-untyped-def]
-    """Add to x one Gauss–Seidel sweep for Mᵀx = b by the rows of M, which are the columns of Mᵀ.
-
-    `residual` is b − Mᵀx before and after; where an unknown is fixed it means nothing.
-    """
-    one, n = uintp(1), uintp(inverse.size)
-    for step in range(n):
-        i = n - one - step if backward else step
-        if inverse[i] != 0.0:
-            change = residual[i] * inverse[i]
-            x[i] += change
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                residual[uintp(indices[k])] -= data[k] * change
-
-
-@compiled
-def add_transposed_product(indptr, indices, data, factor, x, to):  # type: ignore[no-untyped-def]
-    """Add factor · Aᵀx to `to`, by the rows of A."""
-    one = uintp(1)
-    for i in range(uintp(x.size)):
-        if x[i] != 0.0:
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                to[uintp(indices[k])] += factor * (data[k] * x[i])
-
-
-@compiled
-def restrict(r_indptr, r_indices, r_data, fine, coarse):  # type: ignore[no-untyped-def]
-    """Coarse ← Pᵀ fine."""
-    one = uintp(1)
-    for row in range(uintp(coarse.size)):
-        coarse[row] = _plus_products(0.0, uintp(r_indptr[row]), uintp(r_indptr[row + one]), r_indices, r_data, fine)
-
-
-@compiled
-def prolong(p_indptr, p_indices, p_data, coarse, is_free, lower, upper, z):  # type: ignore[no-untyped-def]
-    """Overwrite z by mid(lower, upper, z + P coarse) on the free rows; return how many were cut off at a bound."""
-    one = uintp(1)
-    cut = 0
-    for i in range(uintp(lower.size)):
-        if is_free[i]:
-            value = _plus_products(z[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
-            if value < lower[i]:
-                value = lower[i]
-                cut += 1
-            if value > upper[i]:
-                value = upper[i]
-                cut += 1
-            z[i] = value
-    return cut
-
-
-@compiled
-def add_prolonged(p_indptr, p_indices, p_data, coarse, inverse, x):  # type: ignore[no-untyped-def]
-    """Add P coarse to x on the free rows."""
-    one = uintp(1)
-    for i in range(uintp(inverse.size)):
-        if inverse[i] != 0.0:
-            x[i] = _plus_products(x[i], uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
-
-
-@compiled
 def _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, sums):  # type: ignore[no-untyped-def]
     """Add M x to sums on `size` rows from i on, which belong to the stretch that begins with `first`.
 
@@ -251,28 +277,23 @@ def _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, 
 
 
 @compiled
-def free_rows(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, stretches, inverse, q, lower, upper, z, snaps, is_free, is_changed, residual
+def _free_rows(  # type: ignore[no-untyped-def]
+    indptr, split, indices, data, stretches, inverse, q, lower, upper, z, snaps, is_free, is_changed, residual,
+    first_row, last_row,
 ):
-    """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
-
-    With `snaps`, an unknown that a Gauss–Seidel step would put at a bound is put there: projected-type sweeps approach
-    a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
-    residual of the problem, and how many rows changed.
-    """
     room = np.empty(2 * LONGEST_REACH)
     bits = room.view(np.int64)  # of numbers ≥ 0 they have the same order, and NaN is the largest
-    largest, changed, done = np.int64(0), 0, 0
-    for s in range(stretches.shape[0]):
-        first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
-        i = first
+    largest, changed, done = np.int64(0), 0, first_row
+    i, s = first_row, stretch_at(first_row, stretches)
+    while i < last_row:
+        first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
         while i < end:
             size = min(reach if reach > 0 else LONGEST_REACH, end - i)
             for p in range(uintp(i), uintp(i + size)):
                 residual[p] = q[p]
             _add_rows(indptr, indptr, 0, indices, data, first, reach, i, size, z, residual)
             i += size
-            if i - done < LONGEST_REACH and i < residual.size:
+            if i - done < LONGEST_REACH and i < last_row:
                 continue  # short stretches are looked at together
             begin, size, done = uintp(done), uintp(i - done), i
             if snaps:
@@ -288,6 +309,7 @@ def free_rows(  # type: ignore[no-untyped-def]
             for k in range(size):
                 changed += is_changed[begin + k]
                 largest = max(largest, bits[k])
+        s += 1
     bits[0] = largest
     return room[0], changed
 
@@ -303,16 +325,24 @@ def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _free_product(indptr, begins, further, indices, data, stretches, inverse, sign, x, product):  # type: ignore[no-untyped-def]
-    """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further."""
-    for s in range(stretches.shape[0]):
-        first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
-        i = first
+def _free_product(  # type: ignore[no-untyped-def]
+    indptr, begins, further, indices, data, stretches, inverse, sign, b, adds, x, product, first_row, last_row
+):
+    """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further.
+
+    Where it `adds`, b is added; only these rows are looked at.
+    """
+    sign = x.dtype.type(sign)
+    i, s = first_row, stretch_at(first_row, stretches)
+    while i < last_row:
+        first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
         while i < end:
             size = min(reach if reach > 0 else LONGEST_REACH, end - i)
             for row in range(uintp(i), uintp(i + size)):
                 product[row] = 0.0
             _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, product)
             for row in range(uintp(i), uintp(i + size)):
-                product[row] = sign * product[row] if inverse[row] != 0.0 else 0.0
+                total = sign * product[row] + b[row] if adds else sign * product[row]
+                product[row] = total if inverse[row] != 0.0 else 0.0
             i += size
+        s += 1

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import FloatVector, read_only
+from ...checks import FloatVector
 from ..factors import Factor, dense_lu
-from . import galerkin, sweeps
-from .levels import Grid, Hierarchy
+from . import galerkin, sweeps, transfers
+from .grids import Grid, Hierarchy
 from .stretches import without
 
 COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
@@ -33,7 +33,8 @@ class TruncatedGrid:
         self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
         self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
-        self.x, self.b, self.residual = np.zeros(grid.width), np.zeros(n), np.zeros(grid.width)
+        dtype = grid.matrix.data.dtype
+        self.x, self.b, self.residual = (np.zeros(size, dtype) for size in (grid.width, n, grid.width))
         self._factor: Factor | None = None
         self._is_factorised = False
 
@@ -94,6 +95,7 @@ class Truncation:
         self.transfers = hierarchy.transfers
         self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
+        self.unit = 1.0  # of the top grid's x, in which coarser grids see it: a power of two
         self.work = 0.0
         self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
 
@@ -108,7 +110,7 @@ class Truncation:
 
     def start_at(self, top: int) -> None:
         """Look from the grid `top`: its unknowns and all below are free again."""
-        self.top = top
+        self.top, self.unit = top, 1.0
         for level in self.grids[top:]:
             self.work += level.release()
 
@@ -149,21 +151,24 @@ class Truncation:
         grid, rows, entries = level.grid, level.rows, level.values.size
         if k == len(self.transfers) and self._solves_directly(level, transposed=False):
             return
-        sweeps.first_sweep(rows, level.inverse, level.b, level.x)
+        blocks = grid.blocks
+        sweeps.first_sweep(rows, blocks, level.inverse, level.b, level.x)
         self.work += 0.5 * entries
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
         grid.peers.fetch(level.x)
-        sweeps.residual_after_first_sweep(rows, level.inverse, grid.weight, level.x, level.residual[: grid.n])
+        residual = level.residual[: grid.n]
+        sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        sweeps.restrict(*transfer.restriction.arrays, read_only(level.residual), below.b)
+        unit = self.unit if k == self.top else 1.0
+        transfers.restrict(transfer, level.residual, unit, below.b)
         self.correct(k + 1)
         below.grid.peers.fetch(below.x)
-        sweeps.add_prolonged(*transfer.prolongation.arrays, below.x, level.inverse, level.x)
+        transfers.add_prolonged(transfer, below.x, unit, level.inverse, level.x)
         grid.peers.fetch(level.x)
-        sweeps.sweep(rows, level.inverse, True, level.b, level.x)
+        sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def correct_transposed(self, k: int) -> None:
@@ -174,21 +179,22 @@ class Truncation:
         arrays = *level.grid.matrix.arrays[:2], level.values
         is_free, residual = level.inverse != 0.0, level.b.copy()
         level.x[:] = 0.0
-        sweeps.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
+        transfers.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
         if k < len(self.transfers):
             below, transfer = self.grids[k + 1], self.transfers[k]
             residual *= is_free
             below.b[:] = 0.0
-            sweeps.add_transposed_product(*transfer.prolongation.arrays, 1.0, residual, below.b)
+            unit = self.unit if k == self.top else 1.0
+            transfers.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, residual, below.b)
             self.correct_transposed(k + 1)
-            correction = np.zeros(level.b.size)
-            sweeps.add_transposed_product(*transfer.restriction.arrays, 1.0, below.x, correction)
+            correction = np.zeros_like(level.b)
+            transfers.add_transposed_product(*transfer.restriction.arrays, unit, below.x, correction)
             correction *= is_free
             level.x += correction
-            sweeps.add_transposed_product(*arrays, -1.0, correction, residual)
+            transfers.add_transposed_product(*arrays, -1.0, correction, residual)
             self.work += level.values.size + 2.0 * transfer.prolongation.data.size
         for sweep in range(1 if k < len(self.transfers) else 2 * COARSEST_SWEEPS + 1):
-            sweeps.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
+            transfers.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
             self.work += level.values.size
         self.work += level.values.size
 
@@ -208,5 +214,5 @@ class Truncation:
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
             level.grid.peers.fetch(level.x)
-            sweeps.sweep(level.rows, level.inverse, sweep % 2 == 0, level.b, level.x)
+            sweeps.sweep(level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x)
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size

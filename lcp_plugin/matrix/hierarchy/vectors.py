@@ -1,22 +1,81 @@
-"""What Krylov steps do to whole vectors, two at a time: each is read and written once; compiled, arrays only."""
+"""What Krylov steps do to whole vectors, as few passes as may be; sums are cut where no number of threads matters."""
 
 from __future__ import annotations
 
+from functools import partial
+
+import numpy as np
+
+from ...checks import FloatVector
 from ...kernels.compilation import compiled
+from ...kernels.threads import share
+from .blocks import SMALLEST_SHARE
+
+TERMS = 32768  # that are summed in one piece
+
+
+def dot(one: FloatVector, other: FloatVector) -> float:
+    """Return Σ one_i other_i."""
+    sums = np.zeros(-(-one.size // TERMS))
+    share(partial(_dots, one, other, sums), sums.size, 1)
+    return float(sums.sum())
+
+
+def add_both(
+    factor: float, vector: FloatVector, to: FloatVector, other_factor: float, other: FloatVector, to_other: FloatVector
+) -> None:
+    """Add factor · vector to one vector, and other_factor · other to another one."""
+    operands = factor, vector, to, other_factor, other, to_other
+    share(partial(_add_both, *operands), vector.size, SMALLEST_SHARE)
+
+
+def add_within(
+    origin: FloatVector, factor: float, vector: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+) -> None:
+    """Overwrite z by mid(lower, upper, origin + factor · vector)."""
+    share(partial(_add_within, origin, factor, vector, lower, upper, z), vector.size, SMALLEST_SHARE)
+
+
+def largest_product(one: FloatVector, other: FloatVector) -> float:
+    """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
+    return float(np.max(share(partial(_largest_product, one, other), one.size, SMALLEST_SHARE)))
 
 
 @compiled
-def add_both(factor, vector, to, other_factor, other, to_other):  # type: ignore[no-untyped-def]
-    """Add factor · vector to one vector, and other_factor · other to another one."""
-    for i in range(vector.size):
+def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
+    for piece in range(first, end):
+        a = b = c = d = 0.0  # one sum alone would wait for itself
+        begin, last = piece * TERMS, min((piece + 1) * TERMS, one.size)
+        for i in range(begin, last - 3, 4):
+            a += one[i] * other[i]
+            b += one[i + 1] * other[i + 1]
+            c += one[i + 2] * other[i + 2]
+            d += one[i + 3] * other[i + 3]
+        for i in range(last - (last - begin) % 4, last):
+            a += one[i] * other[i]
+        sums[piece] = (a + b) + (c + d)
+
+
+@compiled
+def _add_both(factor, vector, to, other_factor, other, to_other, first, end):  # type: ignore[no-untyped-def]
+    for i in range(first, end):
         to[i] += factor * vector[i]
         to_other[i] += other_factor * other[i]
 
 
 @compiled
-def add_within(origin, factor, vector, lower, upper, z):  # type: ignore[no-untyped-def]
-    """Overwrite z by mid(lower, upper, origin + factor · vector)."""
-    for i in range(origin.size):
+def _add_within(origin, factor, vector, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
+    for i in range(first, end):
         value = origin[i] + factor * vector[i]
         value = lower[i] if lower[i] > value else value
         z[i] = upper[i] if upper[i] < value else value
+
+
+@compiled
+def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
+    largest = 0.0
+    for i in range(first, end):
+        size = abs(one[i] * other[i])
+        if size > largest or np.isnan(size):
+            largest = size
+    return largest

@@ -5,12 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+from numba import njit
 from typer.testing import CliRunner
 
 from lcp_plugin.commands.cli import app
+from lcp_plugin.deadline import compilation
 from lcp_plugin.kernels.compilation import cache_folder
+from lcp_plugin.peers.alone import ALONE
+from lcp_plugin.solving.state import Clock
 
 COUNT_COMPILED = """
 import sys
@@ -57,6 +62,19 @@ def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
         "print(result.is_solved, result.seconds < 0.5 * (time.perf_counter() - began))"
     )
     assert in_a_new_process(code) == "True True"
+
+
+def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
+    """A kernel that nobody rehearsed costs the run none of its seconds and none of its limit."""
+
+    def anything(x: float) -> float:
+        return x + 1.0
+
+    clock, began, before = Clock(ALONE), time.perf_counter(), compilation().seconds
+    njit(anything)(1.0)
+    stopped = compilation().seconds - before
+    assert stopped > 0.0
+    assert clock.read() <= time.perf_counter() - began - stopped
 
 
 def test_cache_is_the_user_s(tmp_path: Path) -> None:

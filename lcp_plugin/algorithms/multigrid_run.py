@@ -358,12 +358,17 @@ class MultigridRun:
 
 
 def rehearse(algorithm: Multigrid) -> None:
-    """Run every kernel once, on a chain of 16 unknowns."""
-    M = diags_array([-np.ones(15), np.full(16, 2.0), -np.ones(15)], offsets=[-1, 0, 1], format="csr")
+    """Run the kernels that most problems need once, on a chain of 16 unknowns in which one coupling stands out."""
+    couplings = np.where(np.arange(15) == 7, 10.0, 1.0)
+    diagonal = np.append(couplings, 1.0) + np.append(1.0, couplings)
+    M = diags_array([-couplings, diagonal, -couplings], offsets=[-1, 0, 1], format="csr")
     run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
     steps = run.iterates(np.zeros(16))
     for _ in range(3):
         next(steps)
+    top = run.truncation.grids[0]
+    top.is_free[0], top.free_changed[0] = False, True
+    run.truncation.update()
     correction = KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric)
     correction.step()
     correction.apply_within(np.zeros(16), run.problems[0].lower, run.problems[0].upper, np.zeros(16))

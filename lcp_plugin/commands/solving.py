@@ -235,6 +235,7 @@ def compile_everything() -> str:
     for problem in (scene.problem, dense):
         for name in ("multigrid", "lemke", "newton", "auto"):
             error_bound(problem, solve(problem, name).z)
+    solve(gallery.build("bimatrix_game").problem)  # without a diagonal
     found = derivative(solve_batch([dense]))
     found.vjp(np.ones((1, 9)))
     found.jvp(dq=np.ones(9))

@@ -11,14 +11,35 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from pickle import PickleError
+from threading import local
 from typing import Any, cast
 
 from numba import config, njit, types, vectorize
+from numba.core import event
 from platformdirs import user_cache_path
 
+from ..deadline import compiling
 from ..locks import Lock
 
 _lock = Lock()
+
+
+class _StoppedClocks(event.Listener):
+    """Stops the clocks of all runs around while numba compiles, whatever the kernel."""
+
+    def __init__(self) -> None:
+        self._under_way = local()
+
+    def on_start(self, event: Any) -> None:
+        stack = self._under_way.__dict__.setdefault("stack", [])
+        stack.append(compiling())
+        stack[-1].__enter__()
+
+    def on_end(self, event: Any) -> None:
+        self._under_way.stack.pop().__exit__(None, None, None)
+
+
+event.register("numba:compile", _StoppedClocks())  # type: ignore[no-untyped-call]
 
 
 def cache_folder() -> Path:

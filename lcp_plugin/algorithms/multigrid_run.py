@@ -282,18 +282,24 @@ class MultigridRun:
         transfers.restrict(transfer, fine.residual, unit, below.b)
         self.truncation.correct(k + 1)
         below.grid.peers.fetch(below.x)
-        before = z.copy() if k == 0 and self.is_symmetric else None
+        before = None
+        if k == 0 and self.is_symmetric:
+            before = self.truncation.vector()
+            np.copyto(before, z[: before.size])
         cut = transfers.prolong(transfer, below.x, unit, top.is_free, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
-        if before is not None and self.peers.total(cut) > NOTEWORTHY_CUT * self.size:
+        if before is None:
+            return
+        if self.peers.total(cut) > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)
+        self.truncation.spare.append(before)
 
     @np.errstate(all="ignore")
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
         fine = self.problems[0]
-        n, product = fine.q.size, np.empty(fine.q.size)
-        step = z - before
+        n, product, step = before.size, self.truncation.vector(), z.copy()
+        step[:n] -= before
         unit = power_of_two(self.peers.largest(span(step[:n])))
         step /= unit
         self.peers.fetch(step)
@@ -310,7 +316,8 @@ class MultigridRun:
         else:
             size = 0.0
         if size < 1.0:
-            np.copyto(z, before + size * unit * step)
+            np.copyto(z[:n], before + size * unit * step[:n])
+        self.truncation.spare.append(product)
 
     def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
         """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""

@@ -10,7 +10,7 @@ from ..checks import FloatVector, read_only
 from ..kernels import splitting_sweeps as kernels
 from ..matrix.hierarchy import sweeps
 from ..matrix.hierarchy.grids import Grid
-from ..matrix.hierarchy.krylov import span
+from ..matrix.hierarchy.vectors import span
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid

@@ -320,7 +320,7 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
 @compiled
 def _update_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
+    indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
     fine_place, fine, fine_sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
@@ -372,7 +372,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
             for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
                 sums[uintp(p_indices[c])] += value * p_data[c]
         for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
-            c_data[c] = sums[uintp(c_indices[c])]
+            c_data[c] = factor * sums[uintp(c_indices[c])]
         products += added
         pivot = c_data[uintp(c_diagonal[row])]
         free = pivot > SMALLEST_PIVOT

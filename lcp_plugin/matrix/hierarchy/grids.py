@@ -13,7 +13,7 @@ from ...peers.alone import ALONE, Arrays, Peers
 from .blocks import Blocks
 from .stretches import Stretches
 
-LARGEST_SINGLE = 1e25  # of 3e38: sums and products of some such numbers are numbers still
+LARGEST_SINGLE = 1e25  # times the least: of 3e38, as sums and products of some such numbers are numbers still
 
 NO_WEIGHT = np.zeros(0)
 NO_WEIGHT.flags.writeable = False
@@ -48,16 +48,18 @@ class Operator:
 class Transfer:
     """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
 
-    P has a row for each foreign unknown as well, which the Galerkin product needs.
+    P has a row for each foreign unknown as well, which the Galerkin product needs. What is stored of the restriction
+    times `factor`, a power of two, is what restricts: so single precision sees numbers near 1, whatever unit M has.
     """
 
     prolongation: Operator
     restriction: Operator
     is_coarse: NDArray[np.bool_]
+    factor: float = 1.0
 
     def single(self) -> Transfer:
         """Return it with its values in single precision."""
-        return Transfer(self.prolongation.single(), self.restriction.single(), self.is_coarse)
+        return replace(self, prolongation=self.prolongation.single(), restriction=self.restriction.single())
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +89,8 @@ class Grid:
 
     @property
     def fits_single(self) -> bool:
-        """Whether the pivots are far from where the numbers of single precision end."""
-        inverse = self.inverse
-        return bool(inverse.max(initial=0.0) < LARGEST_SINGLE and inverse.min(initial=1.0) > 1.0 / LARGEST_SINGLE)
+        """Whether the pivots are so near to one another that single precision holds all, and there are no others."""
+        return bool(self.inverse.max(initial=0.0) < LARGEST_SINGLE * self.inverse.min(initial=np.inf))
 
     def single(self) -> Grid:
         """Return it with its values in single precision."""

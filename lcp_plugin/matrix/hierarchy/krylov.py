@@ -7,7 +7,7 @@ import numpy as np
 from ...checks import FloatVector, read_only
 from . import sweeps, transfers
 from .truncation import Truncation
-from .vectors import add_both, add_within, dot, largest_product
+from .vectors import add_both, add_within, dot, largest_product, power_of_two, span
 
 
 class KrylovCorrection:
@@ -114,15 +114,3 @@ class KrylovCorrection:
         if self.is_symmetric:
             return p
         return product if self._weight is None else product * self._weight
-
-
-def span(vector: FloatVector) -> float:
-    """Return the largest entry in absolute value; 0 of no entry."""
-    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
-
-
-def power_of_two(largest: float) -> float:
-    """Return the power of two just above a number ≥ 0; 1 where that is 0 or not finite."""
-    if not 0.0 < largest < np.inf:
-        return 1.0
-    return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))

@@ -27,6 +27,7 @@ from .grids import NO_WEIGHT, Grid, Hierarchy, Operator, Transfer
 from .pieces import SMALLEST_PIECE, written_rows
 from .stretches import stretches_of
 from .units import units_of
+from .vectors import power_of_two, span
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
@@ -128,7 +129,7 @@ def build_hierarchy(
         is_too_large = peers.total(interpolation.own) > LARGEST_GRID_SHARE * size
         if is_too_large or peers.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
-        coarser = _coarser(finer, interpolation, scales_rows, units)
+        coarser = _coarser(finer, interpolation, scales_rows, units, normalises=single and finer is alone[0])
         if coarser is None:
             break
         transfer, grid = coarser
@@ -269,9 +270,12 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
 
 
 def _coarser(
-    grid: Grid, interpolation: Interpolation, scales_rows: bool, units: FloatVector | None
+    grid: Grid, interpolation: Interpolation, scales_rows: bool, units: FloatVector | None, *, normalises: bool
 ) -> tuple[Transfer, Grid] | None:
-    """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
+    """Return the way to the coarser grid and that grid, whose largest entries are near 1 where it `normalises`.
+
+    None where its numbers would not be finite.
+    """
     peers = grid.peers
     p_indptr, columns, p_data, is_coarse, count, below, *_ = interpolation
     others = below.outside(columns)
@@ -299,7 +303,14 @@ def _coarser(
         rows, below = below.overlapped(rows, others, further)
         # Rows of P far away need no right number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
-    transfer = Transfer(prolongation, restricting, is_coarse)
+    factor = 1.0
+    if normalises and scales_rows:
+        factor = power_of_two(span(restriction[2]))
+        restriction[2][:] /= factor
+    elif normalises:
+        factor = 1.0 / power_of_two(1.0 / float(grid.inverse.min()))
+        rows[2][:] *= factor
+    transfer = Transfer(prolongation, restricting, is_coarse, factor)
     return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def restrict(transfer: Transfer, fine: FloatVector, unit: float, coarse: FloatVector) -> None:
-    """Coarse ← Pᵀ fine ÷ unit, a power of two."""
-    operands = *transfer.restriction.arrays, read_only(fine), unit, coarse
+    """Coarse ← R fine ÷ unit, a power of two."""
+    operands = *transfer.restriction.arrays, read_only(fine), transfer.factor / unit, coarse
     shared(partial(_restrict, *operands), coarse.size)
 
 
@@ -40,11 +40,11 @@ def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, inverse:
 
 
 @compiled
-def _restrict(r_indptr, r_indices, r_data, fine, unit, coarse, first, end):  # type: ignore[no-untyped-def]
-    one, zero, per_unit = uintp(1), r_data.dtype.type(0.0), 1.0 / unit
+def _restrict(r_indptr, r_indices, r_data, fine, factor, coarse, first, end):  # type: ignore[no-untyped-def]
+    one, zero = uintp(1), r_data.dtype.type(0.0)
     for row in range(uintp(first), uintp(end)):
         total = _plus_products(zero, uintp(r_indptr[row]), uintp(r_indptr[row + one]), r_indices, r_data, fine)
-        coarse[row] = per_unit * total
+        coarse[row] = factor * total
 
 
 @compiled

@@ -135,7 +135,7 @@ class Truncation:
                 level.grid.peers.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
-                *transfer.prolongation.arrays, *transfer.restriction.arrays,
+                *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
                 below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
                 below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
             )
@@ -188,7 +188,7 @@ class Truncation:
             transfers.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, residual, below.b)
             self.correct_transposed(k + 1)
             correction = np.zeros_like(level.b)
-            transfers.add_transposed_product(*transfer.restriction.arrays, unit, below.x, correction)
+            transfers.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
             correction *= is_free
             level.x += correction
             transfers.add_transposed_product(*arrays, -1.0, correction, residual)

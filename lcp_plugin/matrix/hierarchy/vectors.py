@@ -41,6 +41,18 @@ def largest_product(one: FloatVector, other: FloatVector) -> float:
     return float(np.max(share(partial(_largest_product, one, other), one.size, SMALLEST_SHARE)))
 
 
+def span(vector: FloatVector) -> float:
+    """Return the largest entry in absolute value; 0 of no entry."""
+    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+
+
+def power_of_two(largest: float) -> float:
+    """Return the power of two just above a number ≥ 0; 1 where that is 0 or not finite."""
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(np.ldexp(1.0, min(int(np.frexp(largest)[1]), 1023)))
+
+
 @compiled
 def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
     for piece in range(first, end):

@@ -67,7 +67,7 @@ def test_pieces_run_at_the_same_time() -> None:
 
 
 def test_an_error_waits_until_every_piece_has_ended() -> None:
-    """Nobody is at work when the error of the first piece that failed comes out; the pool works afterwards."""
+    """Nobody is at work when the error of the first piece that failed comes out; what follows is shared again."""
     together, ended = threading.Barrier(3, timeout=60.0), []
 
     def work(first: int, end: int) -> None:
@@ -97,7 +97,7 @@ def test_work_inside_a_piece_stays_in_its_thread() -> None:
         assert threads_now() == 2
 
 
-def test_two_threads_at_once_share_with_the_same_helpers() -> None:
+def test_two_threads_at_once_share_each_with_its_helpers() -> None:
     """Eight threads that share all the time get their own results, and their own numbers of threads."""
 
     def one(k: int) -> bool:
@@ -253,7 +253,7 @@ def test_ranks_may_differ_in_threads() -> None:
     assert Settings(threads=1) == Settings(threads=2)
 
 
-SCENES = [("obstacle_2d", {"size": 120}, "multigrid"), ("convection_diffusion", {"size": 100}, "multigrid"),
+SCENES = [("obstacle_2d", {"size": 400}, "multigrid"), ("convection_diffusion", {"size": 400}, "multigrid"),
           ("random_h_plus", {"n": 40_000}, "auto")]
 
 

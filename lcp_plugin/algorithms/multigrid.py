@@ -48,9 +48,9 @@ class Multigrid(Algorithm):
     while. The run ends where three such rounds gain nothing. Where coarser grids would cost too much there are sweeps
     only, as long as they contract.
 
-    Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double:
-    a correction needs two digits. They are in double on ranks, where couplings of a row differ by more than single
-    precision can hold, where diagonal entries leave its range, and from where a run stalls on.
+    Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.
+    They are in double on ranks, where diagonal entries lie too far apart, where M is so near to a singular matrix that
+    single precision would not tell them apart (long thin domains, stiff layers), and from where a run stalls on.
 
     Passes over more than 10⁵ rows are shared by the threads of the solve. Where M is symmetric, sweeps take its rows in
     blocks, first all even ones: an order that follows from M alone, so that the number of threads changes no bit.

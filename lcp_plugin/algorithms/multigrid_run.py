@@ -205,8 +205,10 @@ class MultigridRun:
             elif since >= PATIENCE and self._energy_fell(z):
                 since = 0
             elif since >= PATIENCE:
-                has_changed = self._goes_on_in_double()
-                failed_rounds = 0 if has_changed or best < GAINED * best_of_round else failed_rounds + 1
+                if self._goes_on_in_double(z):
+                    previous, since = np.inf, 0
+                    continue
+                failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
                 if failed_rounds >= MOST_FAILED_ROUNDS:
                     return
                 np.copyto(z, best_z)
@@ -232,13 +234,21 @@ class MultigridRun:
             fine.sweep(z, backward=True)
             self.work += self.entries
 
-    def _goes_on_in_double(self) -> bool:
-        """Take coarser grids in double precision from here on; return False where they are so already."""
+    def _goes_on_in_double(self, z: FloatVector) -> bool:
+        """Take coarser grids in double precision, and what they answer as z; False where they are so already.
+
+        What single precision made of z is no start: the errors that it cannot see are in it.
+        """
         if not self.hierarchy.is_single:
             return False
-        self.hierarchy = hierarchy_of(self.problem.matrix, self.algorithm.coarsest, False)
+        matrix, coarsest = self.problem.matrix, self.algorithm.coarsest
+        is_built = hierarchy_of.is_known(matrix, coarsest, False)
+        self.hierarchy = hierarchy_of(matrix, coarsest, False)
+        self.work += self.truncation.take_work() + (0.0 if is_built else self.hierarchy.work)
         self.truncation = Truncation(self.hierarchy)
-        self.work += self.hierarchy.work
+        if self.algorithm.nested:
+            self._nested_start(z, is_cold=True)
+            self.truncation.start_at(0)
         return True
 
     @np.errstate(all="ignore")

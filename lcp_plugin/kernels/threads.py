@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
+MOST_THREADS = 128  # to begin more takes longer than what they share
 
 class threads_for:  # noqa: N801 - read as a function; a generator takes three times as long
     """Let what runs inside a ``with`` statement be shared among so many threads, which begin when first needed.
@@ -37,7 +38,7 @@ class threads_for:  # noqa: N801 - read as a function; a generator takes three t
     __slots__ = ("_helpers", "_jobs", "_token", "count")
 
     def __init__(self, count: int) -> None:
-        self.count, self._helpers = count, 0
+        self.count, self._helpers = min(count, MOST_THREADS), 0
 
     def __enter__(self) -> None:
         self._token = _crew.set(self)
@@ -53,8 +54,8 @@ class threads_for:  # noqa: N801 - read as a function; a generator takes three t
             self._jobs: SimpleQueue[tuple[_Job, Context] | None] = SimpleQueue()
         with suppress(RuntimeError):  # no more threads may begin: those there are will do
             while self._helpers < helpers:
+                self._helpers += 1  # before Ctrl-C may come: one told to end too many does no harm
                 threading.Thread(target=_work, args=(self._jobs,), daemon=True, name="lcp_plugin").start()
-                self._helpers += 1
         for _ in range(helpers):
             self._jobs.put((job, copy_context()))
 
@@ -100,6 +101,7 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
 
 def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
     """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C the chunks that wait are not begun."""
+    threads = min(threads, MOST_THREADS)
     size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
     ends = [*range(0, count, size), count]
     if threads == 1 or len(ends) <= 2:

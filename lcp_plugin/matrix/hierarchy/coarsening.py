@@ -25,7 +25,6 @@ from ...kernels.compilation import compiled
 from .units import LACKING
 
 COARSE, FINE = 1, 2
-SINGLE_ROUNDING = 2.0**-24
 SMALLEST_SHARE = 0.2  # of the largest weight, and
 MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
 
@@ -329,31 +328,28 @@ def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
 def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
     """Return the sum of the positive off-diagonal entries, that of all in absolute value, and how many rows lack.
 
-    A row lacks what would let it sum to zero where its negative couplings outweigh all else noticeably. Returned last
-    is how many rows are uneven: single precision loses the smallest coupling beside the largest.
+    A row lacks what would let it sum to zero where its negative couplings outweigh all else noticeably.
     """
     one = uintp(1)
-    positive, total, lacking, uneven = 0.0, 0.0, 0.0, 0.0
+    positive, total, lacking = 0.0, 0.0, 0.0
     for i in range(uintp(indptr.size - 1)):
         row_positive, row_total, diagonal = 0.0, 0.0, 0.0
-        largest, least = 0.0, np.inf
+        largest = 0.0
         for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
             if uintp(indices[k]) != i:
                 size = abs(data[k])
                 row_total += size
                 if data[k] > 0.0:
                     row_positive += data[k]
-                largest, least = max(largest, size), min(least, size)
+                largest = max(largest, size)
             else:
                 diagonal = data[k]
         if diagonal + row_positive < (1.0 - LACKING) * (row_total - row_positive):
             lacking += 1.0
-        if least < SINGLE_ROUNDING * largest:
-            uneven += 1.0
         if largest > 0.0:  # each row counts alike, whatever its unit
             positive += row_positive / largest
             total += row_total / largest
-    return positive, total, lacking, uneven
+    return positive, total, lacking
 
 
 @njit(inline="always")

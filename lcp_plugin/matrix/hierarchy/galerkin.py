@@ -26,7 +26,7 @@ from .stretches import Stretches, stretch_at
 
 Indices = NDArray[Any]
 
-SMALLEST_PIVOT = 1e-300  # its inverse is finite
+SMALLEST_PIVOT, SMALLEST_SINGLE_PIVOT = 1e-300, 1e-35  # their inverses are finite
 STEPS_SEEN = 1000  # rows either side of the middle
 
 
@@ -328,7 +328,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
-    one = uintp(1)
+    one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
     sums = np.empty(c_is_free.size)
     products = 0.0
     changed_rows = 0
@@ -375,7 +375,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
             c_data[c] = factor * sums[uintp(c_indices[c])]
         products += added
         pivot = c_data[uintp(c_diagonal[row])]
-        free = pivot > SMALLEST_PIVOT
+        free = pivot > smallest
         weight = c_weight[row] if c_weight.size > 0 else 0.0
         c_inverse[row] = 1.0 / (pivot + weight) if free else 0.0
         c_free_changed[row] = free != c_is_free[row]

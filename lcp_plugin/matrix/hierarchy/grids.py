@@ -101,6 +101,13 @@ class Grid:
         """The matrix as sweeps take it."""
         return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.stretches
 
+    def dense(self, values: FloatVector) -> NDArray[np.float64]:
+        """Return the matrix with these values in the place of its own, of a grid that nobody shares."""
+        indptr, indices, _ = self.matrix.arrays
+        dense = np.zeros((self.n, self.n))
+        dense[np.repeat(np.arange(self.n), np.diff(indptr)), indices] = values
+        return dense
+
     @property
     def own_entries(self) -> int:
         """Number of entries of the own rows."""

@@ -25,6 +25,7 @@ from . import coarsening, galerkin
 from .blocks import blocks_of
 from .grids import NO_WEIGHT, Grid, Hierarchy, Operator, Transfer
 from .pieces import SMALLEST_PIECE, written_rows
+from .precision import carries_single
 from .stretches import stretches_of
 from .units import units_of
 from .vectors import power_of_two, span
@@ -32,7 +33,6 @@ from .vectors import power_of_two, span
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no units to be found
-NOTEWORTHY_UNEVEN = 0.01  # share of the rows: islands behind weak couplings would drift in single precision
 NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
@@ -85,8 +85,7 @@ def build_hierarchy(
     peers : Peers
         Who has the other rows; all of them call.
     single : bool
-        Whether to keep the ways to coarser grids and those themselves in single precision, from where that can carry
-        them no more on in double.
+        Whether to keep the ways to coarser grids and those themselves in single precision, if that can carry them.
 
     Examples
     --------
@@ -104,8 +103,7 @@ def build_hierarchy(
     grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
     entries = max(peers.total(grid.own_entries), 1)
     work = 0.0
-    positive, total, lacking, uneven = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
-    single = single and grid.fits_single and uneven <= NOTEWORTHY_UNEVEN * peers.total(grid.n)
+    positive, total, lacking = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
     work += entries
     if strength is None:
         strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
@@ -113,6 +111,7 @@ def build_hierarchy(
     if peers.is_empty and positive <= MOST_POSITIVE * total:
         units, further = units_of(matrix, lacking)
         work += further
+    single = single and units is None and grid.fits_single
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
     growth = LARGEST_GROWTH if peers.is_empty else LARGEST_GROWTH_OF_PARTS
     stored, products, size = 0.0, 0.0, peers.total(grid.n)
@@ -137,15 +136,11 @@ def build_hierarchy(
         if peers.total(grid.own_entries) > growth * peers.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = peers.total(grid.n)
-        single = single and grid.fits_single and uneven <= NOTEWORTHY_UNEVEN * peers.total(grid.n)
-        if single:
-            transfer = transfer.single()
-            if len(grids) > 1:
-                grids[-1] = finer.single()
         grids.append(grid)
         transfers.append(transfer)
-    if single and len(grids) > 1:
-        grids[-1] = grid.single()
+    if single and carries_single(grids, transfers):
+        for k, transfer in enumerate(transfers):  # one after the other: there is no room for all of them twice
+            transfers[k], grids[k + 1] = transfer.single(), grids[k + 1].single()
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
 
 

@@ -46,9 +46,7 @@ class TruncatedGrid:
         n = self.grid.n
         if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.peers.is_empty:
             return self._factor, 0.0
-        indptr, indices, _ = self.grid.matrix.arrays
-        dense = np.zeros((n, n))
-        dense[np.repeat(np.arange(n), np.diff(indptr)), indices] = self.values
+        dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
         dense[is_fixed, :] = dense[:, is_fixed] = 0.0
         dense[is_fixed, is_fixed] = 1.0

@@ -35,7 +35,7 @@ class Blocks(NamedTuple):
     @property
     def smallest_share(self) -> int:
         """The fewest blocks of a colour that are worth a hand-over; a sweep has two."""
-        return max(SMALLEST_SHARE // (2 * int(self.edges[1])), 1)
+        return max(SMALLEST_SHARE // max(2 * int(self.edges[1]), 1), 1)
 
 
 def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:

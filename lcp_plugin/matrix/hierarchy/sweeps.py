@@ -192,6 +192,8 @@ def _sweep(  # type: ignore[no-untyped-def]
     for step in range(last_block - first_block):
         block = 2 * (last_block - 1 - step if backward else first_block + step) + colour
         begin, end = edges[block], edges[block + 1]
+        if begin == end:  # a rank may have no rows
+            continue
         seam = end - reach if is_first and colour == 1 else end
         _sweep_rows(
             begin, seam, indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation,

@@ -484,8 +484,9 @@ def test_stiff_layers_and_long_chains_need_no_more_cycles_than_in_double(n: int,
 
 def test_residuals_near_the_smallest_numbers_are_restricted() -> None:
     """The inverse of such a unit would not be finite."""
-    problem = LCP(gallery.build("obstacle_2d", size=30).problem.csr, np.full(900, -1e-308))
-    assert solve(problem, "multigrid").is_solved
+    M = gallery.build("obstacle_2d", size=30).problem.csr
+    assert solve(LCP(M, np.full(900, -1e-308)), "multigrid").is_solved
+    assert solve(LCP(1e-300 * M, np.full(900, -1e-300)), "multigrid").is_solved
 
 
 @pytest.mark.parametrize("nested", [False, True])

@@ -90,7 +90,8 @@ class Grid:
     @property
     def fits_single(self) -> bool:
         """Whether the pivots are so near to one another that single precision holds all, and there are no others."""
-        return bool(self.inverse.max(initial=0.0) < LARGEST_SINGLE * self.inverse.min(initial=np.inf))
+        largest, least = float(self.inverse.max(initial=0.0)), float(self.inverse.min(initial=np.inf))
+        return largest < LARGEST_SINGLE * least
 
     def single(self) -> Grid:
         """Return it with its values in single precision."""

@@ -151,7 +151,7 @@ def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarch
     Ranks exchange doubles.
     """
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and matrix.peers.is_empty
+    single = single and matrix.peers.is_alone
     return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers, single=single)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import threading
 import time
@@ -175,13 +176,45 @@ def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
 
 def test_helpers_end_with_what_they_helped() -> None:
     """No thread is left when nobody may share any more."""
+    before = _thread._count()
     with threads_for(4):
-        share(lambda first, end: None, 4, 1)
-        helpers = [thread for thread in threading.enumerate() if thread.name == "lcp_plugin"]
-        assert len(helpers) == 3
-    for thread in helpers:
-        thread.join(10.0)
-        assert not thread.is_alive()
+        together = threading.Barrier(4, timeout=60.0)
+        share(lambda first, end: together.wait(), 4, 1)
+        assert _thread._count() == before + 3
+    for _ in range(1000):
+        if _thread._count() == before:
+            break
+        time.sleep(0.01)
+    assert _thread._count() == before
+
+
+@pytest.mark.parametrize("asks_for", ["nothing", "work"])
+def test_helpers_that_find_no_memory_are_done_without(asks_for: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads that die before their first line, or as they take up work: the caller waits for none of them."""
+
+    def begin(work: Callable[..., None], given: tuple[Any]) -> None:
+        if asks_for == "work":
+            begin_thread(work, (NoMemory(given[0]),))
+
+    begin_thread = _thread.start_new_thread
+    monkeypatch.setattr(_thread, "start_new_thread", begin)
+    with threads_for(3):
+        assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
+        with pytest.raises(ZeroDivisionError):
+            share(lambda first, end: first // 0, 3, 1)
+    assert threads_now() == 1
+
+
+class NoMemory:
+    """A queue that gives nothing."""
+
+    def __init__(self, jobs: Any) -> None:
+        self.jobs = jobs
+
+    def get(self) -> None:
+        """Wait for work."""
+        self.jobs.get()
+        raise MemoryError
 
 
 class Seen(NPGS):

@@ -6,7 +6,7 @@ nobody has begun, and waits for no more than what others are in the middle of.
 
 from __future__ import annotations
 
-import threading
+import _thread
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
@@ -18,6 +18,7 @@ T = TypeVar("T")
 LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 MOST_THREADS = 128  # to begin more takes longer than what they share
+
 
 class threads_for:  # noqa: N801 - read as a function; a generator takes three times as long
     """Let what runs inside a ``with`` statement be shared among so many threads, which begin when first needed.
@@ -55,7 +56,8 @@ class threads_for:  # noqa: N801 - read as a function; a generator takes three t
         with suppress(RuntimeError):  # no more threads may begin: those there are will do
             while self._helpers < helpers:
                 self._helpers += 1  # before Ctrl-C may come: one told to end too many does no harm
-                threading.Thread(target=_work, args=(self._jobs,), daemon=True, name="lcp_plugin").start()
+                # threading.Thread.start would wait for ever for a thread that finds no memory to begin with
+                _thread.start_new_thread(_work, (self._jobs,))
         for _ in range(helpers):
             self._jobs.put((job, copy_context()))
 
@@ -126,31 +128,37 @@ def _shared(work: Callable[[int, int], T], ends: Sequence[int], crew: threads_fo
 
 
 class _Job:
-    """Pieces of work, each taken by whoever comes first. Nothing here is locked: dict.setdefault happens at once."""
+    """Pieces of work, each taken by whoever comes first: dict.setdefault happens at once.
+
+    Between taking a piece and saying that it is over nothing asks for memory, which a thread may not find.
+    """
 
     def __init__(self, work: Callable[[int, int], Any], ends: Sequence[int]) -> None:
         self.work, self.ends, self.pieces = work, ends, range(len(ends) - 1)
-        self.caller = threading.get_ident()
+        self.caller = _thread.get_ident()
         self.takers: dict[int, int] = {}
-        self.given: dict[int, Any] = {}
-        self.errors: dict[int, BaseException] = {}
-        self.ended: SimpleQueue[int] = SimpleQueue()
+        self.failed = False
+        self.given: list[Any] = [None for _ in self.pieces]
+        self.errors: list[BaseException | None] = [None for _ in self.pieces]
+        self.at_work = [_thread.allocate_lock() for _ in self.pieces]
+        for lock in self.at_work:
+            lock.acquire()
 
     def take_part(self) -> None:
         """Do what nobody has begun; what it shares in turn stays in this thread. After an error nothing is begun."""
         _crew.set(None)
-        me = threading.get_ident()
+        me = _thread.get_ident()
         for k in self.pieces:
-            if k in self.takers or self.errors or self.takers.setdefault(k, me) != me:
+            if k in self.takers or self.failed or self.takers.setdefault(k, me) != me:
                 continue
             try:
                 self.given[k] = self.work(self.ends[k], self.ends[k + 1])
             except BaseException as error:
-                self.errors[k] = error
+                self.errors[k], self.failed = error, True
                 if me == self.caller and not isinstance(error, Exception):
                     raise  # Ctrl-C comes before anything else
             finally:
-                self.ended.put(k)
+                self.at_work[k].release()
 
     def wait(self) -> None:
         """Let nobody begin any more, and return when nobody is at work; Ctrl-C meanwhile is raised afterwards."""
@@ -158,27 +166,26 @@ class _Job:
         while True:
             try:
                 for k in self.pieces:
-                    self.takers.setdefault(k, self.caller)
-                while any(taker != self.caller and not self._is_over(k) for k, taker in self.takers.items()):
-                    self.ended.get()
+                    if self.takers.setdefault(k, self.caller) != self.caller:
+                        with self.at_work[k]:
+                            pass
                 break
             except KeyboardInterrupt as error:
                 interruption = error
         if interruption is not None:
             raise interruption
 
-    def _is_over(self, k: int) -> bool:
-        return k in self.given or k in self.errors
-
     def results(self) -> list[Any]:
         """Return what the pieces have given, or raise what the first that failed has raised."""
-        if self.errors:
-            raise self.errors[min(self.errors)]
-        return [self.given[k] for k in self.pieces]
+        for error in self.errors:
+            if error is not None:
+                raise error
+        return self.given
 
 
 def _work(jobs: SimpleQueue[tuple[_Job, Context] | None]) -> None:
-    while (given := jobs.get()) is not None:
-        job, context = given
-        context.run(job.take_part)
-        del given, job, context  # and with them the arrays that they hold
+    with suppress(MemoryError):  # who shares the work does it without this thread
+        while (given := jobs.get()) is not None:
+            job, context = given
+            context.run(job.take_part)
+            del given, job, context  # and with them the arrays that they hold

@@ -434,7 +434,7 @@ def test_solve_many_raises_what_concerns_all_columns() -> None:
     assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)
 
 
-BLOCKS = [(blocks, "SMALLEST_BLOCK", 64), (blocks, "SMALLEST_SHARE", 64), (pieces, "SMALLEST_PIECE", 64)]
+BLOCKS = [(blocks, "SMALLEST_BLOCK", 64), (blocks, "SHARED_FROM", 64), (pieces, "SMALLEST_PIECE", 64)]
 
 
 @pytest.mark.parametrize("text", [

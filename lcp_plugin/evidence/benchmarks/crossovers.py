@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -13,6 +14,7 @@ from ...algorithms.splittings.projected_relaxation import PSOR
 from ...algorithms.splittings.projected_type import NPSOR
 from ...certificates.error_bounds import error_bound
 from ...certificates.infeasibility import decide_feasibility
+from ...kernels.threads import share, threads_for
 from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ...matrix.factors import factorise, positive_factor, solver_of
 from ...policy.stages import Stage
@@ -241,6 +243,18 @@ def _sharp_bound(repeats: int) -> str:
     return _once("a sharp bound", problem, lambda problem: error_bound(problem, z))
 
 
+def _hand_over(repeats: int) -> str:
+    """Return what two threads that wait for each other once need beside what a pass over so many rows takes."""
+    problem, together = build("obstacle_2d", size=256).problem, threading.Barrier(2)
+    with threads_for(2):
+        seconds = medians({
+            "hand-over": lambda: share(lambda first, end: together.wait(), 2, 1),
+            "pass": lambda: problem.csr @ problem.q,
+        }, 10 * repeats)
+    over, product = 1e6 * seconds["hand-over"], 1e6 * seconds["pass"]
+    return f"a hand-over takes {over:.0f} µs, a product with a five-point M of {problem.n} rows {product:.0f} µs"
+
+
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
@@ -253,5 +267,5 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),
     "FULL_CHOLESKY_FROM": partial(_cholesky, 500, crossovers.FULL_CHOLESKY_FROM),
-    "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound,
+    "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
 }

@@ -6,12 +6,14 @@ other way round: a Gauss–Seidel sweep in an order that the matrix alone decide
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import uintp
 from numpy.typing import NDArray
 
+from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 
@@ -19,7 +21,6 @@ MOST_BLOCKS = 16
 SMALLEST_BLOCK = 8192  # rows
 REACHES = 4  # times as many rows as a row reaches far: what is done twice at the seams is little
 FEWEST = 4  # two of either kind
-SMALLEST_SHARE = 65536  # rows: what takes less than .2 ms is done before somebody else has begun to help
 
 
 class Blocks(NamedTuple):
@@ -35,14 +36,14 @@ class Blocks(NamedTuple):
     @property
     def smallest_share(self) -> int:
         """The fewest blocks of a colour that are worth a hand-over; a sweep has two."""
-        return max(SMALLEST_SHARE // max(2 * int(self.edges[1]), 1), 1)
+        return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
 def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:
     """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
-        reach = max(share(lambda first, end: _reach(indptr, indices, first, end), rows, SMALLEST_SHARE))
+        reach = max(share(partial(_reach, indptr, indices), rows, SHARED_FROM))
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0

@@ -25,7 +25,7 @@ from ...kernels.compilation import compiled
 from .units import LACKING
 
 COARSE, FINE = 1, 2
-SMALLEST_SHARE = 0.2  # of the largest weight, and
+LEAST_WEIGHT = 0.2  # of the largest weight, and
 MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
 
 
@@ -305,7 +305,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
 
 @compiled
 def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
-    """Keep MOST_WEIGHTS of the weights and none below SMALLEST_SHARE; return how many, and their share of the sum."""
+    """Keep MOST_WEIGHTS of the weights and none below LEAST_WEIGHT; return how many, and their share of the sum."""
     total, kept = 0.0, 0.0
     for k in range(count):  # all are negative: the largest ones first
         total += weights[k]
@@ -317,7 +317,7 @@ def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
                 first = k
         weights[end], weights[first] = weights[first], weights[end]
         coarse[end], coarse[first] = coarse[first], coarse[end]
-        least = SMALLEST_SHARE * weights[0]
+        least = LEAST_WEIGHT * weights[0]
         if end == MOST_WEIGHTS or weights[end] > least:
             return end, kept / total
         kept += weights[end]

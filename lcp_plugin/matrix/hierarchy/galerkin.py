@@ -17,10 +17,10 @@ from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
+from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
-from .blocks import SMALLEST_SHARE
 from .pieces import SMALLEST_PIECE, joined
 from .stretches import Stretches, stretch_at
 
@@ -89,7 +89,7 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
-    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SMALLEST_SHARE)))
+    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
 
 
 @compiled
@@ -275,7 +275,7 @@ def _product_rows(  # type: ignore[no-untyped-def]
 
 def mark_rows(*operands: Any) -> None:
     """Mark the rows whose contribution to the coarse matrix changed; the operands are those of `_mark_rows`."""
-    share(partial(_mark_rows, *operands), operands[0].size - 1, SMALLEST_SHARE)
+    share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
 
 
 @compiled

@@ -15,9 +15,10 @@ from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector, read_only
+from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from .blocks import SMALLEST_SHARE, Blocks
+from .blocks import Blocks
 from .stretches import LONGEST_REACH, Stretches, stretch_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
@@ -102,7 +103,7 @@ def free_rows(
 
 def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
     """Call ``work(first, end)`` on parts of all rows, which may be taken in any order."""
-    return share(work, rows, SMALLEST_SHARE)
+    return share(work, rows, SHARED_FROM)
 
 
 def _swept(

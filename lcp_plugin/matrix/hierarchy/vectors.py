@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from ...checks import FloatVector
+from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from .blocks import SMALLEST_SHARE
 
 TERMS = 32768  # that are summed in one piece
 
@@ -26,19 +26,19 @@ def add_both(
 ) -> None:
     """Add factor · vector to one vector, and other_factor · other to another one."""
     operands = factor, vector, to, other_factor, other, to_other
-    share(partial(_add_both, *operands), vector.size, SMALLEST_SHARE)
+    share(partial(_add_both, *operands), vector.size, SHARED_FROM)
 
 
 def add_within(
     origin: FloatVector, factor: float, vector: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
 ) -> None:
     """Overwrite z by mid(lower, upper, origin + factor · vector)."""
-    share(partial(_add_within, origin, factor, vector, lower, upper, z), vector.size, SMALLEST_SHARE)
+    share(partial(_add_within, origin, factor, vector, lower, upper, z), vector.size, SHARED_FROM)
 
 
 def largest_product(one: FloatVector, other: FloatVector) -> float:
     """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
-    return float(np.max(share(partial(_largest_product, one, other), one.size, SMALLEST_SHARE)))
+    return float(np.max(share(partial(_largest_product, one, other), one.size, SHARED_FROM)))
 
 
 def span(vector: FloatVector) -> float:

@@ -19,6 +19,7 @@ import typer
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile
+from ..evidence.benchmarks.timing import peak_memory
 from ..problem.lcp import LCP
 from ..solving.result import Result
 from .sensitivity import Sensitivity
@@ -86,7 +87,7 @@ class Ranks(OneProcess):
         """Return the number of ranks and their peaks of memory."""
         from ..peers.ranks.collective import gathered
 
-        peaks = [int(peak) for peak in gathered(self.comm, _peak_memory())[:, 0]]
+        peaks = [int(peak) for peak in gathered(self.comm, peak_memory())[:, 0]]
         return {"ranks": self.comm.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {_in_words(peaks)}"]
 
     def read_sensitivity(self, text: str) -> Sensitivity:
@@ -160,16 +161,6 @@ def _note_whole(comm: Any, n: int, what: str) -> None:
 
 
 # --- what is told ---------------------------------------------------------------------------------------------
-
-
-def _peak_memory() -> int:
-    """Return the most bytes this process has held at once; 0 where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _in_words(peaks: list[int]) -> str:

@@ -95,6 +95,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield traffic(warm_up)
     yield from growth((40, 80, 160) if quick else (512, 1024, 2048))
     yield _line(LARGEST, quick)
+    yield f"{LARGEST.title}: {1e-9 * timing.peak_memory():.1f} GB at the peak of this process, libraries included"
     yield american_put(*(2000, 10) if quick else (100_000, 100))
     yield from sweeping(2500 if quick else 1_000_000)
     yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)

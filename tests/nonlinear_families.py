@@ -59,8 +59,16 @@ class Planted:
             g = np.vectorize((lambda t: t.exp()) if self.is_exponential else (lambda t: t + t * t * t), otypes=[object])
             return s * (M.dot(x) + B.T.dot(g(B.dot(x))) + L.dot(g(x)) + c)
 
+    def rounding(self, x: np.ndarray) -> np.ndarray:
+        """What doubles may make of F(x), by rows: that many roundings of the sum of its terms' sizes."""
+        inner, size = self.B @ x, np.abs(x)
+        g, dg = (np.exp, np.exp) if self.is_exponential else (lambda t: t + t**3, lambda t: 1 + 3 * t**2)
+        terms = np.abs(self.M) @ size + np.abs(self.L) @ np.abs(g(x)) + np.abs(self.c)
+        terms += np.abs(self.B.T) @ (np.abs(g(inner)) + dg(inner) * (np.abs(self.B) @ size))
+        return 4 * x.size * np.finfo(float).eps * np.abs(self.s) * terms
+
     def sharp_relative_residual(self, x: np.ndarray, scale: np.ndarray) -> Decimal:
-        """‖r(x)‖∞ beside its reference in the given scale d, F in sixty digits.
+        """‖r(x)‖∞ beside its reference in the given scale d, F in sixty digits, but for what doubles do to F.
 
         The reference is ‖r(z°)‖∞, or where that is less ‖r(x)‖∞ + max_i (|x − z°|_i + (|F′(x)| |x − z°|)_i / d_i), the
         most that an affine F with this derivative has there.
@@ -71,8 +79,8 @@ class Planted:
         with localcontext() as context:
             context.prec = DIGITS
             left = sharp_residual(self.sharp_F, self.lower, self.upper, x, scale)
-            if not left:
-                return left
+            if left <= Decimal(float((self.rounding(x) / scale).max(initial=0.0))):
+                return Decimal(0)
             there = sharp_residual(self.sharp_F, self.lower, self.upper, origin, scale)
             return left / min(there, left + Decimal(float(reach)))
 

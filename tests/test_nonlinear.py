@@ -374,6 +374,21 @@ def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
     np.testing.assert_array_equal(result.z, [1.0, 2.5])
 
 
+def test_a_step_far_past_an_exponential_is_no_progress() -> None:
+    """From x₁ = 1, where eˣ is still flat, a full step goes to 35, from where Newton comes back by 1 a step."""
+    M = np.array([[22.0, 5, 7, 7, -2], [2, 19, -1, 7, 5], [-7, -1, 10, 0, -1], [-1, 3, 5, 11, 0], [-9, 3, 5, -6, 25]])
+    answer, weights = np.array([8.0, -5, 6, -6, 8]), np.array([0.25, 1, 1, 0, 1])
+    q = np.array([-135.0, 39, -41, 35, -67])
+    problem = NonlinearProblem(
+        lambda x: M @ x + q + weights * (np.exp(x) - np.exp(answer)), lambda x: M + np.diag(weights * np.exp(x)),
+        [1.0, -10, -1, -np.inf, 8], [np.inf, -5, 6, -6, 9],
+    )
+    result = solve_nonlinear(problem, np.zeros(5), tolerance=1e-12)
+    assert result.is_solved
+    assert result.iterations <= 15
+    np.testing.assert_allclose(result.z, answer, atol=1e-9)
+
+
 def test_euclidean_measure() -> None:
     """measure="euclidean" stops on the unscaled norm."""
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), measure="euclidean", tolerance=1e-6)

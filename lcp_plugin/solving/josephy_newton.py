@@ -35,7 +35,8 @@ from .state import Clock
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
-HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth
+HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth; and
+# slack that grows as much is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
@@ -259,7 +260,7 @@ class _Newton:
     def _accepted(self, x: FloatVector, worst: float, length: float) -> Linearisation | None:
         """Return x where F is defined there and the merit falls."""
         point = self._at(x)
-        self.tried = self._merit(point)
+        self.tried = math.inf if self._overshoots(point, worst) else self._merit(point)
         is_less = self.tried <= (1.0 - SUFFICIENT * length) * worst
         return point if is_less and point.is_defined and not np.array_equal(x, self.here.x) else None
 
@@ -274,6 +275,15 @@ class _Newton:
         if not np.isfinite(point.value).all():
             return math.inf
         return fischer_burmeister(self.here.lcp, point.x, point.value).norm
+
+    def _overshoots(self, point: Linearisation, worst: float) -> bool:
+        """Return whether slack between the bounds, of which Φ sees no more than how far they are, has exploded."""
+        lcp = self.here.lcp
+        is_between = (lcp.lower < point.x) & (point.x < lcp.upper)
+        there, here = (
+            np.abs(one.value / lcp.residual_scale).max(initial=0.0, where=is_between) for one in (point, self.here)
+        )
+        return bool(there > FAR * max(worst, here))
 
     @staticmethod
     def _residual(point: Linearisation) -> float:

@@ -52,7 +52,7 @@ def told(result: Result) -> tuple[Any, ...]:
 def test_watching_a_run_changes_nothing(family: str, algorithm: str) -> None:
     """With record or a callback the same bits, iterations, work and stages, for cold and warm starts and limits."""
     rng = np.random.default_rng(0)
-    for k, drawn in enumerate(draw(family, 12, 9)):
+    for k, drawn in enumerate(draw(family, 6, 9)):
         z0 = None if k % 3 else rng.normal(size=drawn.n)
         limit = {} if k % 4 else {"max_iterations": k % 5}
         alone = solve(drawn, algorithm, z0=z0, **limit)

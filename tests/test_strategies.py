@@ -484,7 +484,7 @@ def test_active_inactive_and_degenerate_rows_occur() -> None:
 
 def test_every_kind_of_bound_occurs() -> None:
     """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
-    counts = counted(solved_lcps(bounds=True), 600)
+    counts = counted(solved_lcps(bounds=True), 300)
     sides = ["lower", "lower, w > 0", "upper", "upper, w < 0", "fixed", "fixed, w > 0", "fixed, w < 0"]
     assert set(counts) == {"free", "half bounded", "boxed", *sides}
     assert min(counts.values()) > counts.total() / 100

@@ -9,7 +9,7 @@ a heart and s = 0 outside; how far a load is from it, is
 
     L(p) = ½ ∫_heart (u + 1)² + ½ β ∫ (s − S · heart)².
 
-There are as many unknowns as nodes, 10⁵. One adjoint, a linear solve on the nodes that do not touch, gives the gradient
+There are as many unknowns as nodes, 40 000. One adjoint, a linear solve on the nodes that do not touch, gives the gradient
 by all of them, for about what the solve costs, and scipy's L-BFGS-B goes downhill from no load at all. The check: a
 difference of L in a random direction.
 
@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 from lcp_plugin import LCP, derivative, prepare, solve
 from lcp_plugin.evidence.drawing import STYLE
 
-SIZE, EVALUATIONS = 316, 24  # nodes along each side; solves, each with its gradient
+SIZE, EVALUATIONS = 200, 24  # nodes along each side; solves, each with its gradient
 FLOOR, PRESSURE, BETA = -1.0, 5.0, 1e-6
 
 

@@ -25,7 +25,7 @@ from lcp_plugin.evidence.drawing import STYLE
 
 PLANTED, GUESS = np.array([0.30, 0.50, 0.20]), np.array([0.45, 0.30, 0.40])
 MASS, GRAVITY, PULL = 1.0, 9.81, 0.25  # kg, m/s², m/s
-STEP, STEPS, NOISE = 0.02, 450, 0.01  # s, –, m: standard deviation of a measured position
+STEP, STEPS, NOISE = 0.02, 300, 0.01  # s, –, m: standard deviation of a measured position
 STIFF = 40.0  # N/m, of every spring
 SPRINGS = STIFF * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 M = np.linalg.inv(MASS * np.eye(3) + STEP**2 * SPRINGS)

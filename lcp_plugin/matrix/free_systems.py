@@ -183,6 +183,7 @@ class FreeSystem:
     def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
         """Return the solution by Krylov steps, one V-cycle each, None where they do not converge."""
         from .hierarchy.krylov import KrylovCorrection
+        from .hierarchy.vectors import dot
 
         matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)
         if transposed and not is_symmetric and not matrix.peers.is_alone:
@@ -191,7 +192,7 @@ class FreeSystem:
             return None
 
         def size(vector: FloatVector) -> float:
-            return float(np.sqrt(matrix.peers.total(float(vector @ vector))))
+            return float(np.sqrt(matrix.peers.total(dot(vector, vector))))
 
         unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
         x, left, begun = np.zeros(right.size), right, size(right * unit)

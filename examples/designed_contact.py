@@ -9,9 +9,9 @@ a heart and s = 0 outside; how far a load is from it, is
 
     L(p) = ½ ∫_heart (u + 1)² + ½ β ∫ (s − S · heart)².
 
-There are as many unknowns as nodes, 40 000. One adjoint, a linear solve on the nodes that do not touch, gives the gradient
-by all of them, for about what the solve costs, and scipy's L-BFGS-B goes downhill from no load at all. The check: a
-difference of L in a random direction.
+There are as many unknowns as nodes, 40 000. One adjoint, a linear solve on the nodes that do not touch, gives the
+gradient by all of them, for about what the solve costs, and scipy's L-BFGS-B goes downhill from no load at all. The
+check: a difference of L in a random direction.
 
 Source: Mignot, J. Funct. Anal. 22, 1976, doi:10.1016/0022-1236(76)90017-3 (the derivative of an obstacle problem).
 """

@@ -295,7 +295,7 @@ def report(
 @_command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
     """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
-    from .solving import compile_everything
+    from .compiling import compile_everything
 
     typer.echo(compile_everything())
 

@@ -1,9 +1,8 @@
-"""What `lcp-plugin solve` does between its command line and its last line; and how every kernel is compiled once."""
+"""What `lcp-plugin solve` does between its command line and its last line."""
 
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -214,29 +213,3 @@ def _story(results: list[Result], task: Task, more: list[str]) -> str:
     for name, distance in task.references.items():
         lines.append(f"{name:<18} {problem.peers.largest(distance(result.z)):.3e}")
     return "\n".join(filter(None, [*lines, *more]))
-
-
-def compile_everything() -> str:
-    """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
-    from ..algorithms import REGISTRY, create
-    from ..algorithms.rehearsal import rehearse
-    from ..certificates.error_bounds import error_bound
-    from ..evidence import gallery
-    from ..kernels.compilation import cache_folder
-    from ..solving.batch import solve_batch
-    from ..solving.derivative import derivative
-    from ..solving.driver import solve
-
-    began = time.perf_counter()
-    scene = gallery.build("obstacle_2d", size=20)
-    for name in REGISTRY:
-        rehearse(create(name, {}), scene.problem)
-    dense = LCP(scene.problem.csr[:9, :9].toarray(), scene.problem.q[:9], lower=-1.0, upper=1.0)
-    for problem in (scene.problem, dense):
-        for name in ("multigrid", "lemke", "newton", "auto"):
-            error_bound(problem, solve(problem, name).z)
-    solve(gallery.build("bimatrix_game").problem)  # without a diagonal
-    found = derivative(solve_batch([dense]))
-    found.vjp(np.ones((1, 9)))
-    found.jvp(dq=np.ones(9))
-    return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"

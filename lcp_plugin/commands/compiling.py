@@ -1,0 +1,61 @@
+"""What `lcp-plugin warm-up` does: every kernel is compiled once, in as many processes as there are cores."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+from ..algorithms import REGISTRY, create
+from ..algorithms.rehearsal import rehearse
+from ..certificates.error_bounds import error_bound
+from ..evidence import gallery
+from ..kernels.compilation import cache_folder
+from ..problem.lcp import LCP
+from ..settings import checked_threads
+from ..solving.batch import solve_batch
+from ..solving.derivative import derivative
+from ..solving.driver import solve
+
+# Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
+PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
+
+
+def compile_everything() -> str:
+    """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
+    began = time.perf_counter()
+    processes = min(checked_threads(None), len(PARTS))
+    if processes == 1:
+        for part in PARTS:
+            compile_part(part)
+    else:
+        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads that it leaves behind
+        with ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool:
+            list(pool.map(compile_part, PARTS))
+    return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"
+
+
+def compile_part(part: str) -> None:
+    """Run what needs the kernels of one part."""
+    sparse = gallery.build("obstacle_2d", size=20).problem
+    dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
+    if part == "batches":
+        found = derivative(solve_batch([dense]))
+        found.vjp(np.ones((1, 9)))
+        found.jvp(dq=np.ones(9))
+        return
+    for name in REGISTRY if part == "others" else (part,):
+        rehearse(create(name, {}), sparse)
+    if part != "banded":
+        for problem in (sparse, dense):
+            error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
+    if part == "others":
+        solve(gallery.build("bimatrix_game").problem)  # without a diagonal
+
+
+def _end_by_ctrl_c() -> None:
+    """Let Ctrl-C end this process without a word; the one that waits for it tells."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -78,10 +78,10 @@ class Planted:
         reach = (distance + np.abs(self.jacobian(x)) @ distance / scale).max(initial=0.0) * (1.0 + DOUBLES)
         with localcontext() as context:
             context.prec = DIGITS
-            left = sharp_residual(self.sharp_F, self.lower, self.upper, x, scale)
-            if left <= Decimal(float((self.rounding(x) / scale).max(initial=0.0))):
-                return Decimal(0)
-            there = sharp_residual(self.sharp_F, self.lower, self.upper, origin, scale)
+            left = sharp_residual(self.sharp_F, self.lower, self.upper, x, scale, self.rounding(x) / scale)
+            if not left:
+                return left
+            there = sharp_residual(self.sharp_F, self.lower, self.upper, origin, scale, np.zeros(x.size))
             return left / min(there, left + Decimal(float(reach)))
 
 
@@ -90,11 +90,13 @@ def exact(values: np.ndarray) -> np.ndarray:
 
 
 def sharp_residual(
-    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray
+    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray,
+    allowed: np.ndarray,
 ) -> Decimal:
-    """‖r(x)‖∞ in the given scale d, F in sixty digits."""
-    values = zip(exact(x), exact(lower), exact(upper), F(x), exact(scale), strict=True)
-    return max((abs(min(max(p - u, w / d), p - l)) for p, l, u, w, d in values), default=Decimal(0))
+    """‖r(x)‖∞ in the given scale d, F in sixty digits; of each row what it is allowed is taken off."""
+    values = zip(exact(x), exact(lower), exact(upper), F(x), exact(scale), exact(allowed), strict=True)
+    rows = (max(abs(min(max(p - u, w / d), p - l)) - slight, Decimal(0)) for p, l, u, w, d, slight in values)
+    return max(rows, default=Decimal(0))
 
 
 def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:

@@ -8,12 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from numba import njit
 from typer.testing import CliRunner
 
 from lcp_plugin.commands.cli import app
 from lcp_plugin.deadline import compilation
-from lcp_plugin.kernels.compilation import cache_folder
+from lcp_plugin.kernels.compilation import cache_folder, compiled
 from lcp_plugin.peers.alone import ALONE
 from lcp_plugin.solving.state import Clock
 
@@ -131,3 +132,16 @@ def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:
         kinds = [tuple(str(kind) for kind in signature) for signature in kernel.signatures]
         assert len(kinds) == len(set(kinds))
         assert not any("Literal" in kind for key in kinds for kind in key)
+
+
+def test_two_types_compiled_at_once_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither process sees what the other enters into the index: each keeps its code in a file of its own."""
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    @compiled
+    def twice(x):  # type: ignore[no-untyped-def]
+        return x + x
+
+    monkeypatch.setattr(twice._cache._cache_file, "_load_index", dict)
+    assert (twice(1), twice(1.5)) == (2, 3.0)
+    assert len({file.read_bytes() for file in tmp_path.rglob("*.nbc")}) == 2

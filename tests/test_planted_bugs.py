@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import Phase
 from hypothesis import strategies as st
 
-from lcp_plugin.strategies import assert_solves, not_h_matrices, strictly_dominant_matrices
+from lcp_plugin.strategies import assert_solves, judge, not_h_matrices, strictly_dominant_matrices
 
 ENOUGH = 500
 MANY = 120
@@ -79,6 +80,12 @@ BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
     "input modified": (psor, "z, d =", "M /= M.diagonal()[:, None]\n    z, d =", {}, "modified its input M"),
     "gives up too early": (least_index, "for _ in range(3 ** len(q))", "for _ in range(1)", {}, "gave up"),
 }
+
+
+@pytest.fixture(autouse=True)
+def as_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Problems are not made smaller here: that a bug is found is the claim, and shrinking takes most of the time."""
+    monkeypatch.setattr(judge, "PHASES", (Phase.generate,))
 
 
 @pytest.mark.parametrize("name", BUGS)

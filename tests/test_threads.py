@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import _thread
 import signal
+import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -176,16 +179,36 @@ def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
 
 def test_helpers_end_with_what_they_helped() -> None:
     """No thread is left when nobody may share any more."""
-    before = _thread._count()
+    together = threading.Barrier(4, timeout=60.0)
+
+    def work(first: int, end: int) -> int:
+        together.wait()
+        return threading.get_ident()
+
     with threads_for(4):
-        together = threading.Barrier(4, timeout=60.0)
-        share(lambda first, end: together.wait(), 4, 1)
-        assert _thread._count() == before + 3
+        helpers = {*share(work, 4, 1)} - {threading.get_ident()}
+        assert len(helpers) == 3
+        assert helpers <= sys._current_frames().keys()
     for _ in range(1000):
-        if _thread._count() == before:
+        if not helpers & sys._current_frames().keys():
             break
         time.sleep(0.01)
-    assert _thread._count() == before
+    assert not helpers & sys._current_frames().keys()
+
+
+def test_jobs_that_nobody_takes_up_hold_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no helper comes up, what a piece worked on is free when it has been done."""
+
+    class Operand:
+        """What a piece of work holds."""
+
+    monkeypatch.setattr(_thread, "start_new_thread", lambda work, given: 0)
+    operand = Operand()
+    alive = weakref.ref(operand)
+    with threads_for(3):
+        share(partial(lambda operand, first, end: operand, operand), 3, 1)
+        del operand
+        assert alive() is None
 
 
 @pytest.mark.parametrize("asks_for", ["nothing", "work"])

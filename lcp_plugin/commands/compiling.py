@@ -6,6 +6,8 @@ import multiprocessing
 import signal
 import time
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 
 import numpy as np
 
@@ -23,18 +25,19 @@ from ..solving.driver import solve
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
 
+MOST_PROCESSES = 4  # each takes some 0.5 GB
+
 
 def compile_everything() -> str:
     """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
     began = time.perf_counter()
-    processes = min(checked_threads(None), len(PARTS))
-    if processes == 1:
-        for part in PARTS:
-            compile_part(part)
-    else:
+    processes = min(checked_threads(None), MOST_PROCESSES)
+    if processes > 1:
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads that it leaves behind
-        with ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool:
+        with suppress(BrokenProcessPool, OSError), ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool:
             list(pool.map(compile_part, PARTS))
+    for part in PARTS:  # here, too, for what the others could not; code that is there is only loaded
+        compile_part(part)
     return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import lru_cache, partial
+from hashlib import sha256
 from pathlib import Path
 from pickle import PickleError
 from threading import local
@@ -125,11 +126,21 @@ def _sources() -> tuple[tuple[int, int], ...]:
     return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
 
 
+def _save(file: Any, key: Any, data: Any) -> None:
+    """Keep compiled code in a file that is called by what it was compiled for, and enter it into the index."""
+    name = file._data_name(int(sha256(repr(key).encode()).hexdigest()[:12], 16))
+    file._save_data(name, data)
+    overloads = file._load_index()
+    if overloads.get(key) != name:
+        file._save_index({**overloads, key: name})
+
+
 class _ForgivingCache:
     """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run.
 
     What is kept is used while no file of kernels has changed: numba itself looks at the function's own file only, and
-    would go on with what another one was before.
+    would go on with what another one was before. And it numbers what it keeps: of two processes that compile a function
+    for different types at the same time, each would give its code the same file, and one would run that of the other.
     """
 
     def __init__(self, cache: Any) -> None:
@@ -137,6 +148,7 @@ class _ForgivingCache:
         with suppress(AttributeError, OSError):
             file = cache._cache_file
             file._source_stamp = file._source_stamp, _sources()
+            file.save = partial(_save, file)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)

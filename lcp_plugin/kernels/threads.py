@@ -170,17 +170,19 @@ class _Job:
                         with self.at_work[k]:
                             pass
                 break
-            except KeyboardInterrupt as error:
+            except BaseException as error:  # Ctrl-C, or no memory: first those at work must have ended
                 interruption = error
+        del self.work  # nothing is left to do; the job may lie where nobody takes it up
         if interruption is not None:
             raise interruption
 
     def results(self) -> list[Any]:
         """Return what the pieces have given, or raise what the first that failed has raised."""
+        given, self.given = self.given, []
         for error in self.errors:
             if error is not None:
                 raise error
-        return self.given
+        return given
 
 
 def _work(jobs: SimpleQueue[tuple[_Job, Context] | None]) -> None:

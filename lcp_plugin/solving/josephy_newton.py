@@ -35,8 +35,8 @@ from .state import Clock
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
-HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth; and
-# slack that grows as much is no progress, whatever the merit says
+HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth
+EXPLODED = 1e6  # times as much slack is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
@@ -283,7 +283,7 @@ class _Newton:
         there, here = (
             np.abs(one.value / lcp.residual_scale).max(initial=0.0, where=is_between) for one in (point, self.here)
         )
-        return bool(there > FAR * max(worst, here))
+        return bool(there > EXPLODED * max(worst, here))
 
     @staticmethod
     def _residual(point: Linearisation) -> float:

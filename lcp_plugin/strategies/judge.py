@@ -29,6 +29,7 @@ Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
 Truth = Answer | Infeasibility | None
 Drawn = tuple[LCP, Truth, bool]  # the problem, what is known of it, whether M was drawn as an array
 
+PHASES = (Phase.generate, Phase.shrink)
 HUGE_SLACKS = 24  # exponents of two: an active row's q up to 10⁸
 SHOWN_ROWS = 12
 
@@ -140,7 +141,7 @@ def _run(
 ) -> None:
     @settings(
         max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
-        suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=[HealthCheck.too_slow], phases=PHASES,
     )
     @given(problems)
     def solver_is_right(drawn: Drawn) -> None:

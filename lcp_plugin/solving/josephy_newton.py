@@ -36,7 +36,7 @@ from .state import Clock
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
 HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth
-EXPLODED = 1e6  # times as much slack is no progress, whatever the merit says
+EXPLODED = 1e5  # times as much slack is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular

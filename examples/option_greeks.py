@@ -28,7 +28,7 @@ from lcp_plugin import LCP, derivative, solve
 from lcp_plugin.evidence.drawing import STYLE
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
-SIZE, STEPS, KEPT, LEVELS = 2999, 500, 5, (1001, 2001, 2001)  # every fifth step is kept; trees for each Greek
+SIZE, STEPS, KEPT, LEVELS = 5999, 1000, 10, (1001, 4001, 4001)  # every tenth step is kept; trees for each Greek
 
 
 def march(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

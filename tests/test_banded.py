@@ -21,7 +21,7 @@ from lcp_plugin.kernels.tridiagonal import find_contacts
 from lcp_plugin.matrix.bands import bands
 
 Generator = np.random.Generator
-MANY = 1000
+MANY = 10_000
 
 
 def tridiagonal_m(n: int, rng: Generator) -> sp.csr_array:
@@ -76,7 +76,7 @@ def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
 
 
 @pytest.mark.parametrize("boxes", [False, True])
-def test_a_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
+def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
     """Many contact intervals, free rows, degenerate rows, boxes: z is the exact one, and one round without boxes."""
     rng = np.random.default_rng(18)
     for _ in range(MANY // 2):

@@ -295,7 +295,7 @@ print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)
 """
 
 
-@pytest.mark.parametrize("size", [(50, 70)])
+@pytest.mark.parametrize("size", [(55, 60), (50, 70)])
 def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
     """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
     command = [sys.executable, "-c", TRANSPORT, *map(str, size)]

@@ -1,4 +1,4 @@
-"""What `lcp-plugin warm-up` does: every kernel is compiled once, in as many processes as there are cores."""
+"""What `lcp-plugin warm-up` does: every kernel is compiled once, in several processes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ from ..solving.driver import solve
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
-
-MOST_PROCESSES = 4  # each takes some 0.5 GB
+MOST_PROCESSES = 4  # each takes 0.3 GB
 
 
 def compile_everything() -> str:

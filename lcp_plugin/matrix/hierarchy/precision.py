@@ -17,7 +17,7 @@ from . import transfers as ways
 from .grids import Grid, Transfer
 
 ROUNDING = 2.0**-24
-LARGEST_FORCE = 0.25  # of what M does; 0.0737 · 4 n · 2⁻²⁴ on a square: 0.18 for n = 10⁷, with no more cycles
+LARGEST_FORCE = 0.25  # of what M does; 0.0737 · 4 n · 2⁻²⁴ on a square: 0.18 for n = 10⁷
 LARGEST_COARSEST = 500  # unknowns, of whose dense matrix a factor takes some milliseconds
 
 

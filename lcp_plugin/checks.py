@@ -15,6 +15,7 @@ BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
+FEW = 1000  # numbers, of which a temporary costs less than a change of numpy's error state
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -103,7 +104,7 @@ def canonical_csr(M: Any, name: str, *, copy: bool = False) -> sp.csr_array:
         matrix = _repaired(M, copy)
     except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
         raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
-    if not _all_finite(matrix.data):
+    if not all_finite(matrix.data):
         where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
         row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
         raise InvalidProblem(
@@ -159,8 +160,10 @@ def _check_before_conversion(M: Any) -> None:
         raise ValueError("each row must have as many values as columns")
 
 
-def _all_finite(values: FloatVector) -> bool:
+def all_finite(values: FloatVector) -> bool:
     """Return whether all are finite; one pass and no temporary in the usual case."""
+    if values.size <= FEW:
+        return bool(np.isfinite(values).all())
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(values.sum())) or bool(np.isfinite(values).all())
 
@@ -181,6 +184,8 @@ def _check_square(shape: tuple[int, ...]) -> None:
 
 def real_array(values: Any, need: str) -> NDArray[np.float64]:
     """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values
     if isinstance(values, np.ma.MaskedArray):
         raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
     if sp.issparse(values):
@@ -191,13 +196,17 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
         array = np.asarray(values)
     except ValueError as error:
         raise InvalidProblem(f"{need}, got no rectangular array ({error}); check its rows") from error
+    if array.dtype == np.float64:
+        return array
     check_kind(array.dtype, need)
+    if array.dtype == np.float64:
+        return array
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
-        return array.astype(np.float64, copy=False)
+        return array.astype(np.float64)
 
 
-def real_vector(values: Any, name: str, n: int) -> FloatVector:
-    """Return a read-only copy of a real vector of length n; NaN and infinities pass.
+def real_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
+    """Return a read-only copy of a real vector of length n; NaN and infinities pass, and a number for n = 1 may.
 
     Raises
     ------
@@ -206,6 +215,8 @@ def real_vector(values: Any, name: str, n: int) -> FloatVector:
     """
     need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
     array = real_array(values, need)
+    if may_be_number and array.ndim == 0 and n == 1:
+        array = array.reshape(1)
     if array.shape != (n,):
         raise InvalidProblem(f"{need}, got shape {array.shape}")
     return read_only(array.copy())
@@ -214,16 +225,17 @@ def real_vector(values: Any, name: str, n: int) -> FloatVector:
 def finite_vector(values: Any, name: str, n: int) -> FloatVector:
     """Return a read-only copy of a finite real vector of length n, or raise naming the entry."""
     array = real_vector(values, name, n)
-    if not _all_finite(array):
+    if not all_finite(array):
         where = int(np.flatnonzero(~np.isfinite(array))[0])
         raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
     return array
 
 
 def checked_vector(
-    values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False
+    values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False,
+    may_be_number: bool = False,
 ) -> FloatVector:
-    """Return a read-only copy of a real, finite vector of that length (any length for None).
+    """Return a read-only copy of a real, finite vector of that length (any length for None); a number may be one of 1.
 
     Raises
     ------
@@ -232,9 +244,11 @@ def checked_vector(
     """
     need = f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
     vector = real_array(values, need)
+    if may_be_number and vector.ndim == 0 and length in (None, 1):
+        vector = vector.reshape(1)
     if vector.ndim != 1 or (length is not None and vector.size != length):
         raise InvalidProblem(f"{need}, got shape {vector.shape}")
-    if _all_finite(vector):
+    if all_finite(vector):
         return read_only(vector.copy())
     refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf)) & ~(allow_nan & np.isnan(vector))
     if refused.any():
@@ -259,14 +273,12 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is refused."""
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(values, need)
-    if array.shape == ():
-        array = np.full(n, float(array))
-    if array.shape != (n,):
+    if array.shape not in ((), (n,)):
         raise InvalidProblem(f"{need}, got shape {array.shape}")
     if np.isnan(array).any():
         where = int(np.flatnonzero(np.isnan(array))[0])
         raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
-    return read_only(array.copy())
+    return read_only(np.full(n, array))
 
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:

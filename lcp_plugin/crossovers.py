@@ -8,13 +8,17 @@ from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
 DIRECT_PASSES = 10.0  # newton or interior_point on a dense M: a third of what is measured, as npsor promises too much
-DIRECT_ENTRIES = 2000.0  # the same in entries a row, where rows are short: what is done for each row costs more then
+DIRECT_ENTRIES = 12_500.0  # entries that the same touches for a row of a sparse M
+DIRECT_CUBE = 0.06  # and beside n³ at the most, where M is small
+SWEEP_ENTRIES = 10_000.0  # what one driven sweep costs besides its pass, in entries of M
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
-MULTIGRID_PASSES = 150.0
+MULTIGRID_PASSES = 90.0  # on large grids
+MULTIGRID_ROWS = 350_000.0  # what its calls on all levels cost besides, in rows of passes over M
+BANDED_PASSES = 150.0  # up to here a band comes before sweeps that nothing proves quick
 BANDED_ROUNDS = 5.0  # active sets that banded solves for on random bands
 BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
 PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
-PSOR_GAIN = 2.0  # sweeps that npsor promises after its trial by those that psor with automatic relaxation needs
+PSOR_GAIN = 3.0  # sweeps of psor with automatic relaxation by the root of those that npsor still needs
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable
+from difflib import SequenceMatcher
 
 LONG_LIST = 20  # more names than this are not listed beside a guess
+CLOSE = 0.6  # of 1, which is the same word
 
 
 class LCPError(Exception):
@@ -55,6 +56,8 @@ class ModelWarning(UserWarning):
 def did_you_mean(word: object, known: Iterable[str | None], of_solve: Collection[str] = ()) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
 
+    Of words equally close the first one in the alphabet is meant.
+
     Examples
     --------
     >>> did_you_mean("psr", ["psor", "npgs"])
@@ -66,5 +69,7 @@ def did_you_mean(word: object, known: Iterable[str | None], of_solve: Collection
         told = [f"{len(written)} are known, lcp-plugin list shows them"]
     written |= {name: repr(name) for name in of_solve}
     told += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
-    close = difflib.get_close_matches(str(word).lower(), sorted(written), n=1)
-    return f"; did you mean {written[close[0]]}? ({'; '.join(told)})" if close else f"; {'; '.join(told)}"
+    closeness = {name: SequenceMatcher(None, name, str(word).lower()).ratio() for name in sorted(written)}
+    guess = max(closeness, key=closeness.__getitem__, default="")
+    is_close = closeness.get(guess, 0.0) >= CLOSE
+    return f"; did you mean {written[guess]}? ({'; '.join(told)})" if is_close else f"; {'; '.join(told)}"

@@ -16,6 +16,7 @@ from .checks import is_number
 from .errors import InvalidOption, did_you_mean
 
 DEFAULT_MAX_ITERATIONS = 100_000
+NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
 TARGETS = ("residual", "error")
 MEASURES = ("relative", "euclidean")
 
@@ -68,10 +69,16 @@ class Settings:
         None means 100 000.
     max_seconds : float or None
         In seconds; None means no limit.
+    absolute_tolerance : float
+        ‖r(z)‖∞, in the unit of z, that is small enough whatever it is relative to; ≥ 0 and finite.
     record, error_bound : bool
         Whether to keep samples, and whether to bound the error.
     threads : int or None
         At least 1; None means all that the process may use. Ranks may differ in it.
+    verbose : bool
+        Whether to print the run.
+    refute : bool
+        Whether to look for a proof that there is no solution.
 
     Raises
     ------
@@ -84,15 +91,34 @@ class Settings:
     measure: Any = "relative"
     max_iterations: Any = None
     max_seconds: Any = None
+    absolute_tolerance: Any = 0.0
     record: Any = False
     error_bound: Any = False
     threads: Any = field(default=None, repr=False, compare=False)
+    verbose: Any = False
+    refute: Any = True
 
     def __post_init__(self) -> None:
-        for name, check in CHECKS.items():
-            value = getattr(self, name)
-            if value is not getattr(Settings, name) or value is None:  # what stands in the class is the default
+        given = self.__dict__
+        for name, default, check in CHECKS_BESIDE_DEFAULTS:
+            value = given[name]
+            if value is None or not (value is default or (type(value) is type(default) and value == default)):
                 object.__setattr__(self, name, check(value, name))
+        if self.absolute_tolerance and (self.is_on_error or self.measure != "relative"):
+            raise InvalidOption(
+                "absolute_tolerance goes with the relative residual, got it with "
+                + ('tolerance_on="error"' if self.is_on_error else f"measure={self.measure!r}") + "; leave one out"
+            )
+
+    @property
+    def goal(self) -> float:
+        """What a residual beside the references, none of them less than `least_reference`, has to come down to."""
+        return float(self.tolerance or (NOTHING if self.absolute_tolerance else 0.0))
+
+    @property
+    def least_reference(self) -> float:
+        """The reference beside which `goal` is the absolute tolerance."""
+        return min(self.absolute_tolerance / self.goal * BELOW, LARGEST) if self.absolute_tolerance else 0.0
 
     @property
     def is_on_error(self) -> bool:
@@ -169,8 +195,12 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _number, "tolerance_on": _target, "measure": _measure, "max_iterations": _count,
-    "max_seconds": _seconds, "record": _flag, "error_bound": _flag, "threads": checked_threads,
+    "max_seconds": _seconds, "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
+    "threads": checked_threads, "verbose": _flag, "refute": _flag,
 }
+
+
+CHECKS_BESIDE_DEFAULTS = [(name, getattr(Settings, name), check) for name, check in CHECKS.items()]
 
 
 def checked_callback(callback: Any) -> CallersOwn | None:

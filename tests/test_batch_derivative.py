@@ -176,8 +176,8 @@ def test_planted_kinks(seed: int) -> None:
 
 def test_zero_rows_that_are_free_together_with_a_kink() -> None:
     """Where holding the degenerate rows leaves a singular block, those are free, as one by one."""
-    M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
-    found = derivative(solve_batch(M, np.array([[0.0, 1.0, -1.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0]))
+    M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]])
+    found = derivative(solve_batch(M, np.array([[0.0, 1.0, -2.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0]))
     assert found.degenerate.tolist() == [[False, True, False]]
     gradient = found.vjp([1.0, 2.0, 3.0])
     assert np.isfinite(gradient.q).all()

@@ -12,7 +12,7 @@ from lcp_plugin import LCP, Certificate, InvalidOption, UnsuitableMatrix
 from lcp_plugin.certificates import definite_bounds, error_bounds, reference_point
 from lcp_plugin.certificates.definite_bounds import EigenvalueBound, smallest_eigenvalue_bound
 from lcp_plugin.certificates.error_bounds import error_bound
-from lcp_plugin.certificates.residuals import ratio
+from lcp_plugin.certificates.quotients import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
 from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above

@@ -19,12 +19,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from lcp_plugin import InvalidOption, InvalidProblem, LCPError, QuadraticProgram, UnsupportedModel, certify, complements
+from lcp_plugin import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    QuadraticProgram,
+    UnsupportedModel,
+    certify,
+    complements,
+    solve,
+)
 from lcp_plugin.certificates.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_above, least_squares_above
 from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
+from lcp_plugin.conversions.quadratic_program import lcp_from_qp
+from lcp_plugin.modeling.qp_solver import solve_quadratic_program
 from lcp_plugin.modeling.user_terms import size_of
 from lcp_plugin.solving.program_proofs import SMALL, ProgramProofs, distances
 from lcp_plugin.strategies import convex_qps
@@ -32,10 +43,10 @@ from lcp_plugin.strategies import convex_qps
 INF = np.inf
 
 
-def campaign() -> Any:
-    """The generator and the judge of the campaign of the same name."""
-    path = Path(__file__).parent / "campaigns" / "certify.py"
-    spec = importlib.util.spec_from_file_location("certify_campaign", path)
+def campaign(name: str) -> Any:
+    """The generator and the judge of a campaign."""
+    path = Path(__file__).parent / "campaigns" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"{name}_campaign", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -46,7 +57,8 @@ def campaign() -> Any:
     return module
 
 
-CAMPAIGN = campaign()
+CAMPAIGN, MULTIPLIERS = campaign("certify"), campaign("multipliers")
+SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # far above before small ones were looked for
 SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 
 
@@ -704,3 +716,87 @@ def test_a_file_without_a_program_is_bad_input(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["certify", str(tmp_path / "none.qps")])
     assert done.exit_code == 2
     assert "no program in it" in done.stderr or "pip install highspy" in done.stderr
+
+
+# --- Small multipliers, and time -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e6, 1e9, 1e12])
+def test_of_all_multipliers_small_ones_are_returned(size: float) -> None:
+    """Two equal rows and a fixed variable allow multipliers of any size: those that cancel are replaced."""
+    program = QuadraticProgram(
+        np.diag([1.0, 0.0, 0.0]), [-1.0, 2.0, -3.0], A=[[1.0, 2.0, -1.0], [1.0, 2.0, -1.0], [0.0, 1.0, 1.0]],
+        b=[1.0, 1.0, 2.0], lower=[-INF, 1.0, -INF], upper=[INF, 1.0, INF],
+    )
+    problem = lcp_from_qp(program, "kkt")
+    result = solve(problem, tolerance=1e-12)
+    large = np.array(result.z)
+    large[3:5] += size, -size  # exactly as good
+    for z in (result.z, large):
+        found = problem.origin.recover(z)
+        assert found.is_optimal(1e-9)
+        assert np.abs(found.multipliers).max() < 20.0
+        assert certify(program, found).verdict == "proved"
+
+
+@pytest.mark.parametrize("kind", MULTIPLIERS.KINDS)
+def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
+    """Of each kind of degenerate programs some: at most 1e3 times the largest multiplier of HiGHS, bounds included."""
+    pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
+    for seed in SEEDS.get(kind, range(3)):
+        case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
+        answer = solve_quadratic_program(case)[1]
+        assert answer.is_optimal()
+        theirs = MULTIPLIERS.largest_of_highs(case)
+        assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)
+
+
+def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first solution is right to 1e-12 in the program's terms, no tolerance of its problem is tried below."""
+    asked: list[float] = []
+
+    def counted(problem: Any, *args: Any, **options: Any) -> Any:
+        asked.append(options["tolerance"])
+        return solve(problem, *args, **options)
+
+    monkeypatch.setattr("lcp_plugin.solving.program_proofs.solve", counted)
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
+    assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
+    assert asked == [1e-9]
+
+
+def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Multipliers take at most half of the time that certify is given: what they prove takes time as well."""
+    limits: list[float] = []
+
+    def counted(problem: Any, *args: Any, **options: Any) -> Any:
+        limits.append(options["max_seconds"])
+        return solve(problem, *args, **options)
+
+    monkeypatch.setattr("lcp_plugin.solving.program_proofs.solve", counted)
+    assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
+    assert limits
+    assert max(limits) <= 30.0
+
+
+def test_many_flat_variables_apart_from_each_other() -> None:
+    """A grid whose boundary edges cost nothing: more equations than one exact solve takes, a few at each node."""
+    side = 20
+    number = np.arange(side * side).reshape(side, side)
+    inner = np.concatenate([np.stack([number[1:].ravel(), number[:-1].ravel()]),
+                            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()])], axis=1)
+    outer = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1], number[0], number[:, 0], number[-1]])
+    k = inner.shape[1]
+    A = sp.csr_array((np.concatenate([np.ones(k), -np.ones(k), np.full(outer.size, 0.3)]),
+                      (np.concatenate([inner[0], inner[1], outer]),
+                       np.concatenate([np.arange(k), np.arange(k), k + np.arange(outer.size)]))))
+    curved = np.arange(k + outer.size) < k
+    rng = np.random.default_rng(0)
+    v = np.round(rng.normal(size=side * side), 1)
+    c = np.where(curved, rng.normal(size=curved.size), A.T @ v)
+    program = QuadraticProgram(sp.diags_array(1.0 * curved).tocsr(), c, A=A, b=A @ rng.normal(size=curved.size))
+    answer = ProgramProofs.of(program).own_solution
+    assert answer is not None
+    found = certify(program, answer)
+    assert found.lower is not None
+    assert found.verdict == "proved"

@@ -377,6 +377,7 @@ BAD_INPUT = [
     ("solve murtyy", r"'murtyy' is neither a file nor a scene; did you mean 'murty'\?"),
     ("solve Murty", r"'Murty' is neither a file nor a scene; did you mean 'murty'\?"),
     ("solve obstacle2d:size=9", r"did you mean 'obstacle_2d'\?"),
+    ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
     ("solve murty:m=4", r"scene 'murty' has no parameter 'm'.*n, orientation"),
     ("solve obstacle_2d:sise=4", r"scene 'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
@@ -347,6 +348,11 @@ def test_definiteness_is_proven(sparse: bool) -> None:
                 np.testing.assert_allclose(solver(P @ x), x, rtol=1e-9, atol=1e-9 / units.min())
 
 
+def game_of(*payoffs: Any) -> Any:
+    """What counts as a game: players with payoffs, each with his own action first."""
+    return SimpleNamespace(players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs))
+
+
 # --- Linear programs, games, absolute values ----------------------------------------------------------------
 
 
@@ -390,6 +396,25 @@ def test_bimatrix_games(name: str) -> None:
     np.testing.assert_allclose(found.column_strategy, y)
     assert found.payoffs == pytest.approx(payoffs, abs=1e-14)
     assert found.regret < 1e-14
+
+
+def test_a_game_of_players_is_taken_as_it_is() -> None:
+    """Players hold their own action first; a game of two by three actions is that of (A, B), and so is QuantEcon's."""
+    A, B = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]), np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
+    expected = lcp_from_bimatrix_game(A, B)
+    games = [game_of(A, B.T)]
+    try:
+        from quantecon.game_theory import NormalFormGame
+    except ImportError:
+        pass
+    else:
+        games.append(NormalFormGame(np.stack([A, B], axis=2)))
+    for game in games:
+        problem = lcp_from_bimatrix_game(game)
+        np.testing.assert_array_equal(problem.csr.toarray(), expected.csr.toarray())
+        np.testing.assert_array_equal(problem.origin.A, A)
+        np.testing.assert_array_equal(problem.origin.B, B)
+        assert problem.origin.recover(solve(problem)).regret < 1e-12
 
 
 def test_regret_sees_what_is_no_equilibrium() -> None:
@@ -471,6 +496,11 @@ REFUSED = {
     "gap not monotone": (UnsuitableMatrix, "semidefinite", lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1]))),
     "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).solution().is_optimal(-1)),
     "game shapes": (InvalidProblem, r"B must be.*\(2, 2\)", lambda: lcp_from_bimatrix_game(EYE, [[1, 2]])),
+    "game, one payoff": (InvalidProblem, "B is missing: a game is .* got list alone",
+                         lambda: lcp_from_bimatrix_game([[1]])),
+    "game, payoffs twice": (InvalidProblem, "leave B out", lambda: lcp_from_bimatrix_game(game_of(EYE, EYE), EYE)),
+    "game of three": (InvalidProblem, "two players, got a game of 3",
+                      lambda: lcp_from_bimatrix_game(game_of(EYE, EYE, EYE))),
     "game empty": (InvalidProblem, "at least one row", lambda: lcp_from_bimatrix_game(np.zeros((0, 2)), EYE)),
     "game unsolved": (NotConverged, "row player", lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4))),
     "AVE with eigenvalue 1": (UnsuitableMatrix, "singular", lambda: lcp_from_absolute_value(EYE, [1, 2])),

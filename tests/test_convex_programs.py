@@ -329,7 +329,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
         flipped = (*(-y for y in proof.multipliers[:m]), *proof.multipliers[m:])
         broken: Any = QPInfeasibility(case, flipped)
     else:
-        broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction), True)
+        broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction))
     assert not broken.verify()
 
 

@@ -370,7 +370,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 
 PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
-    "auto": ("solving.driver.Run.__init__", "solving.judge.reference_residual", "policy.choice.Single.first"),
+    "auto": ("solving.driver.Run.__init__", "solving.driver.CommonUnits.of", "policy.choice.Single.first"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }
@@ -383,7 +383,7 @@ PASSED_BY = {  # the automatic choice sprints here, and its first choice is not 
         ("solving.driver.rehearse", {}),
         ("solving.driver.sprinted", {}),
         ("solving.driver.Run.__init__", {}),
-        ("solving.judge.reference_residual", {}),
+        ("solving.driver.CommonUnits.of", {}),
         ("solving.driver.warn_where_known_to_be_uncovered", {}),
         ("solving.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("policy.choice.Auto.first", {}),
@@ -781,7 +781,7 @@ def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.
 
     monkeypatch.setattr("scipy.optimize.linprog", linprog)
     problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
-    first, limited = solve(problem), solve(problem, max_seconds=1000.0)
+    first, limited = solve(problem, "lemke"), solve(problem, "lemke", max_seconds=1000.0)
     assert np.inf in asked
     assert any(0.1 <= seconds <= 1000.0 for seconds in asked)
     assert first.status is limited.status

@@ -27,6 +27,7 @@ from lcp_plugin.evidence import gallery
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
 TOTAL = gallery.build("obstacle_2d", size=12, shifted=True).problem
+SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
 PACKAGE = Path(__file__).parent.parent / "lcp_plugin"
 
 
@@ -164,7 +165,7 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
     before = np.geterr()
     with monkeypatch.context() as patch:
         patch.setattr(NPSOR, "iterates", interrupted)
-        assert solve(TOTAL).status is Status.INTERRUPTED
+        assert solve(SWEPT).status is Status.INTERRUPTED
         assert np.geterr() == before
     monkeypatch.setattr("lcp_plugin.solving.driver.checked_start", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -206,7 +207,7 @@ def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest
 
     monkeypatch.setattr(NPSOR, "iterates", broken)
     with pytest.raises(ZeroDivisionError):
-        solve(TOTAL)
+        solve(SWEPT)
 
 
 # --- Memory, disk, folders ------------------------------------------------------------------------------------------

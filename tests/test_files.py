@@ -294,11 +294,30 @@ def test_what_scipy_writes_is_read(matrix: np.ndarray, is_sparse: bool, dtype: t
     np.testing.assert_array_equal(p.q, q.ravel().astype(float))
 
 
+@pytest.mark.parametrize("bounds", [{}, {"lower": -1.0}, {"lower": [-1.0, 0.0, -1e20], "upper": [INF, 1e20, 5]}])
+def test_what_numpy_writes_is_read(bounds: dict[str, Any], tmp_path: Path) -> None:
+    """``numpy.savez`` of a dense M and q, with bounds or without, is a problem."""
+    np.savez(tmp_path / "p.npz", M=M, q=[1, 2, 3], **bounds)
+    infinite = {name: np.where(np.abs(bound) >= 1e20, np.copysign(INF, bound), bound) for name, bound in bounds.items()}
+    assert_same(LCP.load(tmp_path / "p.npz"), LCP(M, [1, 2, 3], **infinite))
+
+
+def test_the_remedy_for_a_mat_file_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is said of a .mat file, done as it stands there, makes a file that is read."""
+    monkeypatch.chdir(tmp_path)
+    scipy.io.savemat("own.mat", {"M": sp.csc_array(M), "q": np.ones((3, 1))})
+    with pytest.raises(UnreadableFile, match=r"own\.mat") as caught:
+        LCP.load("own.mat")
+    exec(str(caught.value).partition("write ")[2], {"scipy": scipy, "LCP": LCP})
+    assert_same(LCP.load("own.npz"), LCP(M, np.ones(3)))
+
+
 # --- refused files -----------------------------------------------------------------------------------------------
 
 NO_CSR = "no valid CSR matrix|damaged sparse array|must hold whole numbers"
+NO_ARRAYS: dict[str, Any] = dict.fromkeys(("data", "indices", "indptr", "shape"))
 WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
-    "no matrix": ({"data": None, "indptr": None}, r"lacks the keys \['data', 'indptr'\].*indices, indptr, shape, q"),
+    "no matrix": ({"data": None, "indptr": None}, r"lacks the keys \['data', 'indptr'\].*indptr, shape\), q"),
     "no q": ({"q": None}, r"lacks the keys \['q'\]"),
     "quadratic program": ({"P_data": np.ones(2), "A_data": np.ones(2)}, r"quadratic program.*not an LCP"),
     "q too short": ({"q": np.ones(2)}, r"q must be a finite vector of length 3.*\(2,\)"),
@@ -306,6 +325,10 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "q NaN": ({"q": np.full(3, np.nan)}, r"q\[0\] = nan"),
     "q texts": ({"q": np.array(["1", "2", "3"])}, r"q must .*got (text|complex)"),
     "q pickled": ({"q": np.array([1.0, 2.0, 3.0], dtype=object)}, r"pickled objects, which are never read"),
+    "M sparse and pickled": (NO_ARRAYS | {"M": np.array(sp.csr_array(M))}, r"never read; LCP\.save writes a sparse M"),
+    "M dense, q missing": (NO_ARRAYS | {"M": M, "q": None}, r"lacks the keys \['q'\]"),
+    "M dense, a vector": (NO_ARRAYS | {"M": np.ones(3)}, r"states no linear complementarity problem: M must be"),
+    "M dense, texts": (NO_ARRAYS | {"M": np.array([["1", "2"]])}, r"M must hold real numbers"),
     "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
     "M complex": ({"data": np.ones(7, dtype=complex)}, r"M must hold real numbers"),
     "M texts": ({"data": np.array(["1"] * 7)}, r"M must hold real numbers"),
@@ -361,7 +384,7 @@ NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
     "text": (b"M = [[4, 1], [1, 4]]\n", "damaged or no .npz"),
     "zeros": (bytes(1000), "damaged or no .npz"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "damaged or no .npz"),
-    "zip of nothing": (b"PK\x05\x06" + bytes(18), r"lacks the keys \['data', .*'q'\]"),
+    "zip of nothing": (b"PK\x05\x06" + bytes(18), r"lacks the keys \['M', 'q'\]; an LCP file holds M \(or"),
     "single array": (array_bytes(np.ones(3)), r"single array|no .npz"),
     "single pickled array": (array_bytes(np.array([{}], dtype=object)), "never read|no .npz"),
     "pickle": (pickle.dumps({"data": 1}), "never read|no .npz"),
@@ -387,7 +410,8 @@ def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> 
         ("no/such/folder/p.npz", r"no such file: .*p\.npz$"),
         ("folder", r"no such file: .*folder.M\.mtx; a folder must hold M\.mtx and q\.mtx$"),
         ("folder.npz", r"cannot read .*folder\.npz"),
-        ("notes.txt", r"cannot read .*notes\.txt: expected a \.npz file, or M\.mtx with q\.mtx"),
+        ("notes.txt", r"cannot read .*notes\.txt: expected a \.npz file, or M\.mtx with q\.mtx.* holds M .*M=M, q=q"),
+        ("a.mat", r'a\.mat: expected a \.npz .* write d = .*loadmat\("a\.mat"\); LCP\(.*\)\.save\("a\.npz"\)$'),
         ("half", r"M\.mtx has no companion .*q\.mtx"),
         ("half/M.mtx", r"M\.mtx has no companion .*q\.mtx"),
         ("half/M.mtx/M.mtx", r"no such file"),
@@ -397,7 +421,8 @@ def test_what_is_not_there_is_named(name: str, pattern: str, tmp_path: Path) -> 
     """A missing file, a folder without a problem, a problem without q: UnreadableFile with the path."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder.npz").mkdir()
-    (tmp_path / "notes.txt").write_text("M = 3")
+    for other in ("notes.txt", "a.mat"):
+        (tmp_path / other).write_text("M = 3")
     PROBLEM.save(tmp_path / "half")
     (tmp_path / "half" / "q.mtx").unlink()
     with pytest.raises(UnreadableFile, match=pattern):

@@ -23,7 +23,7 @@ from lcp_plugin.certificates.infeasibility import (
     margin_with_rounding,
 )
 from lcp_plugin.certificates.no_solution import ForcedContradiction, find_forced_contradiction
-from lcp_plugin.certificates.residuals import reference_residual
+from lcp_plugin.certificates.references import reference_residual
 from lcp_plugin.deadline import time_limit
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.exact.rational import integers
@@ -279,7 +279,7 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
     assert proof.euclidean_margin == pytest.approx(proof.margin * 2 / math.sqrt(2), rel=1e-14)
     rounded = Infeasibility(problem, np.ones(2), None)
     assert rounded.margin <= proof.margin
-    assert proof.excludes(proof.margin / 2)
+    assert proof.excludes(proof.margin / 2) is (shift > 1e-13)  # below it is rounding of 1
     assert not proof.excludes(proof.margin)
     assert proof.excludes(1.0, tolerance_on="error")  # solved would be the proof of a solution
     assert proof.exact
@@ -299,21 +299,23 @@ def test_infeasible_is_said_only_beyond_the_tolerance(name: str, measure: str) -
 
 
 def test_a_small_contradiction_is_an_advice() -> None:
-    """Infeasible by 1e-12 beside data of size 1 is no status: the methods go on, and the advice has the number."""
-    problem = LCP([[0.0, 0.0, 0.0], [2.0, -2.0, 0.0], [0.0, 0.0, 0.0]], [2.0, -2.0, -1e-12])
-    result = solve(problem)
+    """Infeasible by 1e-12 beside data of size 1 is no status, and the advice has the number; the search finds more."""
+    problem = LCP([[0.0, 0.0, 0.0], [2.0, -2.0, -1.0], [0.0, 0.0, 0.0]], [2.0, -2.0, -1e-12])
+    searched = solve(problem)
+    assert searched.status is Status.NO_SOLUTION
+    assert searched.infeasibility.margin > 0.1
+    result = solve(problem, "lemke")
     assert result.status is Status.STALLED
     assert "infeasible, but only by 1e-12 relative" in result.advice
     assert "infeasible, but only by 1e-12 relative" in result.explain()
     assert result.infeasibility.exact
     assert not result.is_refuted
     assert 0.0 < result.infeasibility.margin < 1e-8
-    assert len(result.stages) > 2
 
 
 def test_the_largest_margin_is_looked_for() -> None:
     """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
-    problem = LCP([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
+    problem = LCP([[1.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
     proof = decide_feasibility(problem).proof
     assert proof is not None
     assert proof.margin == pytest.approx(0.1, rel=1e-6)
@@ -323,7 +325,7 @@ def test_the_largest_margin_is_looked_for() -> None:
 @pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
 def test_cases_have_a_margin_too(t: float) -> None:
     """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""
-    problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]], [1.0, -t, -2.0])
+    problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 2.0]], [1.0, -t, -2.0])
     chain = find_forced_contradiction(problem)
     tree = search(problem)
     assert chain is not None
@@ -334,7 +336,7 @@ def test_cases_have_a_margin_too(t: float) -> None:
         assert proof.euclidean_margin == pytest.approx(t / math.sqrt(2), rel=1e-9)
     status = solve(problem).status
     assert (status is Status.NO_SOLUTION) == (t > 1e-8)
-    near = np.array([t / 2, 0.0, 1.0])
+    near = np.array([t / 2, 0.0, 1.0 - t / 2])
     assert Certificate.of(problem, near).relative_residual == pytest.approx(t / 2)
 
 
@@ -362,7 +364,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     kind = rng.integers(0, 4, n)
     lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    exact, bound = infeasible_by_margin.exact_reference(problem), reference_residual(problem)
+    exact, bound = max(infeasible_by_margin.exact_references(problem)), reference_residual(problem)
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 
@@ -433,9 +435,9 @@ def test_no_further_proof_is_tried_after_the_time_limit() -> None:
     answer = program.solve()
     assert answer is not None
     tried: list[object] = []
-    program.proof(answer, tried.append, lambda proof: 0.0)
+    program.proof(answer, tried.append, lambda proof: 0.0, lambda proof: math.inf)
     with_time = len(tried)
     tried.clear()
     with time_limit(0.0):
-        program.proof(answer, tried.append, lambda proof: 0.0)
+        program.proof(answer, tried.append, lambda proof: 0.0, lambda proof: math.inf)
     assert len(tried) == 1 < with_time

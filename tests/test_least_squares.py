@@ -17,8 +17,12 @@ from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
+from lcp_plugin.certificates.least_squares import Enclosures
 from lcp_plugin.conversions.least_squares import lcp_from_least_squares
 from lcp_plugin.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
+from lcp_plugin.kernels.least_squares import largest_residuals
+from lcp_plugin.problem.least_squares import LeastSquares
+from lcp_plugin.solving import least_squares
 
 INF = np.inf
 
@@ -180,6 +184,53 @@ def test_boxed_problems_as_by_scipy_bvls() -> None:
             np.testing.assert_allclose(result.x, other.x, atol=1e-7)
 
 
+KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
+    "normal": lambda rng: rng.standard_normal((600, 120)),
+    "positive": lambda rng: rng.random((600, 120)),
+    "tall": lambda rng: rng.random((4000, 20)),
+    "wide": lambda rng: rng.random((120, 320)),
+    "wide, of any sign": lambda rng: rng.standard_normal((120, 320)),
+    "condition 1e8": lambda rng: of_condition(200, 160, 1e8),
+    "by columns": lambda rng: np.asfortranarray(rng.random((2000, 600))),
+    "sparse": lambda rng: random_rows(3000, 600, 8),
+    "tiny": lambda rng: rng.random((8, 5)),
+}
+
+
+@pytest.mark.parametrize("upper", [INF, 0.5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None:
+    """Planted x ≥ 0 and a tenth of noise: SOLVED, optimal as computed here, at no more than scipy's cost; few steps."""
+    rng = np.random.default_rng(4)
+    A = KINDS[kind](rng)
+    exact = A @ np.where(rng.random(A.shape[1]) < 0.5, rng.random(A.shape[1]), 0.0)
+    b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(A.shape[0])
+    result = bounded_least_squares(A, b, 0.0, upper).require_solved()
+    assert own_optimality(A, b, result.x, 0.0, upper) <= 1e-8
+    assert ((result.x >= 0.0) & (result.x <= upper)).all()
+    assert result.nit <= 3 * A.shape[1]
+    if upper == INF:
+        dense = A.toarray() if sp.issparse(A) else A
+        assert result.cost <= 0.5 * nnls(dense, b, maxiter=30 * A.shape[1])[1] ** 2 + 1e-9 * (b @ b)
+
+
+def test_small_problems_by_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one compiled call solves, libraries called step by step solve as well, to the same x."""
+    rng = np.random.default_rng(6)
+    for k in range(60):
+        m, n = rng.integers(10, 40), rng.integers(1, 10)
+        A = rng.random((m, n)) if k % 2 else rng.standard_normal((m, n))
+        b, lower, upper, weights = rng.standard_normal(m), -rng.random(n), rng.random(n), rng.random(m)
+        lower[rng.random(n) < 0.3], upper[rng.random(n) < 0.3] = -INF, INF
+        options: dict[str, Any] = {"weights": weights, "ridge": float(k % 3)}
+        with monkeypatch.context() as patch:
+            at_once = bounded_least_squares(A, b, lower, upper, **options).require_solved()
+            patch.setattr(least_squares, "SMALL", 0)
+            by_steps = bounded_least_squares(A, b, lower, upper, **options).require_solved()
+        np.testing.assert_allclose(at_once.x, by_steps.x, atol=1e-9)
+        np.testing.assert_array_equal(at_once.active_mask, by_steps.active_mask)
+
+
 # --- the gap against exact arithmetic -----------------------------------------------------------------------
 
 
@@ -239,6 +290,24 @@ def exact_gradient(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int
     rests = [sum(int(a) * v for a, v in zip(row, values, strict=True)) - int(c) for row, c in zip(A, b, strict=True)]
     return [sum(int(w) * int(a) * r for w, a, r in zip(weights, A[:, j], rests, strict=True)) + ridge * values[j]
             for j in range(A.shape[1])]
+
+
+@pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sp.csr_array])
+def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> None:
+    """By rows in blocks, by columns and sparse: the exact residual and gradient lie within the proved radii."""
+    rng = np.random.default_rng(2)
+    A, b, x = 10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)), rng.random(1100), rng.random(3)
+    weights = rng.random(1100)
+    enclosures = Enclosures(LeastSquares(form(A), b, 0.0, INF, weights, 0.3))
+    residual = enclosures.residual(x)
+    gradient = enclosures.gradient(x, residual)
+    exact = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) - Fraction(c)
+             for row, c in zip(A, b, strict=True)]
+    slope = [sum(Fraction(w) * Fraction(a) * r for w, a, r in zip(weights, A[:, j], exact, strict=True))
+             + Fraction(0.3) * Fraction(x[j]) for j in range(3)]
+    for true, (value, radius) in ((exact, residual), (slope, gradient)):
+        assert all(abs(t - Fraction(v)) <= Fraction(r) for t, v, r in zip(true, value, radius, strict=True))
+        assert (radius <= 1e-9 * (1.0 + np.abs(A).sum())).all()
 
 
 @settings(max_examples=80, deadline=None)
@@ -328,6 +397,32 @@ def test_an_lcp_needs_entries() -> None:
 
 
 # --- statuses -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, INF), (0.0, 1e9), (-INF, INF)])
+def test_small_columns_of_a_linear_operator_count(lower: float, upper: float) -> None:
+    """Half the columns × 1e-8, where nothing of b has to be left: SOLVED is not said before next to nothing is."""
+    rng = np.random.default_rng(0)
+    A, x = rng.standard_normal((200, 100)), np.abs(rng.standard_normal(100))
+    A[:, 50:] *= 1e-8
+    x[50:] *= 1e8
+    b = A @ x
+    result = bounded_least_squares(aslinearoperator(A), b, lower, upper)
+    assert result.require_solved().cost <= 1e-8 * (b @ b)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
+def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(lower: float, upper: float) -> None:
+    """Half the singular values × 1e-8, mixed over all columns: a gradient of 1e-8 beside a third of the cost."""
+    rng = np.random.default_rng(0)
+    mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
+    sizes = np.repeat([1.0, 1e-8], 50)
+    A = rng.standard_normal((200, 100)) * sizes @ mix
+    b = A @ (mix.T @ (rng.standard_normal(100) / sizes))
+    result = bounded_least_squares(aslinearoperator(A), b, lower, upper)
+    assert not result.is_solved or result.cost <= 1e-4 * (b @ b)
+    with pytest.raises(NotConverged):
+        result.require_solved()
 
 
 @pytest.mark.parametrize("unit", [1e-150, 1e-60, 1e60, 1e150])
@@ -438,6 +533,27 @@ def test_a_tall_dense_matrix_is_not_copied() -> None:
     assert result.is_solved
     assert gap <= 1e-10 * result.cost
     assert peak < 0.5 * A.nbytes
+
+
+@pytest.mark.parametrize("place", ["gradient", "radius"])
+@pytest.mark.parametrize("value", [np.nan, INF])
+def test_what_is_not_a_number_proves_nothing(place: str, value: float) -> None:
+    """A gradient or a radius that overflowed, or is NaN, in any component: no residual is said to be small."""
+    for j in range(3):
+        vectors = {"gradient": np.zeros(3), "radius": np.zeros(3)}
+        vectors[place][j] = value
+        for upper in (1.0, 2.0, INF):
+            found = largest_residuals(*vectors.values(), np.ones(3), np.zeros(3), np.full(3, upper), np.ones(3), True)
+            assert not found[0] < 0.5
+            assert not found[1] < 0.5
+
+
+def test_numbers_near_the_end_of_the_range() -> None:
+    """Entries and weights whose products overflow: an answer, or a status that says none; never a SOLVED NaN."""
+    A = np.array([[1e300, 1.0], [1.0, 1e-300], [2.0, 1.0]])
+    for weights in (None, [1e300, 1.0, 1e-300]):
+        result = bounded_least_squares(A, [1e200, 1.0, 1.0], weights=weights)
+        assert not result.is_solved or np.isfinite(result.x).all()
 
 
 # --- refusals -----------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from lcp_plugin import (
     ComplementarityProblem,
     InvalidProblem,
     ModelWarning,
+    QPSolver,
     UnsupportedModel,
     box,
     complements,
@@ -127,21 +128,35 @@ def test_negative_multiples_flip_the_bound() -> None:
     assert x.value == pytest.approx(1.5)
 
 
-def test_verbose_speaks_through_the_logger_of_cvxpy(
+def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The story of a run goes where cvxpy's own messages go, and nowhere without verbose."""
+    """A run is printed, and its story goes where cvxpy's own messages go; nothing is said without verbose."""
     told: list[str] = []
     monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
     x = cp.Variable(nonneg=True)
     problem = ComplementarityProblem([complements(x >= 0, 2 * x - 3 >= 0)])
     problem.solve()
     assert told == []
+    assert capsys.readouterr().out == ""
     problem.solve(verbose=True)
     assert told == [problem.solver_stats.extra_stats.explain()]
+    header, _, *_, end = capsys.readouterr().out.splitlines()
+    assert header.startswith("LCP(n=1, ")
+    assert end.startswith("SOLVED: ")
+    ComplementarityProblem([complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(verbose=True)
+    assert "\njosephy_newton\n" in capsys.readouterr().out
+    program = cp.Problem(cp.Minimize(cp.square(x - 1)))
+    program.solve(method="LCP")
+    program.solve(solver=QPSolver)
     assert capsys.readouterr().out == ""
-    cp.Problem(cp.Minimize(cp.square(x - 1))).solve(method="LCP", verbose=True)
-    assert any("SOLVED" in message for message in told[1:])
+    for wish in ({"method": "LCP"}, {"solver": QPSolver}):
+        told.clear()
+        program.solve(verbose=True, **wish)
+        assert any("SOLVED" in message for message in told)
+        printed = capsys.readouterr().out
+        assert "\nLCP(n=" in printed
+        assert "\nSOLVED: " in printed
 
 
 def test_free_variables_take_equations() -> None:
@@ -302,10 +317,17 @@ def test_models_beyond_complementarity_are_refused(case: str) -> None:
 
 
 def test_an_objective_is_refused() -> None:
-    """Complementarity beside an objective is refused."""
-    x = cp.Variable(3)
-    with pytest.raises(UnsupportedModel, match="objective"):
+    """Complementarity beside an objective is refused: what is not offered is named, and what is."""
+    x = cp.Variable(3, name="x")
+    with pytest.raises(UnsupportedModel, match=r"objective Sum\(x.* \(an MPEC\), .*Minimize\(0\).*requires_grad=True"):
         cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]).solve(method="LCP")
+
+
+def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
+    """The side that states it is named."""
+    x = cp.Variable(name="x")
+    with pytest.raises(UnsupportedModel, match=r"^1e\+200 <= 1e-200 [*@] x keeps a variable beyond the largest double"):
+        ComplementarityProblem([complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)]).solve()
 
 
 def test_method_is_known_after_any_modelling_name() -> None:

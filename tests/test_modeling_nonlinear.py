@@ -23,6 +23,7 @@ from scipy.optimize import root
 from lcp_plugin import ComplementarityProblem, NonlinearProblem, Status, box, complements, is_complementarity_problem
 from lcp_plugin.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.modeling import nonlinear_intervals as iv
+from lcp_plugin.modeling import nonlinear_rules as rules
 from lcp_plugin.modeling.nonlinear_expressions import Compiler, nonlinear_nodes
 from lcp_plugin.modeling.nonlinear_program import Program
 from lcp_plugin.modeling.registration import build
@@ -107,6 +108,9 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "prod": (lambda u: cp.prod(u.x), lambda x, X, s: x[0] * x[1] * x[2]),
     "prod along an axis": (lambda u: cp.prod(u.X, axis=1), lambda x, X, s: np.prod(X, axis=1)),
     "log_sum_exp": (lambda u: cp.log_sum_exp(u.x), lambda x, X, s: np.log(np.exp(x).sum())),
+    "log_sum_exp along an axis": (
+        lambda u: cp.log_sum_exp(u.X, axis=1), lambda x, X, s: np.log(np.exp(X).sum(axis=1))
+    ),
     "rel_entr": (lambda u: cp.rel_entr(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0])),
     "kl_div": (lambda u: cp.kl_div(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0]) - x + X[0]),
     "deep": (
@@ -221,6 +225,88 @@ def test_elementary_intervals_hold_the_true_values(name: str) -> None:
             assert Decimal(lower[k]) <= of_decimals[name](Decimal(u[k])) <= Decimal(upper[k])
     widest = {"root": 2, "softplus": 3 * WIDTH}.get(name, WIDTH)
     assert ((upper - lower) <= widest * np.spacing(np.maximum(np.abs(lower), np.abs(upper)))).all()
+
+
+@pytest.mark.parametrize("name", ["log add exp", "sigmoid", "relative entropy"])
+def test_intervals_of_two_arguments_hold_the_true_values(name: str) -> None:
+    """At 1000 pairs of doubles of all sizes the true value lies in the interval, which is a few ulps of a term wide."""
+    generator = np.random.default_rng(4)
+    u, v = np.exp(generator.uniform(-30, 6, size=(2, 1000)))
+    v[::5] = u[::5] * (1 + 1e-12)
+    if name != "relative entropy":
+        u, v = np.array([u, v]) * generator.choice([-1.0, 1.0], size=(2, 1000))
+        v[:3] = u[:3] = -math.log(2.0), 700.0, -700.0
+    lower, upper = {
+        "log add exp": iv.log_add_exp, "sigmoid": lambda a, b: rules.LOG_ADD_EXP.interval_derivatives(a, b)[0],
+        "relative entropy": rules.RELATIVE_ENTROPY.interval,
+    }[name]((u, u), (v, v))
+    with localcontext() as context:
+        context.Emin, context.Emax = -(10**6), 10**6
+        of_decimals: dict[str, Callable[[Decimal, Decimal], Decimal]] = {
+            "log add exp": lambda a, b: max(a, b) + (1 + (-abs(a - b)).exp()).ln(),
+            "sigmoid": lambda a, b: 1 / (1 + (b - a).exp()), "relative entropy": lambda a, b: a * (a / b).ln(),
+        }
+        for k in range(u.size):
+            context.prec = 80 if abs(u[k] - v[k]) < 60.0 or name == "relative entropy" else 500
+            assert Decimal(lower[k]) <= of_decimals[name](Decimal(u[k]), Decimal(v[k])) <= Decimal(upper[k])
+    sizes = {
+        "log add exp": np.abs([u, v]).max(axis=0) + 1.0, "sigmoid": np.ones_like(u),
+        "relative entropy": u * (1.0 + np.abs(np.log(np.abs(u / v)))),
+    }[name]
+    assert (upper - lower <= 50 * np.spacing(sizes)).all()
+
+
+#: Where exponentials, quotients or their sums overflow, and the atom does not; and the point.
+FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
+    "log_sum_exp of thousands": (lambda x: cp.log_sum_exp(x + 5000), [1.0, 2.0, 3.0]),
+    "log_sum_exp of minus thousands": (lambda x: cp.log_sum_exp(x), [-5000.0, -4999.0, -6000.0]),
+    "log_sum_exp of both": (lambda x: cp.log_sum_exp(x), [-5000.0, 0.0, 5000.0]),
+    "logistic": (lambda x: cp.logistic(x), [1000.0, -1000.0, 0.0]),
+    "rel_entr": (lambda x: cp.rel_entr(x[0], x[1:]), [1e-160, 1.0, 1e150]),
+    "rel_entr of the huge": (lambda x: cp.rel_entr(x, x[::-1]), [1e306, 1e306, 2e306]),
+    "kl_div": (lambda x: cp.kl_div(x, x[::-1]), [1e306, 3e305, 2e306]),
+    "xexp": (lambda x: cp.xexp(x), [-1000.0, -1e300, 0.0]),
+    "geo_mean": (lambda x: cp.geo_mean(x), [1e300, 1e300, 1e200]),
+}
+
+
+@pytest.mark.parametrize("name", FAR_OUT)
+def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
+    """Far out the value is cvxpy's, the derivatives are finite, and the intervals of both are narrow and hold them."""
+    form, point = FAR_OUT[name]
+    x = cp.Variable(3)
+    expression, x.value = form(x), np.array(point)
+    program = compiled(expression)
+    value, derivative = program.value(x.value), program.jacobian(x.value)
+    np.testing.assert_allclose(value, flat(expression.value), rtol=1e-12)
+    assert np.isfinite(derivative.data).all()
+    for inside, (low, high) in (
+        (value, program.interval_F(x.value, x.value)),
+        (derivative.data, tuple(end.data for end in program.interval_jacobian(x.value, x.value))),
+    ):
+        assert (low <= inside).all()
+        assert (inside <= high).all()
+        assert (high - low <= 1e-11 * (np.abs(inside) + np.abs(x.value).max())).all()
+
+
+def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
+    """0 log 0 is 0, and 0 log(0/y) too; of negative numbers there is none, whatever their quotient."""
+    x = cp.Variable(2)
+    for atom in (cp.rel_entr, cp.kl_div):
+        program = compiled(atom(x[0], x[1]))
+        assert [program.value(np.array(point))[0] for point in ((0.0, 0.0), (0.0, 2.0))] == [0.0, atom(0, 2).value]
+        assert not np.isfinite(program.value(np.array([-1.0, -1.0]))).any()
+
+
+def test_log_sum_exp_of_thousands_is_solved() -> None:
+    """log_sum_exp(x + 5000) + x = 6000: the solution is proved nearby, and the shares are those of the softmax."""
+    x = cp.Variable(2)
+    x.value = np.zeros(2)
+    F = cp.log_sum_exp(x + 5000) + x - [6000, 6001]
+    problem = solved([complements(x >= 0, F >= 0)], error_bound=True)
+    other = 500.5 - math.log(1 + math.exp(-1.0)) / 2
+    np.testing.assert_allclose(x.value, [other - 1, other], atol=1e-8)
+    assert problem.solver_stats.extra_stats.error_bound.infinity < 1e-7
 
 
 def kojima_shindo(x: Any, stack: Callable[..., Any]) -> Any:
@@ -449,6 +535,75 @@ def test_both_sides_without_a_variable_get_a_slack() -> None:
     assert x.value == pytest.approx(1.0)
 
 
+#: Sides with their zeros and whether they increase; of two that do, the larger zero solves the pair.
+SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
+    "exp": (lambda x: cp.exp(x) - 3, math.log(3.0), True),
+    "low exp": (lambda x: cp.exp(x) - 1, 0.0, True),
+    "log": (lambda x: cp.log(x) + 1, math.exp(-1.0), True),
+    "cube": (lambda x: x**3 - 2, 2.0 ** (1 / 3), True),
+    "root": (lambda x: cp.sqrt(x) - 1.5, 2.25, True),
+    "softplus": (lambda x: 2 * cp.logistic(x) - 3, math.log(math.exp(1.5) - 1.0), True),
+    "affine": (lambda x: 2 * x - 1, 0.5, True),
+    "power": (lambda x: cp.power(x, -0.6) - 0.5, 0.5 ** (-1 / 0.6), False),
+    "falling exp": (lambda x: 12 - cp.exp(x), math.log(12.0), False),
+}
+
+
+#: In both orders; where both sides fall, or are one, the answer is not unique.
+PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDES[b][2])]
+
+
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
+    """One of the sides is zero at the answer, whichever stands first; each side is the other's dual."""
+    (G, zero_of_G, rises), (F, zero_of_F, also_rises) = SIDES[first], SIDES[second]
+    x = cp.Variable(2)
+    x.value = np.array([1.0, 2.0])
+    sides = G(x) >= 0, F(x) >= 0
+    pair = complements(*sides)
+    solved([pair])
+    answers = [max(zero_of_G, zero_of_F)] if rises and also_rises else [zero_of_G, zero_of_F]
+    assert np.abs(x.value[:, None] - answers).min(axis=1).max() <= 1e-8
+    assert pair.violation() <= 1e-9
+    w = G(x) if second == "affine" else F(x)  # of a side that is a variable, w is the other one
+    np.testing.assert_allclose(pair.dual_value, w.value, atol=1e-9)
+    np.testing.assert_allclose(sides[0].dual_value, F(x).value, atol=1e-9)
+    np.testing.assert_allclose(sides[1].dual_value, G(x).value, atol=1e-9)
+
+
+def test_a_second_solve_of_two_expressions_starts_from_the_first() -> None:
+    """The unknown behind a side, affine or not, begins at the side's value: nothing is left to do."""
+    x = cp.Variable(2)
+    for first in (cp.exp(x) - 1, 3 * x + x[::-1] - 1):
+        problem = solved([complements(first >= 0, cp.exp(x) - 3 >= 0)])
+        problem.solve(method="LCP", tolerance=1e-11)
+        assert problem.solver_stats.num_iters == 0
+
+
+def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
+    """S = p eˣ − 9 ⟂ F = eˣ − 1: p eˣ = 9, so that dx/dp = −1/p and dF/dp = −9/p²; so with the sides exchanged."""
+    for swap in (False, True):
+        x, p = cp.Variable(), cp.Parameter(value=3.0)
+        sides = [p * cp.exp(x) - 9 >= 0, cp.exp(x) - 1 >= 0]
+        pair = complements(*(sides[::-1] if swap else sides))
+        problem = solved([pair], requires_grad=True)
+        problem.backward()
+        assert p.gradient == pytest.approx(-1 / 3)
+        p.delta = 1.0
+        problem.derivative()
+        assert x.delta == pytest.approx(-1 / 3)
+        assert pair.dual_variables[0].delta == pytest.approx(0.0 if swap else -1.0, abs=1e-9)
+
+
+def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
+    """error_bound=True encloses ln 3, the unknown behind the first side included."""
+    x = cp.Variable(2)
+    problem = solved([complements(cp.exp(x) - 1 >= 0, cp.exp(x) - 3 >= 0)], error_bound=True)
+    bound = problem.solver_stats.extra_stats.error_bound
+    assert bound.kind == "rigorous"
+    assert np.abs(x.value - math.log(3.0)).max() <= bound.infinity <= 1e-9
+
+
 def test_parameters_are_read_at_every_solve() -> None:
     """A factor, an exponent and a bound are parameters: each solve has their present values."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
@@ -549,7 +704,7 @@ def with_parameter(value: Any) -> Any:
     return complements(x >= 0, cp.exp(x) - p >= 0)
 
 
-X = cp.Variable(2)
+X, P = cp.Variable(2), cp.Variable(2, nonneg=True)
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "absolute value": (lambda: complements(X >= 0, cp.abs(X) - 1 >= 0), r"abs\(.*not smooth.*of its own"),
     "maximum": (lambda: complements(X >= 0, cp.maximum(X, 1) - 2 >= 0), "not smooth"),
@@ -560,6 +715,13 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "NaN parameter": (lambda: with_parameter(np.array([np.nan, 1.0])), "finite"),
     "parameter without value": (lambda: with_parameter(None), "no value"),
     "nonlinear variable side": (lambda: complements(box(cp.exp(X), 0, 1), X), "must be a variable"),
+    "two expressions of too many variables": (
+        lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3), "2 unknowns.*1 equations, 1 of them from pairs"
+    ),
+    "two expressions, bounded": (
+        lambda: complements(cp.exp(P) >= 1, cp.exp(P) + P >= 4), "has bounds that the rest.*variable of a pair"
+    ),
+    "two values": (lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3), "must be a variable.*y == side"),
     "not square": (lambda: complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0), "unknowns without"),
 }
 
@@ -605,8 +767,6 @@ def test_a_model_without_solution_is_not_called_solved() -> None:
 
 def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
-    from lcp_plugin.modeling import nonlinear_rules as rules
-
     wrong = rules.Rule("exp", 1, lambda u: 2 * np.exp(u), lambda u: (2 * np.exp(u),), rules.EXP.interval, None)
     from lcp_plugin.modeling import nonlinear_atoms
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from fractions import Fraction
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -78,6 +79,75 @@ def test_a_degenerate_game_reports_a_face() -> None:
     assert not face.is_isolated
     assert "face of dimension 2" in str(face)
     assert problem.origin.recover(face.z).regret == 0.0
+
+
+def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
+    """Where the row player gets the same everywhere, both pure equilibria are among the vertices of three segments."""
+    problem = lcp_from_bimatrix_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
+    faces = all_solutions(problem)
+    assert [face.dimension for face in faces] == [1, 1, 1]
+    assert all(tuple(face.exact_z) in face.exact_vertices for face in faces)
+    assert all(is_exact_solution(problem, vertex) for face in faces for vertex in face.exact_vertices)
+    equilibria = [problem.origin.recover(vertex) for face in faces for vertex in face.vertices]
+    assert all(equilibrium.regret == 0.0 for equilibrium in equilibria)
+    strategies = {(*e.row_strategy.tolist(), *e.column_strategy.tolist()) for e in equilibria}
+    assert strategies == {(1, 0, 1, 0), (0, 1, 0, 1), (0.5, 0.5, 1, 0), (0.5, 0.5, 0, 1)}
+    assert str(faces[0]) == "z = (1/3, 1/3, 0, 1), a vertex of a face of dimension 1; others: (0, 1, 0, 1)"
+
+
+def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
+    """The extreme points of a pattern's polyhedron by trying all sets of n active constraints."""
+    M, n = problem.csr.toarray(), problem.n
+    fixed, free = [], []  # rows (a, b) of a @ z = b, and of a @ z ≥ b
+    for i, choice in enumerate(pattern):
+        unit = np.eye(n)[i]
+        bounds = [(unit, problem.lower[i])] + ([(-unit, -problem.upper[i])] if problem.upper[i] < np.inf else [])
+        slack = (M[i], -problem.q[i])
+        if choice == "zero":
+            fixed.append(slack)
+            free += bounds
+        else:
+            fixed.append(bounds[choice == "upper"])
+            free.append(slack if choice == "lower" else (-M[i], problem.q[i]))
+    found = set()
+    for others in combinations(free, n - np.linalg.matrix_rank(np.array([a for a, _ in fixed]))):
+        rows = np.array([a for a, _ in [*fixed, *others]])
+        right = np.array([b for _, b in [*fixed, *others]])
+        z, _, rank, _ = np.linalg.lstsq(rows, right, rcond=None)
+        meets_all = all(a @ z >= b - 1e-9 for a, b in free)
+        if rank == n and meets_all and np.allclose(rows @ z, right, atol=1e-9):
+            found.add(tuple(np.round(z, 6) + 0.0))
+    return found
+
+
+def test_vertices_are_those_of_a_plain_enumeration() -> None:
+    """On singular integer problems, boxes and degenerate ones among them, each face has exactly its vertices."""
+    rng, faces = np.random.default_rng(5), 0
+    for _ in range(150):
+        n = int(rng.integers(2, 5))
+        M = rng.integers(-1, 2, (n, 1)) * rng.integers(-1, 2, (1, n))
+        q, upper = rng.integers(-1, 2, n), rng.choice([1.0, 2.0, np.inf], n)
+        problem = LCP(M, q, upper=upper)
+        for face in all_solutions(problem):
+            faces += face.dimension > 1
+            assert {tuple(np.round(vertex, 6) + 0.0) for vertex in face.vertices} == corners(problem, face.pattern)
+            assert len(face.vertices) == len(set(face.exact_vertices))
+    assert faces > 15
+
+
+def test_vertices_of_faces_without_and_with_an_end() -> None:
+    """A line has no vertex, a ray one; of many only some are printed, and an isolated solution is its own."""
+    (line,) = all_solutions(LCP([[0.0]], [0.0], lower=-np.inf))
+    assert line.exact_vertices == ()
+    assert line.vertices.shape == (0, 1)
+    (ray,) = all_solutions(LCP([[0.0]], [0.0]))
+    assert ray.exact_vertices == ((0,),)
+    assert str(ray) == "z = (0), a vertex of a face of dimension 1"
+    (cube,) = all_solutions(LCP(np.zeros((5, 5)), np.zeros(5), upper=1.0))
+    assert cube.vertices.shape == (32, 5)
+    assert str(cube).endswith("), …")
+    (point,) = all_solutions(LCP([[3.0]], [-1.0]))
+    assert point.exact_vertices == ((Fraction(1, 3),),)
 
 
 def test_an_isolated_solution_beside_a_continuum_is_told_apart() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from exact_parts import part_of_rows, relative_residual
 from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
 from hypothesis import given, settings
 
@@ -60,8 +61,9 @@ def assert_honest(result: Result) -> None:
     assert np.array_equal(np.clip(result.z, problem.lower, problem.upper), result.z)
     rows = exact_residual(problem, result.z)
     if result.status is Status.SOLVED:
-        reference = max(r for r, _ in exact_residual(problem, problem.nearest_to_zero))
-        assert max(r for r, _ in rows) <= Fraction(result.tolerance) * reference
+        at_zero = [r for r, _ in exact_residual(problem, problem.nearest_to_zero)]
+        exact = relative_residual([r for r, _ in rows], at_zero, part_of_rows(problem.csr))
+        assert exact <= Fraction(result.tolerance)
     if result.status is Status.PRECISION_LIMIT:
         assert all(r <= 5 * floor for r, floor in rows)
 

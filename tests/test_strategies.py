@@ -604,7 +604,7 @@ def test_scales_beyond_the_range_of_doubles_are_refused(exponent: int) -> None:
     matrices = st.just(np.ldexp(np.array([[3.0, 1.0], [1.0, 3.0]]), exponent))
     outcomes = Counter()
 
-    @settings(STABLE, max_examples=150)
+    @settings(STABLE, max_examples=600)
     @given(st.data())
     def check(data: st.DataObject) -> None:
         try:

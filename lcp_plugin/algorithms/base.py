@@ -12,7 +12,7 @@ import numpy as np
 
 from ..certificates.convergence import IterationFacts
 from ..checks import FloatVector, is_number
-from ..crossovers import DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
+from ..crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO, SWEEP_ENTRIES
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
 from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
@@ -47,6 +47,9 @@ class Step:
         A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
     label : str
         The name of the part at work, where an algorithm has several; the result shows them as its stages.
+    least_residual : float
+        No z has a smaller relative residual, as doubles say and nobody has proved: where the run asks for less, `auto`
+        spends no work on other methods.
     """
 
     z: FloatVector
@@ -58,6 +61,7 @@ class Step:
     proof: Any = None
     remark: str = ""
     label: str = ""
+    least_residual: float = 0.0
 
 
 @dataclass(slots=True)
@@ -225,8 +229,15 @@ def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
     if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
         return DIRECT_PASSES
-    per_row = DIRECT_ENTRIES * problem.n / max(problem.nonzeros, 1)
-    return max(DIRECT_PASSES, per_row) if problem.n <= DIRECT_UP_TO else math.inf
+    if problem.n > DIRECT_UP_TO:
+        return math.inf
+    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
+    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
+
+
+def in_driven_sweeps(problem: LCP, passes: float) -> float:
+    """Return how many sweeps, each with the calls around it, take as long as so many compiled passes over M."""
+    return passes * problem.nonzeros / (problem.nonzeros + SWEEP_ENTRIES)
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import FloatVector
-from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
+from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 from ..errors import InvalidOption
 from ..problem.lcp import LCP
 from .base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
@@ -98,8 +98,10 @@ class Multigrid(Algorithm):
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return about what a run costs, whatever n is."""
-        return MULTIGRID_PASSES if not problem.is_dense and problem.n > DIRECT_UP_TO else math.inf
+        """Return about what a run costs: as many passes whatever n is, and its calls."""
+        if problem.is_dense or problem.n <= DIRECT_UP_TO:
+            return math.inf
+        return MULTIGRID_PASSES + MULTIGRID_ROWS / problem.n
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""

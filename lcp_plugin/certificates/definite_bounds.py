@@ -26,6 +26,7 @@ from ..kernels.floats import TINY, UNIT
 from ..matrix.equilibration import Exponents, scaled, unit_diagonal
 from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.matrix import Matrix, fact
+from ..matrix.parts import Parts, parts
 from ..problem.lcp import LCP
 from .row_inequality import RowInequality
 
@@ -99,13 +100,14 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     absolute = absolute_transpose(problem.matrix)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
-    return norm_bound(sum_above(size, 4.0 * TINY), eigenvalue)  # products above may have underflowed
+    return norm_bound(sum_above(size, 4.0 * TINY), eigenvalue, parts(problem.matrix))  # products may have underflowed
 
 
-def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound) -> FloatVector:
-    """Return c_i ‖C s‖₂/λ, rounded up, shape (n,): |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ."""
+def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound, several: Parts | None = None) -> FloatVector:
+    """Return c_i ‖C s‖₂/λ, rounded up, shape (n,), of each part: |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ there."""
     scale = eigenvalue.scale
-    norm = norm_above(product_above(scale, size))
+    scaled = product_above(scale, size)
+    norm = np.asarray(norm_above(scaled) if several is None else _norms_above(scaled, several)[several.labels])
     bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
@@ -118,6 +120,16 @@ def norm_above(x: FloatVector) -> np.float64:
     unit = np.exp2(np.floor(np.log2(largest)))
     squares = float(np.sum((x / unit) ** 2)) * OUTWARD + x.size * UNDERFLOW
     return np.float64(unit * np.sqrt(squares) * OUTWARD)
+
+
+def _norms_above(x: FloatVector, several: Parts) -> FloatVector:
+    """Return the same of each part, shape (parts,)."""
+    largest = several.largest(x)
+    is_usual = (largest > 0.0) & np.isfinite(largest)
+    unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
+    squares = np.bincount(several.labels, (x / unit[several.labels]) ** 2, several.count) * OUTWARD + x.size * UNDERFLOW
+    norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
+    return norms
 
 
 @fact

@@ -29,7 +29,7 @@ from ..conversions.constraints import fold_simple_rows
 from ..conversions.program import QuadraticProgram
 from ..conversions.program_matrices import largest_entries
 from ..deadline import is_over
-from ..exact.linear_systems import solved_nearby
+from ..exact.linear_systems import independent_rows, solved_nearby
 from ..exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
 from ..exact.rounding import compensated_pair, compensated_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
@@ -41,7 +41,7 @@ ROUNDS = 4  # of least squares: components that were right may need room after t
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 ITERATIONS = 100  # of bounded least squares, each an unbounded one
-EXACT_UP_TO = 100  # equations that are solved in rationals in .4 s; 1.7 s are needed for 200
+EXACT_UP_TO = 100  # equations that depend on each other and are solved in rationals in .4 s; 1.7 s are needed for 200
 
 
 class DualPoint(NamedTuple):
@@ -169,11 +169,12 @@ class DualBounds:
         s = self._stacked @ v + self.program.c
         rounding = ROOMS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
         zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
-        if zero.size > EXACT_UP_TO:
-            return -np.inf
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
         target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
         guess, movable = rational(v), self._is_movable(at)
+        lots = independent_rows([{j: entry for j, entry in row.items() if movable[j]} for row in rows])
+        if max(map(len, lots), default=0) > EXACT_UP_TO:
+            return -np.inf
         exact = solved_nearby(rows, target, guess, movable.tolist())
         if exact is None or any(y < 0 for y in exact[n : n + m]):
             left = [value - product for product, value in zip(products(rows, guess), target, strict=True)]

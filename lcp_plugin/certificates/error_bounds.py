@@ -21,6 +21,7 @@ from ..matrix import HCertificate, comparison_certificate, comparison_solve
 from ..problem.lcp import LCP
 from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
 from .reference_point import ActiveSetSteps, NearPoint
+from .references import largest_of_parts
 from .row_inequality import RowInequality
 from .row_residuals import scaled_residual
 
@@ -53,7 +54,8 @@ class ErrorBound:
     infinity : float
         Their maximum, ‖z − z*‖∞ ≤ infinity.
     relative : float
-        ‖z − z*‖∞ ≤ relative · ‖z‖∞; ∞ where z = 0 and nothing says that z* = 0.
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every part of the problem by itself; ∞ where z = 0 there and nothing says that
+        z* = 0.
     kind : str
         "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
         eigenvalue that is not proven.
@@ -108,7 +110,7 @@ class ErrorBound:
         return self.active + self.inactive == self.n
 
     def proves(self, tolerance: float) -> bool:
-        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven; an estimate proves nothing."""
+        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every part; an estimate proves nothing."""
         return self.kind == "rigorous" and self.relative <= tolerance
 
     def __str__(self) -> str:
@@ -177,7 +179,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
 
 
 def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
-    return product_above(np.float64(at.inflation(certificate.v, certificate.margin)), certificate.v)
+    return product_above(at.inflation(certificate.v, certificate.margin), certificate.v)
 
 
 def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> FloatVector:
@@ -194,7 +196,7 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
                 return y
             candidate = np.maximum(candidate, solution)
         t = at.inflation(certificate.v, certificate.margin, candidate)
-        better = np.minimum(y, sum_above(candidate, product_above(np.float64(t), certificate.v)))
+        better = np.minimum(y, sum_above(candidate, product_above(t, certificate.v)))
         better = np.minimum(better, at.image(better))
         if not (better < 0.9 * y).any():
             return better
@@ -277,11 +279,13 @@ class _Found:
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
         is_proof = kind == "rigorous"
-        sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, self.z, _residuals(self.at)))
-        infinity, size, residual = problem.peers.all_largest(*sizes)
+        sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
+        infinity, residual = problem.peers.all_largest(*sizes)
+        of_parts = (largest_of_parts(problem, np.abs(one)).tolist() for one in (y, self.z))
+        relative = problem.peers.largest(max(map(relative_to, *of_parts), default=0.0))
         return _counted(
             problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
-            relative=relative_to(infinity, size), kind=kind, method=self.method, residual=residual,
+            relative=relative, kind=kind, method=self.method, residual=residual,
             near=NearPoint(self.near.high, self.near.low, self.near_y),
         )
 

@@ -13,6 +13,7 @@ there is to say.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,10 +22,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
+from ..deadline import is_over
 from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
-from ..problem.least_squares import LeastSquares, UnitLeastSquares
+from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares, UnitLeastSquares
 from .definite_bounds import smallest_eigenvalue_bound
 
 Ball = tuple[FloatVector, FloatVector]
@@ -35,6 +37,7 @@ REPAIR_STEPS = 300  # of conjugate gradients for a p; more than A of condition 1
 ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
+NOTHING = np.empty(0)
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
 
@@ -63,21 +66,21 @@ class Enclosures:
         problem = self.problem
         if self.is_sharp:
             return compensated_product(self._rows, x, -problem.b)
-        value, radius = problem.product(x) - problem.b, np.zeros(problem.shape[0])
-        terms = self._terms_of_a_row
-        for rows, block in problem.blocks() if problem.has_entries else ():
-            size, is_some = _magnitudes(block, x)
-            radius[rows] = gamma(2 * terms + 8) * (size + np.abs(problem.b[rows])) + (terms + 1) * TINY * is_some
-        return value, radius
+        if not problem.has_entries:
+            return problem.product(x) - problem.b, np.zeros(problem.shape[0])
+        from ..kernels.least_squares import radii
+
+        sums = self._sums(x, NOTHING, by_rows=True)
+        sums[1] += np.abs(problem.b)
+        return sums[0] - problem.b, radii(sums, self._terms_of_a_row)
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
+        from ..kernels.least_squares import with_ridge
+
         value, radius = self.transposed(*residual)
-        if self.problem.ridge == 0.0:
-            return value, radius
-        value = value + self.problem.ridge * x
-        slip = 4.0 * EPSILON * (np.abs(value) + self.problem.ridge * np.abs(x)) + TINY * (x != 0.0)
-        return value, OUTWARD * (radius + slip)
+        with_ridge(value, radius, self.problem.ridge, x)
+        return value, radius
 
     def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
         """Return AᵀWy for a y known up to slip."""
@@ -90,14 +93,23 @@ class Enclosures:
             return value, OUTWARD * (radius + abs(self._columns) @ slip)
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
-        value, size, spread, is_some = np.zeros((4, problem.shape[1]))
-        terms = self._terms_of_a_column
-        for rows, block in problem.blocks():
-            value += block.T @ weighted[rows]
-            parts = _magnitudes(block.T, weighted[rows], slip[rows])
-            size, spread, is_some = size + parts[0], spread + parts[1], is_some + parts[2]
-            terms += 1
-        return value, gamma(2 * terms + 8) * (size + spread) + OUTWARD * spread + (terms + 1) * TINY * (is_some > 0.0)
+        from ..kernels.least_squares import radii
+
+        sums = self._sums(weighted, slip, by_rows=False)
+        return sums[0], radii(sums, self._terms_of_a_column)
+
+    def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
+        """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0; B is A, or else Aᵀ."""
+        from ..kernels.least_squares import along_rows, down_columns
+
+        A, (m, n) = self.problem.A, self.problem.shape
+        if self.problem.is_sparse:
+            return _sums_of_sparse(A if by_rows else A.T, v, slip)
+        if not A.flags.c_contiguous:
+            return down_columns(A.T, v, NOTHING) if by_rows else along_rows(A.T, v, slip)
+        if by_rows or m <= ROWS_AT_ONCE:
+            return along_rows(A, v, slip) if by_rows else down_columns(A, v, slip)
+        return sum((down_columns(block, v[rows], slip[rows]) for rows, block in self.problem.blocks()), np.zeros(n))
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -130,19 +142,19 @@ class Enclosures:
 
     @cached_property
     def _terms_of_a_column(self) -> int:
-        problem = self.problem
+        problem, m = self.problem, int(self.problem.shape[0])
         if problem.is_sparse:
             return int(np.bincount(problem.A.indices, minlength=1).max())
-        return max((rows.stop - rows.start for rows, _ in problem.blocks()), default=0)
+        is_by_rows = bool(problem.A.flags.c_contiguous)
+        return min(m, ROWS_AT_ONCE) + m // ROWS_AT_ONCE + 1 if is_by_rows else m
 
 
-def _magnitudes(block: Any, *vectors: FloatVector) -> Any:
-    """Return |block||v| for each v, and whether any row has a term that is not 0, whatever underflows."""
-    columns = np.empty((block.shape[1], len(vectors) + 1))
-    np.abs(np.array(vectors).T, out=columns[:, :-1])
-    columns[:, -1] = columns[:, :-1].any(axis=1)
-    sizes = abs(block) @ columns
-    return *sizes.T[:-1], sizes.T[-1] > 0.0
+def _sums_of_sparse(B: Any, v: FloatVector, slip: FloatVector) -> Any:
+    """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0, whatever underflows."""
+    columns = np.zeros((B.shape[1], 3))
+    columns[:, 0], columns[:, 1] = np.abs(v), slip if slip.size else 0.0
+    columns[:, 2] = columns.any(axis=1)
+    return np.vstack([B @ v, (abs(B) @ columns).T])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,28 +179,24 @@ class Optimality:
     @classmethod
     def of(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
         """Return the optimality of x on the caller's own data."""
-        problem = enclosures.problem
-        units = problem.column_units
+        from ..kernels.least_squares import largest_residuals
+
+        problem, units = enclosures.problem, enclosures.problem.column_units
         with np.errstate(over="ignore", invalid="ignore"):
             residual = enclosures.residual(x)
             gradient, radius = enclosures.gradient(x, residual)
-            below, above = x - problem.upper, x - problem.lower
-            plain = np.abs(np.clip(gradient, below, above))
-            scaled = np.abs(np.clip(gradient / units, below * units, above * units))
-            largest = [OUTWARD * (plain + radius), OUTWARD * (scaled + radius / units)]
             if not problem.has_entries:
                 radius = _typical_rounding(problem, x, residual[0])
-                largest = [plain, scaled]
-            values = [_ratio(sizes, unit) for sizes, unit in zip(largest, enclosures.reference, strict=True)]
-            is_at_floor = bool((np.maximum(plain, scaled * units) <= 2.0 * radius).all())
-        return cls(x, residual[0], max(values), is_at_floor)
+            *largest, is_at_floor = largest_residuals(
+                gradient, radius, x, problem.lower, problem.upper, units, problem.has_entries
+            )
+        return cls(x, residual[0], max(map(_ratio, largest, enclosures.reference)), is_at_floor)
 
 
-def _ratio(sizes: FloatVector, unit: float) -> float:
-    size = float(np.max(sizes, initial=0.0))
-    if np.isnan(size):
-        return np.inf
-    return OUTWARD * size / unit if unit > 0.0 else (np.inf if size > 0.0 else 0.0)
+def _ratio(size: float, unit: float) -> float:
+    if math.isnan(size):
+        return math.inf
+    return OUTWARD * size / unit if unit > 0.0 else (math.inf if size > 0.0 else 0.0)
 
 
 def _typical_rounding(problem: LeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
@@ -305,6 +313,8 @@ def _pushing_by_steps(problem: LeastSquares, wanted: FloatVector) -> tuple[Float
     for _ in range(min(REPAIR_STEPS, 2 * wanted.size + 1)):
         if np.max(np.abs(left), initial=0.0) <= ENOUGH:
             return push, True
+        if is_over():
+            break
         product = problem.product(direction / units)
         curvature = float(problem.weighted(product) @ product)
         if not 0.0 < curvature < np.inf:

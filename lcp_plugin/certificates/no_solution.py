@@ -14,11 +14,13 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON, TINY
+from ..matrix.parts import IntVector
 from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import activity
 from .infeasibility import Infeasibility
-from .refutation import Closing, Refutation, closed_exactly, row_choices
+from .references import exact_references
+from .refutation import Closing, Refutation, closed_exactly, in_other_units, row_choices
 
 MOST_PASSES = 50
 
@@ -36,6 +38,10 @@ class ForcedContradiction(Refutation):
 
     problem: LCP = field(repr=False)
     steps: tuple[tuple[int, int], ...]
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        return ForcedContradiction(problem, self.steps)
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield, for each step, what excludes every other choice of its row, in exact arithmetic.
@@ -127,12 +133,13 @@ def _exclusion(
     problem: LCP, i: int, sign: int, lower: FloatVector, upper: FloatVector, forced: dict[int, int]
 ) -> Closing | None:
     """Return what sign · w_i > 0 for all z within the bounds excludes w_i = 0 with; None where that is not so."""
-    csr = problem.csr
+    csr, references = problem.csr, exact_references(problem)
     row = slice(csr.indptr[i], csr.indptr[i + 1])
     total = sign * Fraction(float(problem.q[i]))
-    scaled, squares = Fraction(0), Fraction(0)
+    relative = absolute = squares = Fraction(0)
     if i not in forced:
-        scaled, squares = Fraction(float(problem.residual_scale[i])), Fraction(1)
+        absolute, squares = Fraction(float(problem.residual_scale[i])), Fraction(1)
+        relative = absolute * references[i]
     for j, entry in zip(csr.indices[row].tolist(), csr.data[row].tolist(), strict=True):
         bound = float(lower[j] if entry * sign > 0 else upper[j])
         if np.isinf(bound):
@@ -140,9 +147,10 @@ def _exclusion(
         total += sign * Fraction(entry) * Fraction(bound)
         weight = -sign * Fraction(entry) * forced.get(j, 0)
         if weight > 0:  # leaving the bound makes w_i smaller
-            scaled += weight
+            relative += weight * references[j]
+            absolute += weight
             squares += weight * weight
-    return Closing(total, scaled, squares) if total > 0 else None
+    return Closing(total, relative, absolute, squares) if total > 0 else None
 
 
 @dataclass(slots=True)
@@ -152,6 +160,11 @@ class Case:
     row: int = -1
     branches: dict[str, Case] = field(default_factory=dict)
     y: list[Fraction] | None = None
+
+    def in_units(self, exponents: IntVector) -> Case:
+        """Return the case of a problem in other units of z."""
+        branches = {choice: branch.in_units(exponents) for choice, branch in self.branches.items()}
+        return Case(self.row, branches, None if self.y is None else in_other_units(self.y, exponents))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +201,10 @@ class NoSolution(Refutation):
         largest = max(map(abs, self.tree.y))
         exact = tuple(value / largest for value in self.tree.y)
         return Infeasibility(self.problem, np.array([float(value) for value in exact]), exact)
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> NoSolution:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        return NoSolution(problem, self.tree.in_units(exponents), self.nodes)
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""

@@ -12,13 +12,13 @@ import numpy as np
 
 from ..exact.rational import Rational, common_denominator, power_of_two, rounded_down
 from ..kernels.floats import EPSILON, TINY
-from ..problem.exactly import exact_slack, farkas_margin, integer_matrix, slack_bounds
+from ..matrix.parts import IntVector
+from ..problem.exactly import farkas_margin, integer_matrix, slack_bounds
 from ..problem.lcp import LCP
-from .residuals import reference_residual
+from .references import exact_references, rounding_of_data
 
 LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 ROOT_BITS = 160
-SAFE_RANGE = (1e-290, 1e290)
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -42,14 +42,17 @@ class Closing:
     ----------
     contradiction : Fraction
         Positive, a lower bound.
-    scaled : Fraction
-        At least the sum of the weights, r the scaled residual.
+    relative : Fraction
+        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the part of row i.
+    absolute : Fraction
+        At least Σ weight_i.
     squares : Fraction
         At least the sum of their squares, r the natural residual.
     """
 
     contradiction: Fraction
-    scaled: Fraction
+    relative: Fraction
+    absolute: Fraction
     squares: Fraction
 
 
@@ -57,19 +60,33 @@ class Refutation:
     """A proof that no z solves a problem, and what it says of every z within the bounds.
 
     INFEASIBLE and NO_SOLUTION are said only where the margin exceeds the tolerance of the run: no z at all could then
-    be SOLVED. A smaller contradiction is true of the stored doubles, and as good as none for every use of them.
+    be SOLVED. A smaller contradiction is true of the stored doubles, and as good as none for every use of them. So is
+    one below the rounding of the largest number in q: nothing in a row tells rounding from data, but beside that it is
+    none.
 
     Notes
     -----
-    |r_i(z)| ≤ t, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t and w_i ≥ 0, or |w_i| ≤ d_i t, or
-    upper_i − z_i ≤ t and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t at most. The least t
-    at which what closes a case no longer does so, the least over all cases, bounds ‖r(z)‖∞ from below.
+    |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
+    |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
+    at most. With t_i = t ‖r_P(z°)‖∞, P the part of row i, the least t at which what closes a case no longer does so,
+    the least over all cases, bounds the relative residual from below.
     """
 
     problem: LCP
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each case, verified; None for a case that is not closed."""
+        raise NotImplementedError
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> Refutation:
+        """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
+
+        Parameters
+        ----------
+        problem : LCP
+            In these units.
+        exponents : array of int, shape (n,)
+        """
         raise NotImplementedError
 
     def verify(self) -> bool:
@@ -83,19 +100,32 @@ class Refutation:
 
     @cached_property
     def margin(self) -> float:
-        """A verified lower bound of ‖r(z)‖∞ / ‖r(z°)‖∞ for every z within the bounds; 0 where there is none."""
+        """A verified lower bound of the relative residual of every z within the bounds; 0 where there is none."""
         return rounded_down(self._least[0])
 
     @cached_property
     def euclidean_margin(self) -> float:
         """A verified lower bound of ``Certificate.euclidean_residual`` for every z within the bounds."""
-        return rounded_down(_root(self._least[1]))
+        return rounded_down(_root(self._least[2]))
+
+    @cached_property
+    def absolute_margin(self) -> float:
+        """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
+        return rounded_down(self._least[1])
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether what contradicts is no more than rounding of the largest number in q: of max_i |q_i|/d_i."""
+        return self.absolute_margin <= rounding_of_data(self.problem)
 
     def measured(self, measure: str) -> float:
         """Return the margin in the measure of a run, "relative" or "euclidean"."""
         return self.margin if measure == "relative" else self.euclidean_margin
 
-    def excludes(self, tolerance: float, measure: str = "relative", tolerance_on: str = "residual") -> bool:
+    def excludes(
+        self, tolerance: float, measure: str = "relative", tolerance_on: str = "residual",
+        absolute_tolerance: float = 0.0,
+    ) -> bool:
         """Return whether no z within the bounds could be called SOLVED with these settings of a run.
 
         With ``tolerance_on="error"`` SOLVED would be the proof that there is a solution nearby, which every proof that
@@ -103,44 +133,34 @@ class Refutation:
         """
         if tolerance_on == "error":
             return self.exact
-        return self.measured(measure) > tolerance
+        if self.is_rounding or not self.measured(measure) > tolerance:
+            return False
+        # Rows may use up one tolerance in one part, and the other in another.
+        return not absolute_tolerance or (
+            tolerance / self.measured(measure) + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
+        )
 
     @cached_property
-    def _least(self) -> tuple[Fraction | None, Fraction | None]:
-        """The least relative residual and the least square of the euclidean one; None for ∞."""
-        reference = _reference(self.problem)
+    def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
+        """The least relative residual, the least one, and the least square of the euclidean one; None for ∞."""
         relative: list[Fraction] = []
+        absolute: list[Fraction] = []
         squared: list[Fraction] = []
         for closing in self.closings():
-            if closing is None or not reference:
-                return Fraction(0), Fraction(0)
-            if closing.scaled:
-                relative.append(closing.contradiction / closing.scaled / reference)
+            if closing is None:
+                return Fraction(0), Fraction(0), Fraction(0)
+            if closing.relative:
+                relative.append(closing.contradiction / closing.relative)
+            if closing.absolute:
+                absolute.append(closing.contradiction / closing.absolute)
             if closing.squares:
                 squared.append(closing.contradiction**2 / closing.squares)
-        return min(relative, default=None), min(squared, default=None)
+        return min(relative, default=None), min(absolute, default=None), min(squared, default=None)
 
 
-def _reference(problem: LCP) -> Fraction:
-    """Return an upper bound of ‖r(z°)‖∞; in fractions where it is out of the range of doubles."""
-    bound = reference_residual(problem)
-    if SAFE_RANGE[0] < bound < SAFE_RANGE[1]:
-        return Fraction(bound)
-    z = problem.nearest_to_zero.tolist()
-    rows = zip(
-        map(Fraction, z), exact_slack(problem, z), problem.residual_scale.tolist(),
-        problem.lower.tolist(), problem.upper.tolist(), strict=True,
-    )
-    largest = Fraction(0)
-    for value, w, d, low, high in rows:
-        step = value - w / Fraction(d)
-        step = max(step, Fraction(low)) if low > -np.inf else step
-        step = min(step, Fraction(high)) if high < np.inf else step
-        largest = max(largest, abs(value - step))
-    return largest
-
-
-def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str]) -> Closing | None:
+def closed_exactly(
+    problem: LCP, y: Sequence[Rational], path: Mapping[int, str], radius: float = math.inf
+) -> Closing | None:
     """Return what the Farkas vector y closes the case with, exactly, or None where it does not.
 
     Parameters
@@ -148,8 +168,10 @@ def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str])
     y : sequence of numbers, shape (n,)
     path : mapping of int to str
         The choice of each row that has one in this case; the other rows have w of the signs that their bounds permit.
+    radius : float
+        What bounds |z_i| where nothing else does.
     """
-    z_bounds = (problem.lower.tolist(), problem.upper.tolist())
+    z_bounds = bounds_within(problem, radius)
     w_bounds = tuple(side.tolist() for side in slack_bounds(problem))
     for i, choice in path.items():
         if choice == ZERO:
@@ -163,8 +185,10 @@ def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str])
         return None
     at_bound = {i for i, choice in path.items() if choice in (LOWER, UPPER)}
     natural = {i: abs(Fraction(value)) for i, value in enumerate(y) if value and i not in at_bound}
-    scale = problem.residual_scale
-    total = sum((weight * Fraction(float(scale[i])) for i, weight in natural.items()), Fraction(0))
+    scale, references = problem.residual_scale, exact_references(problem)
+    scaled = {i: weight * Fraction(float(scale[i])) for i, weight in natural.items()}
+    relative = sum((weight * references[i] for i, weight in scaled.items()), Fraction(0))
+    absolute = sum(scaled.values(), Fraction(0))
     squares = sum((weight * weight for weight in natural.values()), Fraction(0))
     if at_bound:
         numerators, denominator = common_denominator(y)
@@ -172,20 +196,32 @@ def closed_exactly(problem: LCP, y: Sequence[Rational], path: Mapping[int, str])
         unit, product = power_of_two(matrix.exponent) / denominator, matrix.transposed_product(numerators)
         for i in at_bound:
             weight = unit * max(product[i] if path[i] == LOWER else -product[i], 0)
-            total += weight
+            relative += weight * references[i]
+            absolute += weight
             squares += weight * weight
-    return Closing(-margin, total, squares)
+    return Closing(-margin, relative, absolute, squares)
+
+
+def bounds_within(problem: LCP, radius: float) -> tuple[list[float], list[float]]:
+    """Return the bounds of z, finite ones where there are none."""
+    lower, upper = problem.lower, problem.upper
+    return (np.where(lower == -np.inf, -radius, lower).tolist(), np.where(upper == np.inf, radius, upper).tolist())
+
+
+def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
+    """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
+    return [value / Fraction(2) ** k for value, k in zip(y, exponents.tolist(), strict=True)]
 
 
 def sum_bound(terms: np.ndarray) -> Fraction | None:
-    """Return an upper bound of a sum of products ≥ 0 that were rounded once; None where it overflows."""
+    """Return an upper bound of a sum of products ≥ 0 that were rounded at most twice; None where it overflows."""
     try:
         total = math.fsum(terms.tolist())
     except OverflowError:
         return None
     if not math.isfinite(total):
         return None
-    return Fraction(total) * (1 + Fraction(4 * EPSILON)) + terms.size * Fraction(TINY)
+    return Fraction(total) * (1 + Fraction(4 * EPSILON)) + 2 * terms.size * Fraction(TINY)
 
 
 def _root(square: Fraction | None) -> Fraction | None:

@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
+from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, read_only, restored
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import gamma
-from ..kernels.floats import EPSILON, TINY
-from ..peers.alone import ALONE, Peers
+from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..settings import MEASURES
-from .row_residuals import residual_ends_of, scaled_residual, sharp_residual_ends
+from .quotients import euclidean_norm, largest_ratio, over
+from .references import VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
+from .row_residuals import (
+    at_rounding_level,
+    magnitude,
+    residual_ends_of,
+    rounding_floor,
+    scaled_residual,
+    sharp_residual_ends,
+)
 
-Ends = tuple[float, float]  # a lower and an upper bound
 MEASURED = (
     "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
     "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
-    "is_at_rounding_level",
+    "is_at_rounding_level", "is_limited_by_rounding",
 )
-_references: WeakKeyDictionary[LCP, Ends] = WeakKeyDictionary()
 LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
-GAINED = 1e-2  # rounding as large as the problem itself is no limit reached, but data or a z out of all proportion
+GAINED = 1e-2  # of the reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +50,13 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
-        ‖r(z)‖∞, the numerator of the relative residual, in the unit of z, measured.
+        The numerator of the relative residual, ‖r(z)‖∞ of the worst part, in the unit of z, measured.
     relative_residual : float
-        ‖r(z)‖∞ / ‖r(z°)‖∞ with r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of
-        [lower, upper] nearest to 0. Invariant under row scaling and under the unit of z.
+        The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
+        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0. Invariant
+        under row scaling and under the unit of z, which may be another in each part.
+    parts : int
+        How many parts there are.
     natural_residual : float
         ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
     euclidean_residual : float
@@ -62,10 +68,11 @@ class Certificate:
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
     relative_complementarity : float
-        The same with w_i/d_i for w_i, over ‖r(z°)‖∞². Invariant as the relative residual is. That is about the lesser
-        factor; where the other is huge, the product is large although the residual is small.
+        The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the part of row i. Invariant as the relative residual is.
+        That is about the lesser factor; where the other is huge, the product is large although the residual is small.
     worst_index : int
-        The row of the largest scaled residual; −1 for an empty problem.
+        The row of the largest residual beside the reference of its part: it names the worst part; −1 for an empty
+        problem.
 
     Examples
     --------
@@ -135,36 +142,70 @@ class Certificate:
         return self.problem.peers.largest(_largest(values))
 
     @cached_property
-    def _worst(self) -> tuple[float, int]:
-        """The largest scaled residual, and its row."""
+    def _row_references(self) -> FloatVector:
+        """An upper bound of the reference of each row's part, shape (own,) or, where there is one part, (1,)."""
+        references: FloatVector = for_each_row(self.problem, self.references[1])
+        return references
+
+    @cached_property
+    def _worst(self) -> tuple[float, float, int]:
+        """The largest residual beside the reference of its part, this residual, and its row."""
+        several = parts(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w))
-        worst = int(np.argmax(residual)) if residual.size else -1  # argmax stops at the first NaN
-        return self.problem.peers.worst(float(residual[worst]) if residual.size else 0.0, worst)
+            relative = residual
+            if several is not None:  # as the relative residual is proved, so that its part is the one that is named
+                relative = over(self._proved_rows, self.references[0][several.labels])
+        worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
+        peers, is_empty = self.problem.peers, not relative.size
+        largest, row = peers.worst(0.0 if is_empty else float(relative[worst]), worst)
+        is_here = not is_empty and row == self.problem.first + worst
+        return largest, peers.largest(float(residual[worst]) if is_here else 0.0), row
 
     @property
     def worst_index(self) -> int:
-        """The row of the largest scaled residual; −1 for an empty problem."""
-        return self._worst[1]
+        """The row of the largest residual beside the reference of its part; −1 for an empty problem."""
+        return self._worst[2]
 
     @property
     def scaled_residual(self) -> float:
-        """‖r(z)‖∞, as measured in double precision."""
-        return self._worst[0]
+        """‖r(z)‖∞ of the worst part, as measured in double precision."""
+        return self._worst[1]
+
+    @property
+    def parts(self) -> int:
+        """How many parts the problem has: connected components of the graph of M."""
+        several = parts(self.problem.matrix)
+        return 1 if several is None else several.total
 
     @cached_property
     def relative_residual(self) -> float:
-        """‖r(z)‖∞ / ‖r(z°)‖∞, rounded upwards; 0 for 0/0."""
-        least, most = self.reference_ends
-        largest = self._largest(self._scaled_ends[1])
-        if least == 0.0 < largest < np.inf:  # only what is exactly 0 will do
-            largest = self._largest(self._sharp_ends())
-        return np.nan if most == np.inf else ratio_upwards(largest, least)
+        """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts, rounded upwards; 0 for 0/0."""
+        peers = self.problem.peers
+        if not peers.everywhere(not np.isinf(self.references[1]).any()):
+            return np.nan
+        return peers.largest(largest_ratio(*self.residuals_of_parts))
 
     @property
-    def reference_ends(self) -> Ends:
-        """Bounds of ‖r(z°)‖∞."""
-        return reference_ends(self.problem)
+    def residuals_of_parts(self) -> VectorEnds:
+        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (parts,) each."""
+        return largest_of_parts(self.problem, self._proved_rows), self.references[0]
+
+    @property
+    def _proved_rows(self) -> FloatVector:
+        """An upper bound of every |r_i|, sharp in parts that z° solves: there only what is exactly 0 will do."""
+        ends, least = self._scaled_ends[1], self.references[0]
+        several = parts(self.problem.matrix)
+        of_rows = least if several is None else least[several.labels]
+        is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
+        if self.problem.peers.everywhere(not is_exact.any()):
+            return ends
+        return np.where(is_exact, self._sharp_ends(), ends)
+
+    @property
+    def references(self) -> VectorEnds:
+        """Bounds of ‖r_P(z°)‖∞ of each part, shape (parts,) each."""
+        return references_of_parts(self.problem)
 
     def _sharp_ends(self) -> FloatVector:
         return sharp_residual_ends(self.problem, self.z)[1]
@@ -207,9 +248,7 @@ class Certificate:
     @property
     def _magnitude(self) -> FloatVector:
         """|M||z| + |q|, shape (n,)."""
-        absolute: Any = abs(self.problem.matrix.rows)
-        magnitude: FloatVector = absolute @ np.abs(self._whole) + np.abs(self.problem.q)
-        return magnitude
+        return magnitude(self.problem, self._whole)
 
     @cached_property
     def bound_violation(self) -> float:
@@ -246,9 +285,10 @@ class Certificate:
     @cached_property
     def relative_complementarity(self) -> float:
         """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
-        reference = self.reference_ends[1]
+        reference = self._row_references
         with np.errstate(all="ignore"):
-            return ratio(ratio(self._largest(self._products / self.problem.residual_scale), reference), reference)
+            products = over(over(self._products / self.problem.residual_scale, reference), reference)
+        return self._largest(products)
 
     @property
     def large_product(self) -> str:
@@ -268,12 +308,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
-        problem = self.problem
-        terms = np.diff(problem.matrix.csr_rows.indptr) + 2
-        with np.errstate(all="ignore"):
-            rounding = EPSILON * self._magnitude + TINY
-            floor: FloatVector = terms * rounding / problem.residual_scale
-        return floor
+        return rounding_floor(self.problem, self._magnitude)
 
     @cached_property
     def scale_spread(self) -> float:
@@ -287,10 +322,29 @@ class Certificate:
     @cached_property
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
+        return self.problem.peers.everywhere(bool(at_rounding_level(self._scaled_ends[1], self.rounding_floor).all()))
+
+    @cached_property
+    def is_limited_by_rounding(self) -> bool:
+        """True at that level, where the residual is small, or in its part z° cannot be told from a solution either.
+
+        Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
+        """
+        if not self.is_at_rounding_level:
+            return False
+        largest, least = self.residuals_of_parts
         with np.errstate(all="ignore"):
-            floor = 4.0 * self.rounding_floor
-            is_below = bool(np.all(self._scaled_ends[1] <= floor)) and bool(np.isfinite(floor).all())
-        return self.problem.peers.everywhere(is_below)
+            is_large = ~(over(largest, least) <= GAINED)
+        if self.problem.peers.everywhere(not is_large.any()):
+            return True
+        return self.problem.peers.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
+
+    def relative_above(self, least: float) -> float:
+        """Return the relative residual with no part's reference taken for less than `least`."""
+        if not least:
+            return self.relative_residual
+        largest, references = self.residuals_of_parts
+        return self.problem.peers.largest(largest_ratio(largest, np.maximum(references, least)))
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
@@ -298,9 +352,14 @@ class Certificate:
             raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
         return self.relative_residual if measure == "relative" else self.euclidean_residual
 
+    @property
+    def _worst_part(self) -> str:
+        """Which of several parts is the worst, in words; empty where there is one."""
+        return f"the worst of {self.parts} parts: that of row {self.worst_index}" if self.parts > 1 else ""
+
     def __str__(self) -> str:
         lines = [
-            ("relative residual", self.relative_residual, ""),
+            ("relative residual", self.relative_residual, self._worst_part),
             ("natural residual", self.natural_residual, ""),
             ("bound violation", self.bound_violation, ""),
             ("slack violation", self.slack_violation, ""),
@@ -314,68 +373,6 @@ def is_large_product(relative_complementarity: float, relative_residual: float) 
     """Return whether complementarity is worth a word beside a residual."""
     least, factor = LARGE_PRODUCT
     return relative_complementarity > max(least, factor * relative_residual)
-
-
-def reference_ends(problem: LCP) -> Ends:
-    """Return bounds of ‖r(z°)‖∞, the denominator of the relative residual; computed once a problem."""
-    if problem not in _references:
-        z, matrix = problem.nearest_to_zero, problem.matrix
-        whole = matrix.whole(z)
-        rows = matrix.rows if whole.any() else _no_entries(matrix.own, matrix.width)
-        least, most = _largest_ends(problem, residual_ends_of(rows, whole, problem, z, problem.residual_scale))
-        if least == 0.0 < most:  # is z° the answer?
-            least, most = _largest_ends(problem, sharp_residual_ends(problem, z))
-        _references[problem] = least, most
-    return _references[problem]
-
-
-def _no_entries(rows: int, columns: int) -> sp.csr_array:
-    """Return zeros; scipy takes as long for them as a kernel for a small matrix."""
-    empty = np.empty(0), np.empty(0, dtype=np.int32), np.zeros(rows + 1, dtype=np.int32)
-    return sp.csr_array(empty, shape=(rows, columns))
-
-
-def _largest_ends(problem: LCP, ends: tuple[FloatVector, FloatVector]) -> Ends:
-    least, most = problem.peers.all_largest(*map(_largest, ends))
-    return least, most
-
-
-def reference_residual(problem: LCP) -> float:
-    """Return ‖r(z°)‖∞, rounded upwards: what the residuals of a run are compared with on the way."""
-    return reference_ends(problem)[1]
-
-
-def ratio_upwards(numerator: float, denominator: float) -> float:
-    """Return a double that is no smaller than the quotient of two that are ≥ 0; 0 for 0/0.
-
-    Examples
-    --------
-    >>> ratio_upwards(1.0, 4.0), ratio_upwards(1e-320, 1e10), ratio_upwards(1.0, 0.0)
-    (0.25, 5e-324, inf)
-    """
-    quotient = ratio(numerator, denominator)
-    if not quotient < np.inf:
-        return quotient
-    (a, b), (c, d), (e, f) = (x.as_integer_ratio() for x in (quotient, float(denominator), float(numerator)))
-    return quotient if a * c * f >= e * b * d else math.nextafter(quotient, math.inf)
-
-
-def ratio(numerator: float, denominator: float) -> float:
-    """Return numerator/denominator with 0/0 = 0; NaN stays NaN, and nothing can be measured against ∞."""
-    if denominator == np.inf:
-        return np.nan
-    if numerator == 0.0:
-        return 0.0
-    return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
-
-
-def euclidean_norm(vector: FloatVector, peers: Peers = ALONE) -> float:
-    """Return ‖vector‖₂, of everybody's parts, without overflow or underflow on the way."""
-    largest = peers.largest(_largest(np.abs(vector)))
-    if largest == 0.0 or not np.isfinite(largest):
-        return largest
-    scaled = vector / largest
-    return largest * math.sqrt(peers.total(float(scaled @ scaled)))
 
 
 def _largest(values: FloatVector) -> float:

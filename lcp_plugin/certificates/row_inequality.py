@@ -26,6 +26,7 @@ from ..checks import BoolVector, FloatVector
 from ..exact.rounding import comparison_product, compensated_pair, compensated_product
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..problem.lcp import LCP
+from .references import for_each_row, largest_of_parts
 
 
 class Branches(NamedTuple):
@@ -78,20 +79,24 @@ class RowInequality:
             slack=slack, negative_slack=negative,
         )
 
-    def inflation(self, v: FloatVector, u: FloatVector, y: FloatVector | None = None) -> float:
-        """Return t ≥ 0 with Φ(y + t v) ≤ y + t v, where 0 < u ≤ ⟨M⟩v; y = 0 by default."""
+    def inflation(self, v: FloatVector, u: FloatVector, y: FloatVector | None = None) -> FloatVector:
+        """Return t ≥ 0, a number a part, with Φ(y + t v) ≤ y + t v, where 0 < u ≤ ⟨M⟩v; y = 0 by default.
+
+        Returned is that of each row's part, shape (own,), or (1,) for all of one part.
+        """
         minus_product = None if y is None else _minus_comparison(self.problem, y)
 
-        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> float:
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
             if y is not None:
                 outside, direct, w = sum_above(outside, -y), sum_above(direct, -y), sum_above(w, minus_product)
             within = np.minimum(quotient_above(direct, v), quotient_above(w, u))
-            largest = np.maximum(quotient_above(outside, v), within).max(initial=0.0)
-            return np.inf if np.isnan(largest) else float(largest)
+            largest: FloatVector = np.maximum(quotient_above(outside, v), within)
+            return largest
 
-        return self.problem.peers.largest(
-            max(side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack))
-        )
+        sides = side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        largest = largest_of_parts(self.problem, np.maximum(np.maximum(*sides), 0.0))
+        inflated: FloatVector = for_each_row(self.problem, np.where(np.isnan(largest), np.inf, largest))
+        return inflated
 
     def image(self, y: FloatVector) -> FloatVector:
         """Return Φ(y), shape (n,)."""

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
 from ..exact.rounding import compensated_product, lower_end, read_only_views, upper_end
+from ..kernels.floats import EPSILON, TINY
 from ..kernels.threads import share
 from ..problem.lcp import LCP
 
@@ -93,6 +94,34 @@ def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, Floa
     below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
+
+
+def magnitude(problem: LCP, whole: FloatVector) -> FloatVector:
+    """Return |M||z| + |q|, shape (own,), of z with the foreign values that the own rows meet behind it."""
+    absolute: Any = abs(problem.matrix.rows)
+    with np.errstate(all="ignore"):
+        sizes: FloatVector = absolute @ np.abs(whole) + np.abs(problem.q)
+    return sizes
+
+
+def rounding_floor(problem: LCP, magnitude: FloatVector) -> FloatVector:
+    """Return what rounding alone can make of each residual, k_i ε (|M||z| + |q|)_i / d_i, k_i = nonzeros of row i + 2.
+
+    Parameters
+    ----------
+    magnitude : array, shape (own,)
+        |M||z| + |q|.
+    """
+    terms = np.diff(problem.matrix.csr_rows.indptr) + 2
+    with np.errstate(all="ignore"):
+        floor: FloatVector = terms * (EPSILON * magnitude + TINY) / problem.residual_scale
+    return floor
+
+
+def at_rounding_level(residual: FloatVector, floor: FloatVector) -> BoolVector:
+    """Return where a residual is no more than four times that."""
+    with np.errstate(over="ignore"):
+        return (residual <= 4.0 * floor) & np.isfinite(floor)
 
 
 def is_at_bound(problem: LCP, z: FloatVector) -> BoolVector:

@@ -44,7 +44,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file (.npz), a folder with M.mtx and q.mtx, or a scene: name:key=value,…", autocompletion=scene_names
+        help="A file (.npz with M and q), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
+        autocompletion=scene_names,
     ),
 ]
 AlgorithmName = Annotated[
@@ -136,6 +137,9 @@ def solve(
         list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
     ] = None,
     tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    absolute_tolerance: Annotated[
+        float, typer.Option(help="A residual in the unit of z that is small enough in any case.")
+    ] = 0.0,
     tolerance_on: Annotated[
         str, typer.Option(help="residual, or error: SOLVED then means a proved relative error.")
     ] = "residual",
@@ -143,6 +147,7 @@ def solve(
     measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
+    refute: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
     threads: Annotated[int | None, typer.Option(help="How many threads it may use; all by default.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
     out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
@@ -167,7 +172,8 @@ def solve(
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
         tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
-        max_iterations=max_iterations, max_seconds=max_seconds, threads=threads,
+        max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
+        threads=threads,
     )
     options = solving.options(relaxation, option or [])
     return solving.run(

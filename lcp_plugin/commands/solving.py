@@ -23,7 +23,7 @@ from .sensitivity import Sensitivity
 from .target import read_target
 from .terminal import RunLine
 
-OWN_FLAGS = ("tolerance", "measure", "max_iterations", "max_seconds", "threads", "algorithm")
+OWN_FLAGS = ("tolerance", "absolute_tolerance", "measure", "max_iterations", "max_seconds", "threads", "algorithm")
 T = TypeVar("T")
 
 

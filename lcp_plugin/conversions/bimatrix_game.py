@@ -80,7 +80,7 @@ class GameOrigin:
         return Equilibrium(self.A, self.B, x / x.sum(), y / y.sum())
 
 
-def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
+def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     """Return the complementarity problem whose solutions are the Nash equilibria of a two-player game.
 
     With costs K = s − A > 0 and L = t − B > 0 in the place of payoffs: z = (x, y) ≥ 0, M = [[0, K], [Lᵀ, 0]], q = −1.
@@ -89,7 +89,7 @@ def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
     ----------
     A, B : array, shape (m, k)
         What the row and the column player get, in any unit each, when one plays row i and the other column j; both
-        want much.
+        want much. Or one game of two players as QuantEcon has it, a ``NormalFormGame``, in the place of A alone.
 
     Returns
     -------
@@ -100,7 +100,8 @@ def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
     Raises
     ------
     InvalidProblem
-        Where A and B are no real, finite matrices of the same shape with at least one row and column.
+        Where A and B are no real, finite matrices of the same shape with at least one row and column, or the game has
+        more players, or fewer.
 
     References
     ----------
@@ -115,6 +116,11 @@ def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
     >>> equilibrium.row_strategy, equilibrium.payoffs, equilibrium.regret
     (array([0.5, 0.5]), (0.0, 0.0), 0.0)
     """
+    if hasattr(A, "players"):
+        A, B = _payoffs_of(A, B)
+    elif B is None:
+        given = type(A).__name__
+        raise InvalidProblem(f"B is missing: a game is A and B, or one object with players, got {given} alone")
     row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
@@ -126,6 +132,16 @@ def lcp_from_bimatrix_game(A: Any, B: Any) -> LCP:
     problem = LCP(M, np.full(m + k, -1.0))
     problem.origin = GameOrigin(row_payoffs, column_payoffs)
     return problem
+
+
+def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
+    """Return (A, B) of a game whose players have each a `payoff_array`, the own action first."""
+    if B is not None:
+        raise InvalidProblem(f"{type(game).__name__} brings the payoffs of both players; leave B out")
+    if len(game.players) != 2:
+        raise InvalidProblem(f"a bimatrix game has two players, got a game of {len(game.players)}")
+    row, column = (np.asarray(player.payoff_array) for player in game.players)
+    return row, column.T
 
 
 def _costs(payoffs: FloatMatrix) -> FloatMatrix:

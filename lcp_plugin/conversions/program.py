@@ -189,6 +189,17 @@ class QuadraticProgram:
         """What each component of the dual residual is relative to."""
         return dual_unit(self)
 
+    @property
+    def primal_size(self) -> float:
+        """1 + the largest limit ÷ the largest coefficient of its row: a size of x that the data name."""
+        rows = self.constraints
+        return float((rows.unit / self.matrices.row_sizes).max(initial=1.0))
+
+    @property
+    def dual_size(self) -> float:
+        """The same of multipliers, and of x where there is a P."""
+        return float((self.dual_unit / self.matrices.column_sizes).max(initial=1.0))
+
     def with_vectors(
         self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,
         lower: ArrayLike | None = None, upper: ArrayLike | None = None,

@@ -16,13 +16,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..exact.linear_systems import solved_nearby
-from ..exact.rational import ZERO, Row, Vector, products, rational, rational_rows, short, transposed_product
+from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
 from ..kernels.floats import EPSILON
 from ..matrix.equilibration import evened
 from ..problem.farkas import FarkasProgram, Multipliers, linear_program
 from ..problem.linear_constraints import DECISIVE, LinearConstraints
 from .constraints import FoldedRows, fold_simple_rows
-from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible, is_recession
+from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -109,7 +109,10 @@ def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
 
 def _with_bounds(program: QuadraticProgram, y: Vector, left: Vector) -> QPInfeasibility:
     """Return multipliers of all rows with those of the bounds, which take up what the rows leave."""
-    bounds = [max(sign * entry, ZERO) for sign in (1, -1) for entry in left]
+    # What an open side leaves is rounding, or no proof.
+    bounds = [max(sign * entry, ZERO) if np.isfinite(bound) else ZERO
+              for sign, side in ((1, program.lower), (-1, program.upper))
+              for entry, bound in zip(left, side.tolist(), strict=True)]
     return QPInfeasibility(program, (*y, *bounds))
 
 
@@ -132,7 +135,7 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
         proof = _with_bounds(program, exact, transposed_product(rows, exact, program.n))
         return proof if proof.margin > 0.0 else None
 
-    return farkas.proof(answer, proven, lambda proof: proof.margin)
+    return farkas.proof(answer, proven, lambda proof: proof.margin, lambda proof: proof.radius)
 
 
 def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
@@ -146,21 +149,20 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
     answer = farkas.solve()
     if answer is None or not answer.is_contradiction:
         return None
-    rows, flat = rational_rows(program.constraints.matrix), rational_rows(P)
-    points: list[Vector | None] = []
+    rows = rational_rows(program.constraints.matrix)
+    points: list[tuple[Vector, ...]] = []
 
     def proven(d: Multipliers) -> QPUnboundedness | None:
-        exact = [Fraction(value) for value in d]
-        if any(products(flat, exact)) or not is_recession(program.constraints, rows, exact):
-            return None
         if not points:
-            points.append(feasible_point(program, rows))
-        if points[0] is None:
-            return None
-        proofs = (QPUnboundedness(program, tuple(points[0]), tuple(exact), is_exact) for is_exact in (True, False))
-        return next((proof for proof in proofs if proof.verify()), None)
+            points.append(points_inside(program, rows))
+        for point in reversed(points[0]):
+            proof = QPUnboundedness(program, tuple(point), tuple(map(Fraction, d)))
+            # Beside a direction that is none exactly, a point that meets rounded rows exactly may be far away.
+            if proof.is_exact or (point is points[0][0] and proof.verify()):
+                return proof
+        return None
 
-    return farkas.proof(answer, proven, lambda proof: proof.margin)
+    return farkas.proof(answer, proven, lambda proof: proof.margin, lambda proof: proof.radius)
 
 
 def _stationarity(program: QuadraticProgram, P: sp.csr_array) -> LinearConstraints:
@@ -194,6 +196,12 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
 
 def feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector | None:
     """Return a point that satisfies all constraints exactly, as far inside as a linear program finds."""
+    _, *exact = points_inside(program, exact_rows) or (None,)
+    return exact[0] if exact else None
+
+
+def points_inside(program: QuadraticProgram, exact_rows: list[Row]) -> tuple[Vector, ...]:
+    """Return a point that satisfies all constraints to rounding, and one that does so exactly; those that are found."""
     constraints, n = program.constraints, program.n
     matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
@@ -212,7 +220,7 @@ def feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector |
         (scaled(most, margin[most].astype(np.float64)), (scale * limit)[most]),
     )
     if answer is None:
-        return None
+        return ()
     x = np.clip(answer.x[:-1], program.lower, program.upper)
     rows = most[is_row[most]]
     value = scale[rows] * (matrix[rows] @ x - limit[rows])
@@ -224,4 +232,4 @@ def feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector |
     exact = solved_nearby(
         [exact_rows[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]
     )
-    return exact if exact is not None and is_feasible(constraints, exact_rows, exact) else None
+    return (guess, exact) if exact is not None and is_feasible(constraints, exact_rows, exact) else (guess,)

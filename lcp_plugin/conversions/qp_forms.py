@@ -15,6 +15,7 @@ from ..matrix.definiteness import is_diagonal
 from ..matrix.factors import factor_fits
 from ..problem.lcp import LCP
 from .constraints import FoldedRows
+from .least_multipliers import least_multipliers
 from .program_matrices import Indices, is_kept_dense
 from .qp_solution import QPSolution
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
+WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 
 
@@ -67,6 +69,16 @@ class QPOrigin:
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
             return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
+        found = self._with_bounds(x, y)
+        smaller = least_multipliers(folded, x, y)
+        if smaller is None:
+            return found
+        other = self._with_bounds(x, smaller)
+        return other if _error(other) <= max(_error(found), WORTH) else found
+
+    def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
+        rows, folded = self.program.constraints, self.rows.folded
         # What the bounds have to balance, μ_lower − μ_upper.
         reduced_cost = folded.P @ x + folded.c + y @ folded.matrices.rows
         of_P, of_rows = folded.matrices.magnitudes
@@ -212,6 +224,10 @@ class DualForm(QPOrigin):
 
 
 FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
+
+
+def _error(solution: QPSolution) -> float:
+    return max(solution.residual, solution.row_residual)
 
 
 def _is_better_left(

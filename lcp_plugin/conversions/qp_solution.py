@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
+LARGEST_SLOPE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
@@ -127,9 +128,8 @@ class QPSolution:
         # A limit that holds is no term of a violation, as above.
         errors = [violated / (1.0 + np.where(violated > 0.0, size, 0.0))]
         errors += [error[~rows.is_equality] for error in (np.abs(y * gap) / (1.0 + y_size), wrong)]
-        left = np.abs(program.P @ self.x + program.c + rows.transposed @ y)
         terms = [_largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(rows.transposed, y)]
-        return _largest(np.concatenate([*errors, left / (1.0 + np.max(terms, axis=0))]))
+        return _largest(np.concatenate([*errors, np.abs(self._left) / (1.0 + np.max(terms, axis=0))]))
 
     @property
     def row_multipliers(self) -> FloatVector:
@@ -162,7 +162,7 @@ class QPSolution:
         return self.is_stationary(tolerance) and self.program.is_shown_convex
 
     def is_stationary(self, tolerance: float = 1e-6) -> bool:
-        """Return whether all three residuals and every row's own are at most the tolerance.
+        """Return whether all three residuals and every row's own are at most the tolerance, and `slope_along_x` small.
 
         Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
         For a convex program the conditions are sufficient.
@@ -176,7 +176,24 @@ class QPSolution:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
         if not self.primal_residual <= constraint_tolerance(float(tolerance)):
             return False
-        return bool(self.residual <= tolerance) and bool(self.row_residual <= tolerance)
+        is_small = self.residual <= tolerance and self.row_residual <= tolerance
+        return bool(is_small and self.slope_along_x <= max(LARGEST_SLOPE, tolerance))
+
+    @cached_property
+    def slope_along_x(self) -> float:
+        """What the error of the gradient makes of the objective on the way from 0 to x, beside its largest term.
+
+        Rows with large entries, or multipliers of 1e20, excuse any gradient beside their own terms.
+        """
+        program = self.program
+        by_row = np.abs(np.concatenate([program.c * self.x, (program.P @ self.x) * self.x]))
+        return float(abs(self._left @ self.x)) / (1.0 + _largest(by_row))
+
+    @cached_property
+    def _left(self) -> FloatVector:
+        program, y = self.program, self.multipliers
+        left: FloatVector = program.P @ self.x + program.c + program.constraints.transposed @ y
+        return left
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:

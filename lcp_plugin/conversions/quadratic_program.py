@@ -21,6 +21,8 @@ from .qp_solution import QPSolution
 from .substitution import Substitution, substitute_definitions
 
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+FILLED = 1.2  # times the entries of the program as it stands
+
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     """Return the linear complementarity problem that the program's optimality conditions are.
@@ -148,6 +150,7 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
     return problem
 
 
+
 class Attempt(NamedTuple):
     """A complementarity problem that states a program, the way back, and why it is tried."""
 
@@ -183,9 +186,13 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
         with suppress(UnsuitableMatrix):
             problem = optimality_conditions(smaller, "dual")
     form = f"the {problem.origin.form} form"
-    yield Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")
+    found = [Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")]
     if substitution is not None or problem.origin.form == "dual":
-        yield Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
+        plain = Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
+        # A wide A in ‖A x − b‖² fills AᵀA, which nobody needs to factorise.
+        fills_in = problem.origin.form == "kkt" and problem.nonzeros > FILLED * plain.problem.nonzeros
+        found.insert(0 if fills_in else 1, plain)
+    yield from found
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.residuals import Certificate, reference_residual
+from ..certificates.references import reference_residual
+from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import InvalidOption, did_you_mean

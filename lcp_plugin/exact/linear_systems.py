@@ -292,7 +292,8 @@ def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Seq
 
     Notes
     -----
-    By p-adic lifting on a largest nonsingular block of the entries that may change, largest ones first.
+    Equations that share no such entry are solved apart, each lot by p-adic lifting on a largest nonsingular block of
+    the entries that may change, largest ones first.
     """
     rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
     if not any(rest):
@@ -300,15 +301,35 @@ def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Seq
     movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
     if any(value and not row for row, value in zip(movable, rest, strict=True)):
         return None
-    used = [i for i, row in enumerate(movable) if row]
-    system, missing = [movable[i] for i in used], [rest[i] for i in used]
-    change = _by_largest_block(system, missing, guess)
-    if change is None:
-        return None
     solution = list(guess)
-    for j, value in change.items():
-        solution[j] += value
+    for lot in independent_rows(movable):
+        if any(rest[i] for i in lot):
+            change = _by_largest_block([movable[i] for i in lot], [rest[i] for i in lot], guess)
+            if change is None:
+                return None
+            for j, value in change.items():
+                solution[j] += value
     return solution
+
+
+def independent_rows(rows: list[Row]) -> list[list[int]]:
+    """Return the numbers of the rows in lots that share no column with another; empty rows are in none.
+
+    Examples
+    --------
+    >>> independent_rows([{0: 1}, {1: 1, 2: 1}, {}, {0: 2}])
+    [[0, 3], [1]]
+    """
+    lot: dict[int, list[int]] = {}
+    for i, row in enumerate(rows):
+        met = {id(lot[j]): lot[j] for j in row if j in lot}.values()
+        # The rows of smaller lots go to the largest: each moves a few times only.
+        whole = max(met, key=len, default=[])
+        whole += [k for other in met if other is not whole for k in other]
+        whole.append(i)
+        for j in {j for other in met if other is not whole for k in other for j in rows[k]} | set(row):
+            lot[j] = whole
+    return sorted(sorted(one) for one in {id(one): one for one in lot.values()}.values())
 
 
 def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
@@ -334,5 +355,5 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
     if values is None:
         return None
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
-    whole_vector = [solution.get(j, ZERO) for j in range(len(guess))]
-    return solution if list(products(rows, whole_vector)) == right else None
+    placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
+    return solution if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right else None

@@ -139,3 +139,22 @@ def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-
         if (upper[i] == np.inf and highest + q[i] < 0.0) or (lower[i] == -np.inf and lowest + q[i] > 0.0):
             return True
     return False
+
+
+@compiled
+def join(indptr, indices, first):  # type: ignore[no-untyped-def]
+    """Write the least unknown of each one's connected component, by the entries of the rows."""
+    for j in range(first.size):
+        first[j] = j
+    for i in range(indptr.size - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            a, b = i, indices[k]
+            while first[a] != a:
+                first[a] = first[first[a]]
+                a = first[a]
+            while first[b] != b:
+                first[b] = first[first[b]]
+                b = first[b]
+            first[max(a, b)] = min(a, b)
+    for j in range(first.size):
+        first[j] = first[first[j]]  # of an earlier one, which is final

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidProblem, LCPError, NotConverged
+from ..errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ..solving.batch import solve_batch
 from ..solving.batch_derivative import BatchDerivative
 from ..solving.derivative import derivative
@@ -98,21 +98,68 @@ def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = Non
     return found, axes
 
 
-def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, Any, Any]:
-    """Return the gradients by q and the bounds, each of shape (…, n).
+def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
+    """Return the gradients by q and the bounds, each of the shape of g.
+
+    Parameters
+    ----------
+    found : BatchDerivative
+    axes : tuple of int
+    g : array, shape (…, n)
+        Axes in front as many as `axes`; where those have 1, g may have more: many gradients of one solution.
 
     Raises
     ------
     UnsuitableProblem
         Where a block of M on the free rows is singular, of a problem that the loss looks at.
     """
-    shape = (*axes, g.shape[-1])
-    g = np.broadcast_to(g, shape).reshape(len(found), g.shape[-1])
-    by = found.vjp(g)
-    wrong = {k: error for k, error in found.errors.items() if g[k].any()}  # of the others nothing is asked
-    if wrong:
-        raise _first(wrong, axes, type(next(iter(wrong.values()))))
-    return by.q.reshape(shape), by.lower.reshape(shape), by.upper.reshape(shape)
+    def ask(g: Any) -> tuple[Any, ...]:
+        by = found.vjp(g)
+        return by.q, by.lower, by.upper
+
+    return _derived(ask, 3, found, axes, g)
+
+
+def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tuple[Any, ...]:
+    """Return (dz,), the change of z that goes with dM z + dq and with those of the bounds; shapes as for `gradients`.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where a block of M on the free rows is singular, of a problem whose data move.
+    """
+    def ask(change: Any, lower: Any, upper: Any) -> tuple[Any]:
+        return (found.jvp(dq=change, dlower=lower, dupper=upper),)
+
+    return _derived(ask, 1, found, axes, *moved)
+
+
+def no_second_derivative(remedy: str) -> UnsupportedModel:
+    """Return the error of who asks for one."""
+    return UnsupportedModel(
+        "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
+        f"is computed; {remedy}"
+    )
+
+
+def _derived(
+    ask: Callable[..., tuple[Any, ...]], count: int, found: BatchDerivative, axes: tuple[int, ...], *given: Any
+) -> tuple[Any, ...]:
+    """Return the so many arrays that are asked of all problems; axes that `found` does not have are taken in turn."""
+    *every, n = given[0].shape
+    tables = tuple(np.empty((*every, n)) for _ in range(count))
+    own = [mine == whole for mine, whole in zip(axes, every, strict=True)]
+    for place in np.ndindex(*(1 if is_own else whole for is_own, whole in zip(own, every, strict=True))):
+        at = tuple(slice(None) if is_own else slice(k, k + 1) for is_own, k in zip(own, place, strict=True))
+        rows = [array[at].reshape(len(found), n) for array in given]
+        answers = ask(*rows)
+        wrong = {k: error for k, error in found.errors.items() if any(row[k].any() for row in rows)}
+        if wrong:
+            raise _first(wrong, axes, type(next(iter(wrong.values()))))
+        for table, answer in zip(tables, answers, strict=True):
+            answer[[*found.errors]] = 0.0  # nothing is asked of them
+            table[at] = answer.reshape(*axes, n)
+    return tables
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

@@ -24,7 +24,7 @@ class Bands(NamedTuple):
     weights : ndarray, shape (n,)
         Powers of two that bring the rows to size 1.
     is_tridiagonal_z : bool
-        There is one diagonal on either side at the most, and no positive entry on them.
+        There is one diagonal on either side at the most, no positive entry on them, and only such on the main one.
     """
 
     entries: FloatVector
@@ -47,6 +47,6 @@ def bands(matrix: Matrix) -> Bands | None:
         below = above = 1
     entries = np.zeros((below + above + 1, matrix.n))
     entries[offsets + below, rows] = M.data
-    is_z = below == above == 1 and not bool((entries[::2] > 0.0).any())
+    is_z = below == above == 1 and not bool((entries[::2] > 0.0).any()) and bool((entries[1] > 0.0).all())
     exponents = np.clip(np.frexp(matrix.residual_scale)[1], -1000, 1000)
     return Bands(read_only(entries), below, read_only(np.ldexp(1.0, -exponents)), is_z)

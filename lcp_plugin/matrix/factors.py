@@ -2,20 +2,24 @@
 
 Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
 (:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
-:func:`factor_fits` says beforehand whether a factorisation has its end in sight.
+:func:`factor_fits` says beforehand whether a factorisation has its end in sight; one that may take long is left behind
+where time is over or Ctrl-C comes (:func:`made`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
+from ..deadline import interruptible
 from .structure import row_numbers
+
+T = TypeVar("T")
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
 DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diagonal
@@ -27,6 +31,9 @@ SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
 LARGEST_OPERATIONS = 4e10  # about ten seconds, a 3-D grid of 37³; a random graph's n³ exceeds it at some thousands
 LARGEST_FILL = 2e8  # entries
+FULL = 10.0  # √n entries a row
+
+LONG = 1e8  # operations, from .05 s with SuperLU, beside which it costs nothing to wait for another thread
 
 IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
 
@@ -90,6 +97,17 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
     return _sparse_lu(matrix, is_symmetric)
 
 
+def made(factorisation: Callable[[], T], operations: float) -> T:
+    """Return a factorisation; where it may take so many operations that it is long, a limit and Ctrl-C are obeyed.
+
+    Raises
+    ------
+    OutOfTimeError
+        Where an enforced limit passed first (:func:`lcp_plugin.deadline.interruptible`).
+    """
+    return factorisation() if operations <= LONG else interruptible(factorisation)
+
+
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
     factor = None
     if is_symmetric and matrix.shape[0] and matrix.diagonal().min() > 0.0:
@@ -101,9 +119,11 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
     from scipy.linalg import lapack
 
+    from .lapack import dpotrf
+
     n = matrix.shape[0]
     # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
-    factor, info = lapack.dpotrf(matrix.T, lower=1, overwrite_a=overwrite, clean=0)
+    factor, info = made(lambda: dpotrf(matrix.T, overwrite=overwrite), n**3 / 3.0)
     if info != 0:
         return None
 
@@ -121,7 +141,8 @@ def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool =
     from scipy.linalg import lapack
 
     n = matrix.shape[0]
-    factor, pivots, info = lapack.dgetrf(matrix if by_columns else matrix.T, overwrite_a=overwrite)
+    array = matrix if by_columns else matrix.T
+    factor, pivots, info = made(lambda: lapack.dgetrf(array, overwrite_a=overwrite), n**3 / 1.5)
     if info != 0:
         return None
 
@@ -134,10 +155,12 @@ def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool =
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     from scipy.linalg import lapack
 
+    from .lapack import dgbtrf
+
     n = matrix.shape[0]
     band = np.zeros((2 * below + above + 1, n), order="F")
     band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
-    factor, pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
+    factor, pivots, info = made(lambda: dgbtrf(band, below, above), 2.0 * n * below * (below + above + 1))
     if info != 0:
         return None
 
@@ -194,7 +217,16 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     matrix = sp.csc_array(matrix)
     if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
         raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
-    return splu(matrix, **options)
+    return made(lambda: splu(matrix, **options), most_operations(matrix))
+
+
+def most_operations(matrix: sp.csc_array) -> float:
+    """Return what a factor within the envelope of the present order takes: others have less fill as a rule."""
+    n = matrix.shape[0]
+    if n**3 <= LONG:
+        return float(n**3)
+    width = _envelope(row_numbers(matrix), matrix.indices, n)
+    return 2.0 * float(width @ width)
 
 
 def _is_structurally_regular(matrix: Any) -> bool:
@@ -255,7 +287,8 @@ def factor_fits(matrix: Any) -> bool:
     Notes
     -----
     The factor in the order of Cuthill and McKee stays within an envelope, whose Σ width and Σ width² count its entries
-    and operations. The order used has less fill on grids, and none has much less on random graphs.
+    and operations. The order used has less fill on grids, and none has much less on random graphs. Rows with more than
+    10 √n entries come last, as in orders of minimum degree: a dense row of constraints ties all unknowns together.
     """
     n = matrix.shape[0]
     if n <= ALWAYS:
@@ -266,13 +299,21 @@ def factor_fits(matrix: Any) -> bool:
         return True
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+    is_full = np.diff(pattern.indptr) + np.bincount(pattern.indices, minlength=n) > 2.0 * FULL * np.sqrt(n)
+    others, full = np.flatnonzero(~is_full), np.flatnonzero(is_full)
+    order = others[reverse_cuthill_mckee(pattern[others][:, others], symmetric_mode=False)] if others.size else others
     position = np.empty(n, dtype=np.int64)
-    position[reverse_cuthill_mckee(pattern, symmetric_mode=False)] = np.arange(n)
+    position[np.append(order, full)] = np.arange(n)
     return _is_affordable(position[rows], position[pattern.indices], n)
 
 
-def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
+def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
+    """Return how far each row of the lower triangle of A + Aᵀ reaches from the diagonal, shape (n,)."""
     first = np.arange(n)
     np.minimum.at(first, np.maximum(rows, columns), np.minimum(rows, columns))
-    width = (np.arange(n) - first).astype(np.float64)
+    return (np.arange(n) - first).astype(np.float64)
+
+
+def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
+    width = _envelope(rows, columns, n)
     return bool(width.sum() <= LARGEST_FILL and width @ width <= LARGEST_OPERATIONS)

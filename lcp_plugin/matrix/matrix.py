@@ -189,6 +189,13 @@ class Matrix:
 
     @property
     @fact
+    def row_largest(self) -> FloatVector:
+        """max_j |m_ij| of each row, 1 for an empty one, shape (own,)."""
+        row_largest = _row_largest(self.rows)
+        return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
+
+    @property
+    @fact
     def csc(self) -> sp.csc_array:
         """The matrix by columns, shape (n, n)."""
         return sp.csc_array(self.csr)
@@ -224,6 +231,16 @@ def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
     return frozen(compressed)
 
 
+def _row_largest(M: Any) -> FloatVector:
+    if not sp.issparse(M):
+        largest: FloatVector = np.abs(M).max(axis=1, initial=0.0)
+        return largest
+    row_largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
+    if filled.size:
+        row_largest[filled] = np.maximum.reduceat(np.abs(M.data), M.indptr[filled])
+    return row_largest
+
+
 def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     entries = M.data if sp.issparse(M) else M
     if entries.size == 0:
@@ -231,11 +248,7 @@ def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     largest = max(float(entries.max()), -float(entries.min()))
     if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
-    if sp.issparse(M):
-        row_largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
-        row_largest[filled] = np.maximum.reduceat(np.abs(M.data), M.indptr[filled])
-    else:
-        row_largest = np.abs(M).max(axis=1)
+    row_largest = _row_largest(M)
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
     scale = np.where(is_usable, diagonal, row_largest)

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ..checks import FloatVector, read_only
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .matrix import Matrix, fact
+from .parts import parts
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -56,7 +57,12 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
 
 def strong_blocks(M: Any) -> tuple[int, IntVector]:
     """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
-    return _connected(M, "strong")
+    from scipy.sparse.csgraph import connected_components
+
+    # The routine drops explicit zeros of floats; only the pattern counts.
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    count, labels = connected_components(pattern, directed=True, connection="strong")
+    return int(count), labels.astype(np.int64)
 
 
 @fact
@@ -69,16 +75,8 @@ def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
 @fact
 def components(matrix: Matrix) -> int:
     """Return the number of connected components of the graph of M."""
-    return _connected(matrix.csr, "weak")[0]
-
-
-def _connected(M: Any, connection: str) -> tuple[int, IntVector]:
-    from scipy.sparse.csgraph import connected_components
-
-    # The routine drops explicit zeros of floats; only the pattern counts.
-    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
-    count, labels = connected_components(pattern, directed=True, connection=connection)
-    return int(count), labels.astype(np.int64)
+    found = parts(matrix)
+    return min(matrix.n, 1) if found is None else found.total
 
 
 def block_rows(labels: IntVector, count: int) -> list[IntVector]:

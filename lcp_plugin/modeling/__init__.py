@@ -4,7 +4,8 @@
 ``ComplementarityProblem([...])``, which needs neither objective nor method:
 
 - ``complements(x >= 0, F >= 0)``: in either order; both sides have one shape, nothing is broadcast.
-- ``complements(F >= 0, G >= 0)`` with two expressions.
+- ``complements(F >= 0, G >= 0)`` with two expressions, affine or not: an unknown s == F is added, and s ≥ 0 goes with
+  G ≥ 0. A row of such a pair counts as an equation, and needs a variable that no other pair holds and nothing bounds.
 - ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0.
 - ``complements(x, F)``: the bounds are those of the variable, as in ``cp.Variable(2, nonneg=True)``; where it has none,
   F == 0 is what that means, and a ``ModelWarning`` says so.
@@ -14,9 +15,10 @@
 Parameters may stand anywhere, and a second solve starts from the first. cvxpy keeps sparse constants by columns, so
 that ``M @ x`` costs one conversion of M.
 
-**Afterwards** ``pair.dual_value`` is w and ``pair.violation()`` the largest natural residual; the inequalities inside
-carry the duals that a quadratic program would give them. A model that is proved to have no solution gets the status
-"infeasible", and the proof is ``problem.solver_stats.extra_stats.infeasibility``; ``extra_stats`` is a `Result` always.
+**Afterwards** ``pair.dual_value`` is w, of two expressions the second, and ``pair.violation()`` the largest natural
+residual; the inequalities inside carry the duals that a quadratic program would give them. A model that is proved to
+have no solution gets the status "infeasible", and the proof is ``problem.solver_stats.extra_stats.infeasibility``;
+``extra_stats`` is a `Result` always.
 
 >>> import cvxpy as cp
 >>> import numpy as np
@@ -27,7 +29,7 @@ carry the duals that a quadratic program would give them. A model that is proved
 >>> x.value.round(6), pair.dual_value.round(6), pair.violation() < 1e-8
 (array([1., 1.]), array([-2.,  0.]), True)
 
-**Smooth nonlinear expressions** may stand wherever an affine one may, but for the side that is a variable: products and
+**Smooth nonlinear expressions** may stand wherever an affine one may, on both sides of a pair too: products and
 quotients of variables, real powers, ``exp log log1p logistic entr xexp rel_entr kl_div``, ``geo_mean prod sum_squares
 quad_form quad_over_lin log_sum_exp``, and whatever is affine around and inside them. Convexity plays no role. Then the
 model is solved by :func:`lcp_plugin.solve_nonlinear`, whose options hold, and ``error_bound=True`` proves a solution
@@ -35,6 +37,7 @@ nearby where it can.
 
 - The run begins at the values of the variables, so set ``x.value``. Where F or its derivative is not finite there, or a
   variable has no value, it begins at the point of the bounds nearest to 0, or else to 1.
+- A side that must be a variable, as that of a box, gets one: ``y == cp.exp(x)`` in the list, and ``box(y, 1, 2)``.
 - What leaves a domain, as ``log`` below zero, shortens a step. State the bound that keeps a solution inside.
 - ``abs``, ``maximum``, norms and integers are refused. ``abs(x)`` is x + 2 s with ``complements(s >= 0, x + s >= 0)``.
 - An expression that enters all rows, as ``cp.power(cp.sum(x), -1.1)``, makes the Jacobian dense. Give it a variable and

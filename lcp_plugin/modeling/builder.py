@@ -44,6 +44,8 @@ class Function:
         Those that are not affine in their arguments, arguments first.
     blocks : mapping
         From the keys of such nodes to the matrices by which their results enter the rows.
+    slacks : ndarray of int or None
+        The unknowns that the matrix takes off the expression, one a row; None for none.
     """
 
     expression: Any
@@ -53,6 +55,7 @@ class Function:
     shape: tuple[int, ...] = ()
     nodes: Sequence[Any] = ()
     blocks: Mapping[int, sp.csr_array] = field(default_factory=dict)
+    slacks: NDArray[np.int64] | None = None
 
     def over(self, count: int) -> sp.csr_array:
         """Return the matrix over all unknowns, those included that came later."""
@@ -133,7 +136,8 @@ class Builder:
             self._pair_slack(pair, *functions)
         else:
             raise UnsupportedModel(
-                f"one side of {pair!r} must be a variable, or distinct entries of variables that no other pair holds"
+                f"one side of {pair!r} must be a variable, or distinct entries of variables that no other pair holds; "
+                "give it a variable of its own: y == side in the list, and y in its place in the pair"
             )
 
     def _is_defined(self, single: Single | None) -> bool:
@@ -160,7 +164,8 @@ class Builder:
         positive = weights > 0.0
         low, high = (np.ravel(bound, order="F") for bound in side.bounds())
         if side.kind in ("nonnegative", "box"):
-            low, high = (low - own.offset) / weights, (high - own.offset) / weights
+            with np.errstate(over="ignore"):  # beyond every double: no bound, or refused below
+                low, high = (low - own.offset) / weights, (high - own.offset) / weights
             low, high = np.where(positive, low, high), np.where(positive, high, low)
             self._tighten(side, columns, low, high)
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
@@ -211,6 +216,8 @@ class Builder:
             raise UnsupportedModel(
                 f"the attributes of a variable in {side} state other bounds than the pair does; state them once"
             )
+        if (low == np.inf).any() or (high == -np.inf).any():
+            raise UnsupportedModel(f"{side} keeps a variable beyond the largest double; write it in other units")
         if (low > high).any():
             raise UnsupportedModel(f"{side} has a lower bound above its upper bound")
         self.lower[columns], self.upper[columns] = low, high
@@ -221,7 +228,7 @@ class Builder:
         columns = np.arange(self.count, self.count + size)
         minus = sp.csr_array((np.full(size, -1.0), (np.arange(size), columns)), shape=(size, self.count + size))
         matrix = sp.csr_array(first.over(self.count + size) + minus)
-        self.equations.append(replace(first, matrix=matrix))
+        self.equations.append(replace(first, matrix=matrix, slacks=columns))
         self.count += size
         self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
@@ -260,9 +267,17 @@ class Builder:
         if not np.array_equal(columns, np.arange(kept.size)):
             M, q = sp.csr_array(M[place]), q[place]
         problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
-        expressions = [function.expression for function in functions]
-        sources = Sources(expressions, before, place, sign[place], self.bounds)
+        sources = self.sources(before, place, sign[place])
         return Model(problem, self.variables, self.offsets, self.reports, elimination, sources)
+
+    def sources(
+        self, matrices: tuple[sp.csr_array, sp.csr_array], places: NDArray[np.int64], signs: FloatVector
+    ) -> Sources:
+        """Return where the rows come from: those of the pairs, then the equations."""
+        functions = [*(function for _, function, _ in self.pairs), *self.equations]
+        expressions = [function.expression for function in functions]
+        slacks = {k: function.slacks for k, function in enumerate(functions) if function.slacks is not None}
+        return Sources(expressions, matrices, places, signs, self.bounds, slacks)
 
     def _variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
@@ -330,9 +345,11 @@ class Builder:
             for variable in self.variables
             if not self.is_paired[self.offsets[variable.id] : self.offsets[variable.id] + variable.size].all()
         ]
+        of_pairs = sum(function.slacks.size for function in self.equations if function.slacks is not None)
+        counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
         raise UnsupportedModel(
             f"the model has {free.size} unknowns without a complementarity ({', '.join(names) or 'none'}) and "
-            f"{equations} equations; it needs as many equations as such unknowns"
+            f"{equations} equations{counted}; it needs as many equations as such unknowns"
         )
 
 

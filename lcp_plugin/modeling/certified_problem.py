@@ -26,7 +26,8 @@ from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
-from ..solving.program_proofs import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_room
+from ..solving.given_multipliers import LOOSE, multiplier_beside_room
+from ..solving.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of

@@ -179,8 +179,9 @@ def _kind(values: Any) -> str:
 class Complements(Constraint):  # type: ignore[misc]
     """Two sides that complement each other; see :func:`complements`.
 
-    ``dual_value`` is the value of the side that is no variable (w); after a solve the inequality that bounds
-    the variable carries the same, and the other inequality carries the variable, as after a quadratic program.
+    ``dual_value`` is the value of the side that is no variable (w), of two expressions the second; after a solve the
+    inequality that bounds the variable carries the same, and the other inequality carries the variable, as after a
+    quadratic program.
 
     Parameters
     ----------

@@ -246,6 +246,11 @@ def _check(tree: _Tree, constants: Values, blocks: dict[int, sp.csr_array], offs
     sizes = [0.0]
     _evaluated(tree, constants, point, sizes)
     wrong = doubtful[~(error[doubtful] <= CHECK_TOLERANCE * (size + max(sizes)))]
+    if wrong.size and not np.isfinite(error[wrong[0]]):
+        raise UnsupportedModel(
+            f"{name_of(tree.root)} overflows in entry {wrong[0]}, multiplied out or at a point near 1; write it in "
+            "other units"
+        )
     if wrong.size:
         raise UnsupportedModel(
             f"{name_of(tree.root)} differs from its own matrices by {error[wrong[0]]:.1e} in entry {wrong[0]}; "

@@ -13,6 +13,7 @@ from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
+from ._compat import dense
 from .equations import Elimination
 
 
@@ -77,13 +78,16 @@ class Model:
         return [(report.constraint, report.value(z, w)) for report in self.reports]
 
     def start(self) -> FloatVector | None:
-        """Return the present values of all variables as one vector; None where one has no value."""
+        """Return the present values of all variables and slacks as one vector; None where a variable has no value."""
         if any(variable.value is None for variable in self.variables):
             return None
         z = np.zeros(self.elimination.offset.size)
         for variable in self.variables:
             first = self.offsets[variable.id]
             z[first : first + variable.size] = np.ravel(variable.value, order="F")
+        with np.errstate(all="ignore"):  # outside of a domain
+            for k, columns in self.sources.slacks.items():
+                z[columns] = np.maximum(np.ravel(dense(self.sources.functions[k].value), order="F"), 0.0)
         return z[self.elimination.kept]
 
 
@@ -124,6 +128,8 @@ class Sources:
     signs : ndarray, shape (n,)
     bounds : list of BoundSource
         What holds of an unknown is what comes last.
+    slacks : dict
+        From the number of a function to the unknowns that its rows are less than its expression, one a row.
     """
 
     functions: list[Any]
@@ -131,3 +137,4 @@ class Sources:
     places: NDArray[np.int64]
     signs: FloatVector
     bounds: list[BoundSource]
+    slacks: dict[int, NDArray[np.int64]]

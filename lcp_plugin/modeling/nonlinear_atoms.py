@@ -188,9 +188,19 @@ def _geometric_mean(compiler: Compiler, node: Any) -> Rows:
 
 
 def _log_sum_exp(compiler: Compiler, node: Any) -> Rows:
-    groups = _reduced(node)
-    powers = compiler.emit(rules.EXP, compiler.argument(node.args[0])[groups.ravel(order="F")])
-    return compiler.emit(rules.LOG, _sums_along(powers, groups))
+    """Add the exponentials in pairs of pairs, each pair by its logarithms: no exponential overflows."""
+    groups, rows = _reduced(node), compiler.argument(node.args[0])
+    terms, left = rows[groups.ravel()], []  # terms of one place in the groups follow each other
+    count, size = groups.shape
+    while count > 1:
+        half = count // 2 * size
+        if count % 2:
+            left.append(terms[np.arange(2 * half, terms.size)])
+        terms = compiler.emit(rules.LOG_ADD_EXP, terms[np.arange(half)], terms[np.arange(half, 2 * half)])
+        count //= 2
+    for other in left:
+        terms = compiler.emit(rules.LOG_ADD_EXP, terms, other)
+    return terms
 
 
 def _quad_over_lin(compiler: Compiler, node: Any) -> Rows:
@@ -208,10 +218,7 @@ def _quad_form(compiler: Compiler, node: Any) -> Rows:
 
 
 def _relative_entropy(compiler: Compiler, node: Any) -> Rows:
-    """Write x log(x/y) as −entr(x) − x log y."""
-    x, y = _broadcast(compiler, node)
-    crossed = compiler.emit(rules.PRODUCT, x, compiler.emit(rules.LOG, y))
-    return compiler.total((-1.0, compiler.emit(rules.ENTROPY, x)), (-1.0, crossed))
+    return compiler.emit(rules.RELATIVE_ENTROPY, *_broadcast(compiler, node))
 
 
 def _kl_divergence(compiler: Compiler, node: Any) -> Rows:

@@ -94,6 +94,13 @@ def logarithm(a: Interval) -> Interval:
     return nothing_known(widened(np.log(a[0]), np.log(a[1])), ~(a[0] > 0.0))
 
 
+def logarithm_of_quotient(a: Interval, b: Interval) -> Interval:
+    """Return log(a/b); nothing is known where a or b reaches zero."""
+    of_quotient, of_difference = logarithm(divided(a, b)), added(logarithm(a), negated(logarithm(b)))
+    known = np.maximum(of_quotient[0], of_difference[0]), np.minimum(of_quotient[1], of_difference[1])
+    return nothing_known(known, ~(a[0] > 0.0) | ~(b[0] > 0.0))
+
+
 def logarithm_of_one_more(a: Interval) -> Interval:
     """Return log(1 + a); nothing is known where a reaches −1."""
     return nothing_known(widened(np.log1p(a[0]), np.log1p(a[1])), ~(a[0] > -1.0))
@@ -106,10 +113,28 @@ def softplus(a: Interval) -> Interval:
 
 
 def sigmoid(a: Interval) -> Interval:
-    """Return 1/(1 + exp(−a))."""
-    one = np.ones_like(a[0])
-    lower, upper = reciprocal(added((one, one), exponential(negated(a))))
+    """Return 1/(1 + exp(−a)), which grows with a; of a negative end as exp(a)/(1 + exp(a)), which does not overflow."""
+    (lower, _), (_, upper) = (_sigmoid_at(end) for end in a)
     return np.maximum(lower, 0.0), np.minimum(upper, 1.0)
+
+
+def _sigmoid_at(x: FloatVector) -> Interval:
+    one, size = np.ones_like(x), -np.abs(x)
+    decay = exponential((size, size))
+    rest = reciprocal(added((one, one), decay))
+    both = rest, multiplied(decay, rest)
+    return np.where(x >= 0.0, both[0][0], both[1][0]), np.where(x >= 0.0, both[0][1], both[1][1])
+
+
+def log_add_exp(a: Interval, b: Interval) -> Interval:
+    """Return log(exp(a) + exp(b)), which grows with both: the larger plus log(1 + exp(−|a − b|))."""
+    (lower, _), (_, upper) = (_log_add_exp_at(x, y) for x, y in zip(a, b, strict=True))
+    return lower, upper
+
+
+def _log_add_exp_at(x: FloatVector, y: FloatVector) -> Interval:
+    most, least = np.maximum(x, y), np.minimum(x, y)
+    return added((most, most), softplus(added((least, least), (-most, -most))))
 
 
 def root(a: Interval) -> Interval:

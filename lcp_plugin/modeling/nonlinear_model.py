@@ -54,8 +54,7 @@ def nonlinear_model(builder: Builder) -> Model:
         program.value, program.jacobian, lower=builder.lower, upper=builder.upper, enclosure=program
     )
     stored = sp.csr_array((pairs, builder.count)), sp.csr_array((program.size - pairs, builder.count))
-    expressions = [function.expression for function in functions]
-    sources = Sources(expressions, stored, places, signs[places], builder.bounds)
+    sources = builder.sources(stored, places, signs[places])
     return Model(problem, builder.variables, builder.offsets, builder.reports, elimination, sources)
 
 
@@ -118,6 +117,8 @@ def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w
     """
     with np.errstate(all="ignore"):
         values = [np.ravel(dense(expression.value), order="F") for expression in sources.functions]
+    for k, columns in sources.slacks.items():
+        values[k] = values[k] - z[columns]
     theirs = sources.signs * np.concatenate(values)[sources.places]
     lower, upper = (0.0, 0.0) if problem.enclosure is None else problem.enclosure.interval_F(z, z)
     allowed = DISAGREEMENT * (1.0 + np.abs(w)) + ROUNDINGS * (upper - lower)
@@ -125,7 +126,8 @@ def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w
     if not wrong.size:
         return None
     owner = np.searchsorted(np.cumsum([value.size for value in values]), sources.places[wrong[0]], side="right")
+    less = " less its slack" if owner in sources.slacks else ""
     return (
-        f"{name_of(sources.functions[owner])} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
+        f"{name_of(sources.functions[owner])}{less} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
         f"variables, and {w[wrong[0]]:.9g} was computed"
     )

@@ -64,6 +64,32 @@ def _quotient_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.In
     return iv.reciprocal(v), iv.negated(iv.divided(iv.divided(u, v), v))
 
 
+def _log_of_quotient(u: FloatVector, v: FloatVector) -> FloatVector:
+    """Return log(u/v), also where the quotient is no normal double."""
+    quotient = u / v
+    is_normal = (quotient >= iv.NORMAL) & np.isfinite(quotient) & (v > 0.0)
+    logarithm: FloatVector = np.where(is_normal, np.log(quotient), np.log(u) - np.log(v))
+    return logarithm
+
+
+def _relative_entropy(u: FloatVector, v: FloatVector) -> FloatVector:
+    is_zero = (u == 0.0) & (v >= 0.0)
+    entropy: FloatVector = np.where(is_zero, 0.0, u * _log_of_quotient(u, v))
+    return entropy
+
+
+def _relative_entropy_interval(u: iv.Interval, v: iv.Interval) -> iv.Interval:
+    return iv.multiplied(u, iv.logarithm_of_quotient(u, v))
+
+
+def _relative_entropy_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.Interval]:
+    return iv.added(iv.logarithm_of_quotient(u, v), _ones(u)), iv.negated(iv.divided(u, v))
+
+
+def _log_add_exp_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.Interval]:
+    return iv.sigmoid(iv.added(u, iv.negated(v))), iv.sigmoid(iv.added(v, iv.negated(u)))
+
+
 SAME = Rule("same", 1, lambda u: u, lambda u: (np.ones_like(u),), lambda u: u, lambda u: (_ones(u),))
 EXP = Rule("exp", 1, np.exp, lambda u: (np.exp(u),), iv.exponential, lambda u: (iv.exponential(u),))
 LOG = Rule("log", 1, np.log, lambda u: (1.0 / u,), iv.logarithm, lambda u: (iv.reciprocal(u),))
@@ -76,6 +102,13 @@ LOGISTIC = Rule(
 )
 ENTROPY = Rule(
     "entropy", 1, entr, lambda u: (-1.0 - np.log(u),), _entropy, lambda u: (_entropy_slope(u),)
+)
+RELATIVE_ENTROPY = Rule(
+    "relative entropy", 2, _relative_entropy, lambda u, v: (1.0 + _log_of_quotient(u, v), -(u / v)),
+    _relative_entropy_interval, _relative_entropy_slopes,
+)
+LOG_ADD_EXP = Rule(
+    "log add exp", 2, np.logaddexp, lambda u, v: (expit(u - v), expit(v - u)), iv.log_add_exp, _log_add_exp_slopes
 )
 PRODUCT = Rule(
     "product", 2, lambda u, v: u * v, lambda u, v: (v, u), iv.multiplied, lambda u, v: (v, u)
@@ -93,7 +126,10 @@ ROOT = Rule(
 
 
 _RULES = {
-    rule.name: rule for rule in (SAME, EXP, LOG, LOG1P, LOGISTIC, ENTROPY, PRODUCT, QUOTIENT, SQUARE, ROOT)
+    rule.name: rule
+    for rule in (
+        SAME, EXP, LOG, LOG1P, LOGISTIC, ENTROPY, RELATIVE_ENTROPY, LOG_ADD_EXP, PRODUCT, QUOTIENT, SQUARE, ROOT
+    )
 }
 
 

@@ -20,11 +20,11 @@ from ..conversions.program import refuse_nonconvex
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import QuadraticProgram, attempts
-from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ..errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.result import Result, Sample, StageRecord
-from .user_terms import FAR, Claim, accompany
+from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
 
 KKT_TOLERANCE = 1e-6
 TIGHTER = 1e-4
@@ -76,19 +76,32 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
     ) -> Any:
         """Return the answer to the program in cvxpy's form."""
-        options = {**SOLVE_OPTIONS, **solver_opts}
         cache = {} if solver_cache is None else solver_cache
+        try:
+            with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+                return self._answer(data, warm_start, verbose, solver_opts, cache)
+        except InvalidProblem as error:
+            numbers = data[FAR_NUMBERS]() if FAR_NUMBERS in data else []
+            if not numbers:
+                raise
+            raise UnsupportedModel(
+                f"some numbers are too far from 1 to be multiplied in double precision: {'; '.join(numbers)}; write it "
+                "in other units"
+            ) from error
+
+    def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> Answer:
+        options = {**SOLVE_OPTIONS, **solver_opts}
         before: _Compiled | None = cache.get(self.name())
         compiled = _Compiled.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
-        result, solution = solve_quadratic_program(program, algorithm, guess=guess, **options)
+        result, solution = solve_quadratic_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
         cache[self.name()] = compiled._replace(z=result.z)
         proof = None
         goal = kkt_goal(options["tolerance"])
         is_optimal = solution.is_stationary(goal)
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
-        if not is_optimal and (is_proven or not ended_by_caller(result, options)):
+        if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
             proof = program.refutation(goal)
         status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
         if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
@@ -249,7 +262,7 @@ def solve_quadratic_program(
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
         and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
         As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
-        one, it ends them too, and the run is INTERRUPTED.
+        one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
 
     guess : array, optional
         An earlier run's z: the start where it has the right length.
@@ -278,11 +291,11 @@ def _runs(
 ) -> Iterator[_Run]:
     """Yield runs until one has the program's own residuals small enough, the caller ends them, or a proof does."""
     goal, own_callback = kkt_goal(tolerance), options.pop("callback", None)
-    has_run, refusal = False, None
+    has_run, refusal, refutes = False, None, options.get("refute", True)
 
     def callback(sample: Sample, z: FloatVector) -> bool:
         is_told = own_callback is not None and bool(own_callback(sample, z))
-        return is_told or (sample.label == PROVES_ITSELF and program.refutation(goal) is not None)
+        return is_told or (refutes and sample.label == PROVES_ITSELF and program.refutation(goal) is not None)
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for factor, because in ((1.0, attempt.because), (TIGHTER, "a smaller tolerance")):
@@ -301,7 +314,7 @@ def _runs(
             guess = result.z
             options.pop("z0", None)
             if not result.is_solved:  # a smaller tolerance would change nothing
-                if program.refutation(goal) is not None:
+                if refutes and program.refutation(goal) is not None:
                     return
                 break
     if not has_run:

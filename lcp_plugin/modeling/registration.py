@@ -24,7 +24,7 @@ from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.nonlinear import solve_nonlinear
 from ..solving.result import Result
-from ._compat import answer_derivatives, clear_answering, refuse_without_derivatives, set_answering
+from ._compat import answer_derivatives, clear_answering, name_of, refuse_without_derivatives, set_answering
 from .batch import ModelBatch, solve_for
 from .builder import Builder
 from .constraint import Complements, box, complements
@@ -205,7 +205,9 @@ def build_from(problem: Any) -> Model:
         raise UnsupportedModel(f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])")
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
-            "a complementarity problem has no objective; write cp.Minimize(0), or state optimality conditions as pairs"
+            f"the objective {name_of(problem.objective.args[0])} beside complementarity asks for the best of all "
+            "solutions (an MPEC), which is not offered: write cp.Minimize(0) for any of them, or state optimality "
+            "conditions as pairs. Derivatives of a solution by parameters are offered: requires_grad=True"
         )
     return build(problem.constraints, _memos.setdefault(problem, {}))
 
@@ -241,7 +243,7 @@ def solve_model(
     warm_start : bool
         Begin with the present values of the variables where all have one.
     verbose : bool
-        Tell the story of the run through cvxpy's logger.
+        Print the run as :func:`lcp_plugin.solve` does, then tell its story through cvxpy's logger.
     solver : None
         There because cvxpy passes it; there is no other solver to choose.
     requires_grad : bool
@@ -275,11 +277,11 @@ def solve_model(
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if isinstance(model.problem, NonlinearProblem):
-        result = _nonlinear(model.problem, start, {"algorithm": algorithm, **options})
+        result = _nonlinear(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
     else:
         if start is not None and np.isfinite(start).all():
             options["z0"] = start
-        result = solve_lcp(model.problem, algorithm, **options)
+        result = solve_lcp(model.problem, algorithm, verbose=bool(verbose), **options)
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)

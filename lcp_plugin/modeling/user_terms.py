@@ -44,7 +44,10 @@ CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, A
 SEED = 16
 STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
+FARTHEST = 1e6  # times 1 + |x|: values from before that are looked at
 FAR = 10.0  # of 1 + |point|, along a direction without end
+ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
+FAR_NUMBERS = "lcp_plugin.far_numbers"  # the key of the program's data under which they are asked for
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,9 @@ def _violated(problem: Any, slacks: list[Any], least: float, tolerance: float) -
 def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
     """Yield the values from before, where there are some, and points on either side of the base, near and far."""
     variables = problem.variables()
-    if all(before.get(v.id) is not None and np.isfinite(before[v.id]).all() for v in variables):
+    size = 1.0 + max((float(np.abs(base[v.id]).max(initial=0.0)) for v in variables), default=0.0)
+    # Farther out, what rows of rounded data should cancel is larger than all that is compared.
+    if all(before.get(v.id) is not None and (np.abs(before[v.id]) <= FARTHEST * size).all() for v in variables):
         yield {v.id: nearest(v, before[v.id]) for v in variables}
     generator = np.random.default_rng(SEED)
     for size in STEPS:
@@ -283,6 +288,20 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
+def far_numbers(problem: Any) -> list[str]:
+    """Return which expressions of the user's hold numbers whose products may overflow or vanish, and which numbers."""
+    stated = [(f"the objective {name_of(problem.objective.args[0])}", problem.objective.args)]
+    stated += [(f"the constraint {name_of(constraint)}", constraint.args) for constraint in problem.constraints]
+    found = []
+    for what, arguments in stated:
+        nodes = [node for argument in arguments for node in postorder(argument, ()) if not node.args]
+        sizes = np.concatenate([_entries(node.value).ravel() for node in nodes if not isinstance(node, cp.Variable)])
+        far = sizes[(sizes > ORDINARY[1]) | ((sizes > 0.0) & (sizes < ORDINARY[0]))]
+        if far.size:
+            found.append(f"{what} holds {' and '.join(f'{size:.3g}' for size in {far.max(): 0, far.min(): 0})}")
+    return found
+
+
 def accompany(solver_class: type) -> None:
     """Wrap the first method for the solvers of this class; once, however often this is called."""
     compiled = cp.Problem.get_problem_data
@@ -314,6 +333,7 @@ def accompany(solver_class: type) -> None:
                 "or cp.HIGHS"
             ) from error
         self.unpack_results = partial(_judged, self)
+        data[0][FAR_NUMBERS] = partial(far_numbers, self)
         return data
 
     get_problem_data.accompanies_lcp_plugin = True  # type: ignore[attr-defined]

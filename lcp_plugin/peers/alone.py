@@ -62,7 +62,15 @@ class Peers:
         """Return everybody's parts one after the other on rank 0, None on the others."""
         return own
 
+    def everybodys(self, own: NDArray[Any]) -> NDArray[Any]:
+        """Return the rows of everybody's tables one after the other, shape (all, columns), on every process."""
+        return own
+
     # --- what all agree on -------------------------------------------------------------------------------
+
+    def places(self, count: int) -> tuple[int, int]:
+        """Return how many things the processes before this one have, which has `count`, and how many all have."""
+        return 0, count
 
     def largest(self, value: float) -> float:
         """Return the largest of everybody's values; a NaN stays."""

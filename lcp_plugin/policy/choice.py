@@ -7,26 +7,28 @@ methods, with which the KKT form of a program begins: neither sweeps nor pivots 
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
-`banded`, where it is predicted to take no more passes over M than a trial of npsor, or no more than multigrid and psor
-is not proved quick. As soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
+`banded`, where it is predicted to cost no more than a trial of npsor, or 150 sweeps where psor is not proved quick. As
+soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
 (`Algorithm.predicted_passes`, from :mod:`lcp_plugin.crossovers`):
 
 | rival | where | predicts |
 |---|---|---|
-| psor with automatic relaxation | after npsor; sparse, positive diagonal | npsor's sweeps by 2, or 20 |
-| multigrid | once; sparse, n > 1000, positive diagonal | 150 passes |
+| psor with automatic relaxation | after npsor; sparse, positive diagonal | 3 √(npsor's sweeps), or 20 |
+| multigrid | once; sparse, n > 1000, positive diagonal | 90 passes, and 350 000 rows of passes |
 | the direct methods | M is dense, or its diagonal not positive | 10 passes |
-| the direct methods | n ≤ 1000 | 2000 entries a row, or 10 passes |
+| the direct methods | n ≤ 1000 | 12 500 n entries, 0.06 n³ at most, or 10 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
 | the question is asked | |
 |---|---|
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
 | of npsor, M dense | from its first sweep on |
-| of psor | every 20 sweeps |
+| of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
-What sweeps have cost and still need must together stay below twice what the rival predicts, so that nothing that is
+A sweep costs its pass and the calls around it, as much as 10 000 entries more: so `banded` and the direct methods
+are reckoned on small M. psor's rate is that of all its sweeps, since each trial of a relaxation raises the residual.
+What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
 always nearly there goes on for ever.
 
 Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is exact;
@@ -45,20 +47,21 @@ import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.active_sets.banded import Banded
+from ..algorithms.base import in_driven_sweeps
 from ..algorithms.short_road import ShortRoad, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
-from ..crossovers import DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, MULTIGRID_PASSES, SURE_FACTOR_UP_TO
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..problem.lcp import LCP
 from ..settings import OF_SOLVE
-from .direct_methods import Turns
+from .direct_methods import Retries, Turns
 from .stages import Choice, Stage
 
-TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL = 10, 1, 3
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps
-TWICE = 2.0  # who leaves once he has paid what the other way costs never pays more than this many times as much
+PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
 BANDED = Banded()
@@ -78,13 +81,19 @@ class Policy(Protocol):
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
 
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
+
 
 class Single:
-    """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility."""
+    """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
 
-    def __init__(self, algorithm: Algorithm) -> None:
+    Where `refutes` is False, nobody looks for a proof.
+    """
+
+    def __init__(self, algorithm: Algorithm, *, refutes: bool = True) -> None:
         self.algorithm = self.chosen = algorithm
-        self.name = algorithm.name
+        self.name, self._refutes = algorithm.name, refutes
 
     def first(self, problem: LCP) -> Choice:
         """Return the caller's algorithm."""
@@ -94,42 +103,51 @@ class Single:
         """Return None, or the feasibility check after a method that ended without a solution."""
         if not failed or len(stages) > 1 or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO:
             return None
+        if not self._refutes:
+            return None
         from ..algorithms.search.stages import FeasibilityCheck
 
         return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
 
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return None: the caller's choice is final."""
+
 
 class Auto:
-    """What is predicted to need the least work."""
+    """What is predicted to need the least work; where `refutes` is False, without a look for proofs.
+
+    Where `looks_at_cases` is False, a solution near the start is wanted: no search looks for another one.
+    """
 
     name = chosen = "auto"
 
-    def __init__(self) -> None:
+    def __init__(self, *, refutes: bool = True, looks_at_cases: bool = True) -> None:
+        self._refutes, self.looks_at_cases, self._retries = refutes, looks_at_cases, Retries()
         self._direct: Turns | None = None
 
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
         if getattr(problem.origin, "form", "") == "kkt":
-            self._direct = Turns(problem)
+            self._direct = self._turns(problem)
             if (first := self._direct.first()) is not None:
                 return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
             self._direct = None
         if takes_the_short_road(problem):
             return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
-        passes = BANDED.predicted_passes(problem, math.inf)
-        narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} passes over M")
+        passes = in_driven_sweeps(problem, BANDED.predicted_passes(problem, math.inf))
+        narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} sweeps")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:
             return narrow
         if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
             return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
-        return narrow if passes <= MULTIGRID_PASSES else PROJECTED_TYPE
+        return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if self._direct is not None:
-            return self._direct.after(now, target, failed=failed)
+            return self._direct.after(stages, target, failed=failed)
         is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
         if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
@@ -145,14 +163,21 @@ class Auto:
             return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
         least = min(predicted, key=lambda rival: predicted[rival])
-        is_hovering = now.work + sweeps > TWICE * predicted[least]  # its prediction came true too late before
+        is_hovering = now.work + sweeps > PATIENCE * predicted[least]  # its prediction came true too late before
         if sweeps <= predicted[least] and not (failed or is_hovering):
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
-            self._direct = Turns(problem)
+            self._direct = self._turns(problem)
             first = self._direct.first()
             return first and replace(first, because=f"{needs}; {first.because}")
         return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
+
+    def _turns(self, problem: LCP) -> Turns:
+        return Turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
+
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return newton or lemke, where they have not begun there."""
+        return self._retries.following(problem, stages)
 
 
 DIRECT = "newton"  # predicts for all direct methods
@@ -170,6 +195,9 @@ class AutoOnRanks:
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return PSOR where multigrid came to an end."""
         return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
+
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return None."""
 
 
 def takes_the_short_road(problem: LCP) -> bool:
@@ -192,7 +220,7 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
     """Return whether the stage's rate is known well enough to ask for what needs less work."""
     k = now.iterations
     if isinstance(now.algorithm, PSOR):
-        return k > 0 and k % ASKED_EVERY == 0
+        return k >= TRIAL_SWEEPS_PSOR and k % ASKED_EVERY == 0
     if not isinstance(now.algorithm, NPSOR):
         return False
     if problem.is_dense:
@@ -227,8 +255,14 @@ def _triangle(problem: LCP) -> str | None:
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
 
 
-def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False) -> Policy:
+def policy_for(
+    algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False, refutes: bool = True,
+    looks_at_cases: bool = True,
+) -> Policy:
     """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
+
+    Where `refutes` is False, it has no stage that looks for a proof that there is no solution; where `looks_at_cases`
+    is, none that looks for a solution anywhere.
 
     Raises
     ------
@@ -243,24 +277,24 @@ def policy_for(algorithm: Any, options: dict[str, Any], *, on_ranks: bool = Fals
             )
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
-        return _single(algorithm, on_ranks)
+        return _single(algorithm, on_ranks, refutes)
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
             raise InvalidOption(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
                 f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
-        return AutoOnRanks() if on_ranks else Auto()
+        return AutoOnRanks() if on_ranks else Auto(refutes=refutes, looks_at_cases=looks_at_cases)
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
     if not isinstance(algorithm, str):
         raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
-    return _single(create(algorithm, options), on_ranks)
+    return _single(create(algorithm, options), on_ranks, refutes)
 
 
-def _single(algorithm: Algorithm, on_ranks: bool) -> Single:
+def _single(algorithm: Algorithm, on_ranks: bool, refutes: bool) -> Single:
     if on_ranks and not algorithm.runs_on_ranks:
         names = ", ".join(name for name in REGISTRY if algorithm_class(name).runs_on_ranks)
         raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
-    return Single(algorithm)
+    return Single(algorithm, refutes=refutes)

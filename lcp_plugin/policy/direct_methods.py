@@ -8,25 +8,30 @@
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
 
-They run on the presolved problem, each until it ends; but where no theorem promises an end, a method that has cost as
-much as the next one is predicted to cost waits until all others have had their turn: so none costs more than twice what
-the right one would have (:class:`Turns`). Where a factor would fill in too much (n > 5000), newton and
-interior_point are left out. A row that contradicts its bounds by itself brings `feasibility` to the front: it looks
-for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it
-stalls), `search` looks at all cases of problems with at most 24 rows that leave a choice, until a counted number of
-operations on long numbers.
+Before them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
+in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
+other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
+no theorem promises an end, a method that has cost as much as the next one is predicted to cost waits until all others
+have had their turn: so none costs more than twice what the right one would have (:class:`Turns`). What they leave open,
+newton and lemke try once more from the start: the best point may have led astray (:class:`Retries`). Where a factor
+would fill in too much (n > 5000), newton and interior_point are left out. A row that contradicts its bounds by itself
+brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000
+(beyond, psor comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a
+counted number of operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from ..algorithms import Algorithm, create
 from ..algorithms.base import has_positive_diagonal
+from ..algorithms.pivots.lemke import has_parts_that_fit
 from ..certificates.infeasibility import contradictory_row
 from ..conversions.presolve import presolve
 from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO, SEMIDEFINITENESS_UP_TO
@@ -34,19 +39,29 @@ from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
 from .stages import Choice, Stage
 
+CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
+
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the table."""
-    yield from _by_prospects(problem)
-    yield from _at_last(problem)
+    yield from _first_look(problem, refutes=True)
+    yield from _by_prospects(problem, refutes=True)
+    yield from _at_last(problem, refutes=True)
 
 
 class Turns:
-    """The direct methods one after the other; those that may wait, and go on too long, once more before the search."""
+    """The direct methods one after the other; those that may wait, and go on too long, once more before the search.
 
-    def __init__(self, problem: LCP) -> None:
-        self._problem = problem
-        self._coming, self._waiting, self._last = _by_prospects(problem), list[Choice](), _at_last(problem)
+    Each has at most two turns, so that there is an end. Where `refutes` is False, nothing looks for proofs; where
+    `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
+    """
+
+    def __init__(
+        self, problem: LCP, retries: Retries, *, refutes: bool = True, looks_at_cases: bool = True
+    ) -> None:
+        self._problem, self._waiting, self._retries = problem, list[Choice](), retries
+        self._last = _at_last(problem, refutes)
+        self._coming = chain(_first_look(problem, refutes) if looks_at_cases else (), _by_prospects(problem, refutes))
         self._now: Choice | None = None
 
     def first(self) -> Choice | None:
@@ -54,8 +69,11 @@ class Turns:
         self._now = next(self._coming, None) or next(self._last, None)
         return self._now
 
-    def after(self, stage: Stage, target: float, *, failed: bool) -> Choice | None:
-        """Return what takes over from the stage, or None to go on (where that failed: to end)."""
+    def after(self, stages: Sequence[Stage], target: float, *, failed: bool) -> Choice | None:
+        """Return what takes over from the last stage, or None to go on (where that failed: to end)."""
+        stage = stages[-1]
+        if failed and stage.least_residual > target:  # all cases were looked at
+            return None
         is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, target)
         if not (failed or is_overdue):
             return None
@@ -64,9 +82,27 @@ class Turns:
             if self._now is not None and not failed:
                 self._waiting.append(replace(self._now, because="the others have had their turn", may_wait=False))
         elif failed:
-            following = self._waiting.pop(0) if self._waiting else next(self._last, None)
+            following = self._waiting.pop(0) if self._waiting else self._retries.following(self._problem, stages)
+            following = following or next(self._last, None)
         self._now = following or self._now
         return following
+
+
+class Retries:
+    """newton and lemke once more, each once, on the whole problem from the start: the best point may lead astray."""
+
+    def __init__(self) -> None:
+        self._left = ["newton", "lemke"]
+
+    def following(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return the next that has not begun there: lemke where two paths cost no more than was spent, or little."""
+        spent = sum(stage.work for stage in stages) * problem.nonzeros
+        while problem.n <= PIVOTED_UP_TO and self._left:
+            name = self._left.pop(0)
+            is_dear = name == "lemke" and 4.0 * problem.n**3 > max(spent, CHEAP_ENTRIES)
+            if not is_dear and not any(stage.algorithm.name == name and stage.from_start for stage in stages):
+                return Choice(create(name, {}), f"{name} once more, from the start", from_start=True)
+        return None
 
 
 def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
@@ -80,7 +116,25 @@ def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
     return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(target) > INTERIOR_STEPS
 
 
-def _by_prospects(problem: LCP) -> Iterator[Choice]:
+def may_be_searched(problem: LCP) -> bool:
+    """Return whether a first look at all cases is worth its time.
+
+    A convex program is a matter of convex methods, which give the multipliers that its users expect.
+    """
+    from ..algorithms.search import is_searchable
+    from ..conversions.qp_forms import QPOrigin
+
+    return is_searchable(problem) and not isinstance(problem.origin, QPOrigin)
+
+
+def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
+    from ..algorithms.search.stages import ExhaustiveSearch
+
+    if may_be_searched(problem):
+        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "few enough cases to look at all of them")
+
+
+def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from ..algorithms.search.stages import FeasibilityCheck
     from ..matrix.factors import factor_fits
 
@@ -92,10 +146,11 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
     interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
-    left_out = [] if problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
+    left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
+    left_out += [] if has_parts_that_fit(left) else [lemke.algorithm]
     if not (left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         left_out += [newton.algorithm, interior.algorithm]
-    row = contradictory_row(problem)
+    row = contradictory_row(problem) if refutes else None
     if row is not None and row.excludes(EPSILON, "relative", "residual"):
         yield replace(check, because="one row contradicts its bounds by itself")
     elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
@@ -110,15 +165,16 @@ def _by_prospects(problem: LCP) -> Iterator[Choice]:
             order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
         else:
             order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
-    yield from (choice for choice in order if choice.algorithm not in left_out)
+    chosen = [choice for choice in order if choice.algorithm not in left_out]
+    yield from chosen or [newton, interior]  # a factor that fills in is better than no answer
 
 
-def _at_last(problem: LCP) -> Iterator[Choice]:
-    from ..algorithms.search import is_searchable
+def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
+    from ..algorithms.search import LARGEST_SIZE
     from ..algorithms.search.stages import ExhaustiveSearch
 
-    if is_searchable(problem):
-        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them")
+    if refutes and problem.n <= LARGEST_SIZE:
+        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 

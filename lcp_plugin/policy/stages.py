@@ -21,13 +21,15 @@ KEPT_RESIDUALS = 512
 class Choice:
     """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
 
-    `may_wait` says that another one may have its turn before this one has come to its end.
+    `may_wait` says that another one may have its turn before this one has come to its end; `from_start`, that it does
+    not go on from the best point so far but begins where the run began.
     """
 
     algorithm: Algorithm
     because: str = ""
     presolved: Presolved | None = None
     may_wait: bool = False
+    from_start: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the steps of the algorithm in terms of the caller's problem."""
@@ -47,14 +49,18 @@ class Stage:
     """What one algorithm of a chain has done so far.
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
-    several.
+    several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
+    steps have said their residuals may rise for a while.
     """
 
     algorithm: Algorithm
     because: str = ""
+    from_start: bool = False
     iterations: int = 0
     work: float = 0.0
     remark: str = ""
+    least_residual: float = 0.0
+    settles: bool = False
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)
 
@@ -75,13 +81,15 @@ class Stage:
         self.residuals.append((self.iterations, residual))
 
     def rate(self) -> float:
-        """Return the contraction of the residual a sweep, over the second half of the stage."""
+        """Return the contraction of the residual a sweep, over the second half of the stage.
+
+        Over all of it where steps settle, as those of psor do: each trial of a relaxation raises the residual.
+        """
         if len(self.residuals) < 2:
             return 1.0
         last_step, last = self.residuals[-1]
-        first_step, first = next(
-            (entry for entry in self.residuals if entry[0] >= last_step // 2), self.residuals[0]
-        )
+        since = 0 if self.settles else last_step // 2
+        first_step, first = next((entry for entry in self.residuals if entry[0] >= since), self.residuals[0])
         if last_step == first_step or not first > 0.0 or not math.isfinite(last):
             return 1.0
         return float((last / first) ** (1.0 / (last_step - first_step)))

@@ -15,12 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..errors import InvalidProblem
 from ..kernels.floats import EPSILON
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns, each of which costs an evaluation of F a derivative
 STEP = float(np.sqrt(EPSILON))  # of |x_i|: rounding and curvature take about as many digits
+SMALL = 1e-3  # beside a step that is made for unknowns of the size 1
+ROUNDINGS, TOLD = 4.0, 1024.0  # of F: a difference is one, or none
 
 
 class Differences:
@@ -69,16 +71,43 @@ class Differences:
     ) -> sp.csr_array:
         """Return the derivative at x, where F has that value; steps stay within the bounds where these are apart.
 
-        Where F is not defined at one side of x, the other one is asked; what remains is NaN.
+        Where F is not defined at one side of x, the other one is asked; what remains is NaN. Where |x_j| ≪ 1 that may
+        be its unit: a step of its size counts where it tells something else, and four times that step says the same.
+        What rounding of the terms of F explains is 0.
         """
-        step = _steps(x, lower, upper)
-        derivative = np.empty(self.pattern.nnz)
+        step = _steps(np.maximum(np.abs(x), 1.0), x, lower, upper)
+        small = np.where(np.abs(x) < SMALL, _steps(np.abs(x), x, lower, upper), 0.0)
+        derivative, steps = np.empty(self.pattern.nnz), np.abs(step)[self._columns]
         for members, places in self._groups():
-            derivative[places] = self._quotients(F, x, value, np.where(members, step, 0.0), places)
-            if not np.isfinite(derivative[places]).all():
-                derivative[places] = self._quotients(F, x, value, np.where(members, -step, 0.0), places)
+            found = self._quotients(F, x, value, np.where(members, step, 0.0), places)
+            if not np.isfinite(found).all():
+                found = np.where(
+                    np.isfinite(found), found, self._quotients(F, x, value, np.where(members, -step, 0.0), places)
+                )
+            if (shorter := np.where(members, small, 0.0)).any():
+                near = self._quotients(F, x, value, shorter, places)
+                if not _agree(near, found).all():
+                    other = self._quotients(F, x, value, 4.0 * shorter, places)
+                    least = TOLD * EPSILON * np.abs(value)[self.pattern.indices[places]]
+                    is_told = _agree(near, other) & ~_agree(near, found)
+                    is_told &= np.abs(near * shorter[self._columns[places]]) > least
+                    found = np.where(is_told, near, found)
+                    steps[places] = np.where(is_told, np.inf, steps[places])
+            derivative[places] = found
+        derivative = self._without_rounding(derivative, x, value, steps)
         pattern = self.pattern
         return sp.csr_array(sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape))
+
+    def _without_rounding(
+        self, derivative: FloatVector, x: FloatVector, value: FloatVector, steps: FloatVector
+    ) -> FloatVector:
+        """Return the entries with 0 for those whose difference is no more than a few roundings of their row's terms."""
+        rows, products = self.pattern.indices, derivative * x[self._columns]
+        with np.errstate(all="ignore"):
+            rest = value - np.bincount(rows, products, value.size)
+            terms = np.abs(rest) + np.bincount(rows, np.abs(products), value.size)
+            is_rounding = np.abs(derivative) * steps <= ROUNDINGS * EPSILON * terms[rows]
+        return np.where(is_rounding, 0.0, derivative)
 
     def _groups(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[Any]]]:
         """Yield the columns of each group, and the places of their entries."""
@@ -99,9 +128,16 @@ class Differences:
         return quotient
 
 
-def _steps(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+def _agree(one: FloatVector, other: FloatVector) -> BoolVector:
+    """Return where two quotients differ by a hundredth at most; a NaN agrees with nothing."""
+    with np.errstate(all="ignore"):
+        agree: BoolVector = np.abs(one - other) <= 0.01 * np.maximum(np.abs(one), np.abs(other))
+    return agree
+
+
+def _steps(size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
     """Return how far each unknown is moved: away from 0, but towards the bound that is farther where one is near."""
-    length = STEP * np.maximum(np.abs(x), 1.0)
+    length = STEP * size
     with np.errstate(all="ignore"):
         above, below = upper - x, x - lower
         sign = np.where(x < 0.0, -1.0, 1.0)

@@ -21,7 +21,7 @@ from ..deadline import is_over, seconds_left
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
 from ..matrix.equilibration import Exponents, evened, scaled
-from .linear_constraints import LinearConstraints
+from .linear_constraints import LinearConstraints, without_rounding
 
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
@@ -30,6 +30,8 @@ LARGEST_DENOMINATORS = (1, 100, 100_000)
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
+POLISHES = 2  # the second takes off what the first has rounded
+MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
 MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
 CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
@@ -82,7 +84,7 @@ class FarkasProgram:
 
     def __post_init__(self) -> None:
         matrix = self.constraints.matrix
-        exponents = Exponents(*(np.clip(side, -500, 500) for side in evened(matrix, AIMS)))
+        exponents = Exponents(*(np.clip(side, -500, 500) for side in evened(without_rounding(matrix), AIMS)))
         rows, columns = (np.ldexp(1.0, side) for side in exponents)
         for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
             object.__setattr__(self, name, value)
@@ -110,17 +112,29 @@ class FarkasProgram:
         return FarkasAnswer(float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns)
 
     def proof(
-        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None], margin: Callable[[Proof], float]
+        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None], margin: Callable[[Proof], float],
+        radius: Callable[[Proof], float],
     ) -> Proof | None:
         """Return the first proof with half the margin that the answer promises, else the one with the largest.
+
+        One within a radius only where no other has been found.
 
         Parameters
         ----------
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None where that is none.
-        margin : callable
+        margin, radius : callable
             Of a proof.
         """
+        within: list[Proof] = []
+
+        def plain(y: Multipliers) -> Proof | None:
+            proof = proven(y)
+            if proof is not None and radius(proof) < math.inf:
+                within.append(proof)
+                return None
+            return proof
+
         form = self._form
 
         def tried() -> Iterator[Multipliers]:
@@ -130,7 +144,8 @@ class FarkasProgram:
                 if roomy is not None:
                     yield from self.candidates(form.vector(roomy))
 
-        return _best(map(proven, tried()), NEAR_ENOUGH * self.margin_of(answer.optimum), margin)
+        best = _best(map(plain, tried()), NEAR_ENOUGH * self.margin_of(answer.optimum), margin)
+        return max(within, key=margin, default=None) if best is None else best
 
     def _with_room(self, answer: FarkasAnswer, rooms: sp.csr_array) -> FloatVector | None:
         """Return v ≥ rooms · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
@@ -214,6 +229,21 @@ class FarkasProgram:
             repaired = self._repaired(y, tight)
             if repaired is not None:
                 yield self._unscaled(repaired)
+        yield self._polished(y)
+
+    def _polished(self, y: FloatVector) -> FloatVector:
+        """Return the vector beside y that satisfies to rounding the equalities which y satisfies without room.
+
+        What should depend on each other is independent by rounding: singular values below that count as none.
+        """
+        support, tight = self._tight(y, TIGHT[-1])
+        if min(support.size, tight.size) <= MOST_UNKNOWNS and support.size * tight.size <= MOST_DENSE:
+            rows = self.matrix.T.tocsr()[tight][:, support].toarray()
+            for _ in range(POLISHES):
+                y = y.copy()
+                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
+        unscaled: FloatVector = y * self.rows
+        return unscaled
 
     def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
         y = [ZERO] * self.rows.size
@@ -223,16 +253,20 @@ class FarkasProgram:
 
     def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
         """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
-        support = np.flatnonzero(np.abs(y) > tight).tolist()
+        support, equalities = self._tight(y, tight)
+        if min(support.size, equalities.size) > MOST_UNKNOWNS:
+            return None
+        columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
+        # Any nearby value will do: short ones keep the exact solve short.
+        exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size)
+        return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
+
+    def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
+        """Return which entries of y are not 0, and at which open columns Mᵀy has no room."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
-        if min(len(support), int(is_tight.sum())) > MOST_UNKNOWNS:
-            return None
-        columns = rational_rows(self.matrix.T.tocsr()[np.flatnonzero(is_tight)][:, support])
-        # Any nearby value will do: short ones keep the exact solve short.
-        exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * len(support))
-        return None if exact is None else dict(zip(support, exact, strict=True))
+        return np.flatnonzero(np.abs(y) > tight), np.flatnonzero(is_tight)
 
 
 @dataclass(frozen=True)

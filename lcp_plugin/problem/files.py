@@ -20,6 +20,7 @@ from .matrix_market import read_matrix_market
 INFINITE_BOUND = 1e20
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
+LAYOUT = "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper"
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
@@ -138,23 +139,27 @@ def _refuse_huge_bounds(problem: LCP) -> None:
 
 
 def _load_npz(source: Path) -> LCP:
-    content = read_npz(source, {*MATRIX_KEYS, *VECTORS, "P_data"})
+    content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data"})
     if "P_data" in content:
-        raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP with the keys data … q")
-    missing = [key for key in (*MATRIX_KEYS, "q") if key not in content]
+        raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP; {LAYOUT}")
+    is_compressed = any(key in content for key in MATRIX_KEYS)
+    missing = [key for key in (*(MATRIX_KEYS if is_compressed else ("M",)), "q") if key not in content]
     if missing:
-        wanted = ", ".join((*MATRIX_KEYS, *VECTORS))
-        raise UnreadableFile(f"{source} lacks the keys {missing}; an LCP file holds {wanted}")
+        raise UnreadableFile(f"{source} lacks the keys {missing}; {LAYOUT}")
+    M = _csr_in(source, content) if is_compressed else content["M"]
+    bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
+    return _problem(str(source), M, content["q"], bounds)
+
+
+def _csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
             raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
     try:
         shape = tuple(int(k) for k in content["shape"])
-        M = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
+        return sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
     except (ValueError, TypeError, OverflowError, MemoryError) as error:
         raise UnreadableFile(f"{source} holds no valid CSR matrix: {error}") from error
-    bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
-    return _problem(str(source), M, content["q"], bounds)
 
 
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
@@ -172,7 +177,9 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
         raise
     except Exception as error:  # a damaged archive raises whatever its decoders raise
         if "allow_pickle" in str(error):
-            raise UnreadableFile(f"cannot read {source}: it holds pickled objects, which are never read") from error
+            raise UnreadableFile(
+                f"cannot read {source}: it holds pickled objects, which are never read; LCP.save writes a sparse M"
+            ) from error
         raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive ({error})") from error
 
 
@@ -187,10 +194,19 @@ def _matrix_market_prefix(source: Path) -> str:
         if source.is_dir():
             raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
         if source.is_file():
-            raise UnreadableFile(f"cannot read {source}: expected a .npz file, or M.mtx with q.mtx beside it")
+            raise UnreadableFile(
+                f"cannot read {source}: expected a .npz file, or M.mtx with q.mtx beside it; {_how_to_bring(source)}"
+            )
         tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
         raise UnreadableFile(f"no such file: {source}{tried}")
     return prefix
+
+
+def _how_to_bring(source: Path) -> str:
+    """Return how what is in a file of another kind gets into one that can be read."""
+    if source.suffix.lower() == ".mat":
+        return f'write d = scipy.io.loadmat("{source.name}"); LCP(d["M"], d["q"].ravel()).save("{source.stem}.npz")'
+    return f'{LAYOUT}: write LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
 
 
 def _read_vector(source: Path) -> FloatVector:

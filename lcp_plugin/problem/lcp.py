@@ -257,7 +257,7 @@ class LCP:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
 
-        A path ending in ``.npz`` gets the keys data, indices, indptr, shape, q, lower, upper; any other
+        A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; any other
         path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
         On several ranks it becomes a folder with one ``.npz`` file a rank.
 
@@ -333,9 +333,11 @@ class LCP:
 
     @classmethod
     def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
-        """Return a problem written by :meth:`save`, or a folder or prefix with ``M.mtx`` and ``q.mtx``.
+        """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
 
-        A bound of 1e20 or more in absolute value means ∞. Pickled content is never read.
+        A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
+        they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. A bound of 1e20
+        or more in absolute value means ∞. Pickled content is never read.
 
         Parameters
         ----------
@@ -376,12 +378,12 @@ def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
     Raises
     ------
     InvalidOption
-        Where z0 is no finite real vector of length n.
+        Where z0 is no finite real vector of length n, nor a number for n = 1.
     """
     if z0 is None:
         return problem.nearest_to_zero
     try:
-        start = real_vector(z0, "z0", problem.own)
+        start = real_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     if not np.isfinite(start).all():

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import (
     FloatVector,
+    all_finite,
     canonical_csr,
     check_kind,
     check_order,
@@ -24,6 +25,7 @@ from ..checks import (
 from ..errors import InvalidOption, InvalidProblem
 
 COPIED_UP_TO = 10**6  # places of A
+PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -94,7 +96,7 @@ class LeastSquares:
         if x0 is None:
             return self.nearest_to_zero
         try:
-            return np.clip(checked_vector(x0, "x0", self.shape[1]), self.lower, self.upper)
+            return np.clip(checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper)
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
 
@@ -127,21 +129,23 @@ class LeastSquares:
     def column_units(self) -> FloatVector:
         """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
 
-        Columns of a LinearOperator are not looked at: all have the one unit ‖A v‖ of the direction v of Aᵀb.
+        Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
         root = self.root_weights
         if not self.has_entries:
-            v = self.transposed(root * root * (self.b / power_of_two(np.abs(self.b).max(initial=0.0))))
-            length = _length(v)
-            lengths = np.full(v.size, _length(root * self.product(v / length)) if length > 0.0 else 0.0)
+            signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, root.size))
+            seen = np.array([self.transposed(root * row) for row in signs])
+            unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0))
+            lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
+            typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
+            lengths = np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
         else:
-            largest = np.zeros(self.shape[1])
+            largest, squares = np.zeros((2, self.shape[1]))
             for rows, block in self.blocks():
-                np.maximum(largest, _largest(block, root[rows]), out=largest)
+                _raise_to_largest(largest, block, root[rows])
             unit = power_of_two(largest)
-            squares = np.zeros(self.shape[1])
             for rows, block in self.blocks():
-                squares += _squares(block, root[rows], unit)
+                _add_squares(squares, block, root[rows], unit)
             lengths = unit * np.sqrt(squares)
         with np.errstate(over="ignore"):
             return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge))))
@@ -214,12 +218,6 @@ def power_of_two(sizes: ArrayLike) -> FloatVector:
     return np.where(np.asarray(sizes) > 0.0, np.ldexp(1.0, exponents), 1.0)
 
 
-def _length(v: FloatVector) -> float:
-    """Return ‖v‖₂, squares out of range or not."""
-    unit = power_of_two(np.abs(v).max(initial=0.0))
-    return float(unit * np.linalg.norm(v / unit))
-
-
 def _checked(A: Any) -> tuple[Any, bool]:
     need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
     if sp.issparse(A):
@@ -233,13 +231,13 @@ def _checked(A: Any) -> tuple[Any, bool]:
     if dense.ndim != 2:
         hint = "; write a single row as [[…]]" if dense.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {dense.shape}{hint}")
-    for begin in range(0, dense.shape[0], ROWS_AT_ONCE):
+    for begin in () if all_finite(dense) else range(0, dense.shape[0], ROWS_AT_ONCE):
         wrong = ~np.isfinite(dense[begin : begin + ROWS_AT_ONCE])
         if wrong.any():
             i, j = np.argwhere(wrong)[0] + (begin, 0)
             raise InvalidProblem(f"A must be finite, but A[{i}, {j}] = {dense[i, j]}; repair that entry")
-    is_contiguous = dense.flags.c_contiguous or dense.flags.f_contiguous
-    return read_only(dense if is_contiguous else dense.copy()), True
+    is_kept = dense.flags.c_contiguous or (dense.flags.f_contiguous and dense.size > COPIED_UP_TO)
+    return read_only(dense if is_kept else np.array(dense, order="C")), True
 
 
 def _checked_operator(A: Any, need: str) -> Any:
@@ -261,21 +259,22 @@ def _vector(values: Any) -> FloatVector:
     return np.asarray(values, dtype=np.float64).reshape(-1)
 
 
-def _largest(block: Any, root: FloatVector) -> FloatVector:
-    """Return the largest entry of each column of √weights A."""
-    largest = np.zeros(block.shape[1])
+def _raise_to_largest(largest: FloatVector, block: Any, root: FloatVector) -> None:
+    """Raise `largest` to the largest entries of the columns of √weights A."""
+    from ..kernels.least_squares import raise_to_largest
+
     if sp.issparse(block):
         np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
     else:
-        np.abs(block * root[:, None]).max(axis=0, out=largest)
-    return largest
+        raise_to_largest(largest, np.ascontiguousarray(block), root)
 
 
-def _squares(block: Any, root: FloatVector, unit: FloatVector) -> FloatVector:
-    """Return the sums of squares of the columns of √weights A, in units in which none overflows."""
-    with np.errstate(under="ignore"):
-        if sp.issparse(block):
-            entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
-            return np.bincount(block.indices, entries * entries, minlength=block.shape[1]).astype(np.float64)
-        entries = block * root[:, None] / unit
-        return np.asarray(np.einsum("ij,ij->j", entries, entries))
+def _add_squares(squares: FloatVector, block: Any, root: FloatVector, unit: FloatVector) -> None:
+    """Add the squares of the columns of √weights A, in units in which none overflows."""
+    from ..kernels.least_squares import add_squares
+
+    if sp.issparse(block):
+        entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
+        squares += np.bincount(block.indices, entries * entries, minlength=block.shape[1])
+    else:
+        add_squares(squares, np.ascontiguousarray(block), root, unit)

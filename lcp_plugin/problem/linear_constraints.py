@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..exact.rational import ZERO, rounded_down
 from ..matrix.structure import row_numbers
 
 BoolVector = NDArray[np.bool_]
 
 DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
+WIDE = 1e8  # times the size of the data: a proof within a smaller radius refutes nothing
+DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
@@ -77,3 +81,45 @@ def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tu
         ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
         lowest, highest = (np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum))
     return lowest.astype(np.float64), highest.astype(np.float64)
+
+
+def radius_of_proof(contradiction: Fraction, left: Fraction) -> float:
+    """Return the R with contradiction − R · left half the contradiction, rounded down; ∞ where nothing is left.
+
+    Multipliers that combine rows to rounding errors instead of to 0 contradict for all ‖x‖∞ ≤ R: `left` is what may be
+    taken off for each unit of x.
+    """
+    return rounded_down(max(contradiction, ZERO) / (2 * left) if left else None)
+
+
+def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the matrix without entries that are rounding beside the largest ones of their row and of their column.
+
+    What is left of a sum of decimals that should cancel has no size that a scale might be made of.
+    """
+    size = abs(matrix)
+    if 0 in matrix.shape or not matrix.nnz:
+        return matrix
+    across, down = (np.asarray(size.max(axis=axis).toarray()).ravel() for axis in (1, 0))
+    rows = row_numbers(matrix)
+    kept = size.data > DATA_ROUNDING * np.minimum(across[rows], down[matrix.indices])
+    if kept.all():
+        return matrix
+    return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
+
+
+def is_rounding(left: Sequence[Fraction], terms: FloatVector) -> bool:
+    """Return whether sums that should be 0 are rounding beside their terms: data of other sizes are no rounding."""
+    return all(abs(value) <= DATA_ROUNDING * size for value, size in zip(left, terms.tolist(), strict=True) if value)
+
+
+def within(radius: float, what: str) -> str:
+    """Return the words for the radius of a proof; none where it is ∞.
+
+    Examples
+    --------
+    >>> within(2.5e12, "x"), within(np.inf, "x")
+    ('; of all x up to 2e+12', '')
+    """
+    digits, exponent = f"{radius:.15e}".split("e") if radius < np.inf else ("", "")
+    return f"; of all {what} up to {digits[0]}e{exponent}" if digits else ""

@@ -76,6 +76,8 @@ def solve_batch(
     measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    refute: bool = True,
     threads: int | None = None,
 ) -> BatchResult:
     """Return the answers to many problems, small ones in one compiled loop.
@@ -89,7 +91,7 @@ def solve_batch(
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; a list of vectors, or None, beside a list of LCPs.
-    algorithm, tolerance, measure, max_iterations
+    algorithm, tolerance, measure, max_iterations, absolute_tolerance, refute
         For each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
         In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
@@ -123,7 +125,10 @@ def solve_batch(
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
         items = Stacked(M, q, lower, upper, z0)
-    wishes = {"tolerance": tolerance, "measure": measure, "max_iterations": max_iterations, "threads": 1}
+    wishes = {
+        "tolerance": tolerance, "measure": measure, "max_iterations": max_iterations,
+        "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
+    }
     limit = Settings(max_seconds=max_seconds).max_seconds
     return BatchRun(items, algorithm, wishes, threads=checked_threads(threads), limit=limit).run()
 

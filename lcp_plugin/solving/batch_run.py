@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,28 @@ from ..algorithms import Algorithm
 from ..algorithms.base import Plan
 from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import Answers
+from ..certificates.residuals import Certificate
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..kernels.threads import in_chunks
 from ..peers.alone import ALONE
 from ..policy.choice import policy_for
+from ..policy.direct_methods import may_be_searched
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
-from .batch_items import Group, Items
+from .all_cases import Excluded, excluded
+from .batch_items import Group, Items, Stacked
 from .batch_result import BatchResult
+from .batch_units import GroupInCommonUnits, by_parts
 from .driver import solve
 from .result import Result
 from .sprint import arrival, is_unwatched
 from .state import Clock
+
+
+@cache
+def _tiny() -> LCP:
+    """Return a problem for which auto takes the compiled road; to state it costs as much as to solve a small one."""
+    return LCP([[1.0]], [-1.0])
 
 
 class BatchRun:
@@ -47,9 +58,11 @@ class BatchRun:
         known = {field.name for field in fields(Settings)}
         self.settings = Settings(**{name: wish for name, wish in wishes.items() if name in known})
         options = {name: wish for name, wish in wishes.items() if name not in {*known, "callback"}}
-        self.policy = policy_for(algorithm, options)
+        self.policy = policy_for(algorithm, options, refutes=self.settings.refute)
         self.results: dict[int, Result] = {}
         self.compiled: list[Answers] = []
+        self.excluded: list[Excluded] = []
+        self.is_excluded = np.zeros(items.count, np.bool_)
         self.place = np.full((2, items.count), -1)  # which of those has an answer, and where
         self.is_interrupted = False
         self.seconds = 0.0
@@ -61,8 +74,12 @@ class BatchRun:
             plan = self._plan()
             for group in () if plan is None else self.items.groups():
                 if plan and (group.starts.shape[1] == 0 or plan[1]):  # pivots alone begin at z°
-                    self._run_compiled(group, plan)
-            for k in np.flatnonzero(self.place[0] < 0).tolist():
+                    whole, in_parts = by_parts(group)
+                    if whole is not None:
+                        self._leave_out_excluded(whole, self._run_compiled(whole, plan))
+                    if in_parts is not None and self.clock.read() < self.limit:
+                        self._keep(in_parts, GroupInCommonUnits(in_parts).run(plan, self.settings))
+            for k in np.flatnonzero((self.place[0] < 0) & ~self.is_excluded).tolist():
                 if self.is_interrupted or self.clock.read() >= self.limit:
                     break
                 if k not in self.items.errors:
@@ -74,7 +91,7 @@ class BatchRun:
 
     def _plan(self) -> Plan | None:
         """Return the phases of the compiled road that the caller's choice takes, compiled; None where it takes none."""
-        tiny = LCP([[1.0]], [-1.0])
+        tiny = _tiny()
         self.first = self.policy.first(tiny)
         plan = self.first.algorithm.short_plan()
         if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
@@ -82,7 +99,7 @@ class BatchRun:
         rehearse(self.first.algorithm, tiny)
         return plan
 
-    def _run_compiled(self, group: Group, plan: Plan) -> None:
+    def _run_compiled(self, group: Group, plan: Plan) -> Answers:
         from ..kernels.small_problems import run_all
 
         answers = Answers(group.items.size, group.M.shape[1])
@@ -96,10 +113,27 @@ class BatchRun:
         try:
             in_chunks(solve_chunk, group.items.size, self.threads)
         finally:
-            arrived = np.flatnonzero(answers.has_arrived)
-            self.place[0, group.items[arrived]], self.place[1, group.items[arrived]] = len(self.compiled), arrived
-            answers.z.flags.writeable = False  # they are judged
-            self.compiled.append(answers)
+            self._keep(group, answers)
+        return answers
+
+    def _keep(self, group: Group, answers: Answers) -> None:
+        arrived = np.flatnonzero(answers.has_arrived)
+        self.place[0, group.items[arrived]], self.place[1, group.items[arrived]] = len(self.compiled), arrived
+        answers.z.flags.writeable = False  # they are judged
+        self.compiled.append(answers)
+
+    def _leave_out_excluded(self, group: Group, answers: Answers) -> None:
+        """Note what a pass over all cases excludes, one iteration after those that were made; no proof is wanted."""
+        made = answers.made.sum(1) + 1
+        left = np.flatnonzero((self.place[0, group.items] < 0) & (made < self.settings.max_iterations))
+        is_asked = self.settings.refute or self.settings.absolute_tolerance or self.policy.chosen != "auto"
+        if is_asked or not left.size or self.clock.read() >= self.limit:
+            return
+        if not isinstance(self.items, Stacked):
+            left = left[[may_be_searched(self.items.problem(k)) for k in group.items[left].tolist()]]
+        found = excluded(group, left, made[left], self.settings.tolerance, self.threads)
+        self.excluded.append(found)
+        self.is_excluded[found.items] = True
 
     def _take_the_long_road(self, k: int) -> None:
         callback, wishes = self.wishes.get("callback"), dict(self.wishes)
@@ -122,13 +156,16 @@ class BatchRun:
         """Return the result of problem k, which has no error."""
         if k in self.results:
             return self.results[k]
+        if self.is_excluded[k]:
+            return solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **self.wishes)
         which, at = self.place[:, k].tolist()
         if which < 0:
             return self._not_begun(k)
         sprint = self.compiled[which].sprint(at)
         assert sprint is not None
         share = self.seconds / self.items.count
-        return arrival(self.items.problem(k), self.policy, self.first, sprint, self.settings, share)
+        certificate = Certificate.enclosed(self.items.problem(k), sprint.z, sprint.residual)
+        return arrival(certificate, self.policy, self.first, sprint, self.settings, share)
 
     @property
     def _reason(self) -> Status:
@@ -153,6 +190,11 @@ class BatchRun:
                 z[items] = answers.z[at]
             for k, row in zip(items.tolist(), at.tolist(), strict=True) if not is_even else ():
                 z[k] = answers.z[row]
+        for left_out in self.excluded:
+            status[left_out.items], residual[left_out.items] = Status.STALLED, left_out.residual
+            iterations[left_out.items] = left_out.iterations
+            for k, row in zip(left_out.items.tolist(), left_out.z, strict=True):
+                z[k] = row
         for k, result in self.results.items():
             z[k], status[k], iterations[k] = result.z, result.status, result.iterations
             residual[k] = result.certificate.relative_residual

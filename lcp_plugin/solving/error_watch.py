@@ -12,6 +12,7 @@ import numpy as np
 from ..checks import FloatVector
 from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
+from ..matrix.parts import parts
 from ..matrix.row_sums import unit_triangle_sums
 from ..problem.lcp import LCP
 from ..settings import Settings
@@ -72,7 +73,8 @@ class ErrorWatch:
         """Return whether a bound proves the tolerance for z, which has that scaled residual (its unit is that of z)."""
         tolerance = self.settings.tolerance
         largest = self.problem.peers.largest(float(np.max(np.abs(z), initial=0.0)))
-        if not residual <= self.residual_per_error * tolerance * largest:
+        is_far = not residual <= self.residual_per_error * tolerance * largest
+        if is_far and parts(self.problem.matrix) is None:  # others have units of their own
             return False
         if residual > self.next_cheap and not (iteration >= self.sharp_from and residual < self.last_sharp):
             return False

@@ -16,7 +16,7 @@ UNSURE = 10.0  # times what differences of two lengths disagree by
 
 
 def check_jacobian(point: Linearisation) -> None:
-    """Raise where differences of F along a random direction contradict the derivative there; cost: 8 values of F.
+    """Raise where differences of F along a random direction contradict the derivative there; cost: 9 values of F.
 
     A row that disagrees is looked through for its worst entry, which takes some 2 log₂ n more.
 
@@ -42,6 +42,9 @@ def check_jacobian(point: Linearisation) -> None:
         columns = halves[int(np.argmax(np.nan_to_num(wrong)))]
     j = int(columns[0])
     alone = _only(direction, columns)
+    own = alone * np.abs(point.x[j] / alone[j])  # where x_j ≪ 1, 1/x_j is curved on every step of the size 1
+    if own[j] != 0.0 and not _contradiction(point, own)[i] > WRONG:
+        return
     given = float(point.lcp.M[i, j])
     found = given + float(_difference(point, alone)[0][i] / alone[j])
     raise InvalidProblem(
@@ -73,8 +76,14 @@ def _difference(
         long = (F(x + 2.0 * step * direction) - value) / (2.0 * step)
         short = (F(x + step * direction) - value) / step
         product = np.asarray(point.lcp.M @ direction)
-        rounding = 2.0**-50 * (np.abs(value) + np.abs(short) * step) / step
+        rounding = 2.0**-50 * (np.abs(value) + np.abs(short) * step + _added(point)) / step
         return 2.0 * short - long - product, np.abs(short - long) * 0.5 + rounding
+
+
+def _added(point: Linearisation) -> FloatVector:
+    """Return what F adds up, about, shape (n,): where its terms cancel at x they need not at the origin."""
+    origin = np.clip(0.0, point.problem.lower, point.problem.upper)
+    return np.nan_to_num(np.abs(point.problem.value(origin)), posinf=0.0)
 
 
 def _direction(point: Linearisation) -> FloatVector:

@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..algorithms import Algorithm, Step
-from ..algorithms.active_sets.damped_newton import fischer_burmeister, phi_jacobian
+from ..algorithms.active_sets.damped_newton import Linearised, fischer_burmeister, phi_jacobian
 from ..algorithms.base import without_warnings
-from ..algorithms.pivots.lemke import Lemke
-from ..algorithms.rehearsal import rehearse
-from ..algorithms.search.stages import ExhaustiveSearch, FeasibilityCheck
-from ..certificates.nonlinear import Reference
-from ..certificates.residuals import reference_residual
+from ..certificates.nonlinear import NonlinearCertificate, Reference
+from ..certificates.quotients import largest_ratio
+from ..certificates.references import largest_of_parts
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
-from ..deadline import is_over, seconds_left
+from ..deadline import is_over
+from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..matrix.factors import factor_fits, factorise
-from ..policy.choice import Policy, policy_for
-from ..policy.stages import Choice, Stage
+from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations
-from ..settings import Settings
-from .driver import Run
+from ..settings import Status
+from .linear_steps import LinearPolicy, solved
 from .result import Result
-from .sprint import sprinted
-from .state import Clock
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
@@ -43,9 +39,9 @@ SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
 ON_PATH = (0.5, 0.125)
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
+ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
-PATHS = 2  # of pivots, on a linearisation
 RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start is too expensive
 
 
@@ -61,14 +57,20 @@ class JosephyNewton(Algorithm):
         Of its residuals, to which the tolerance of the linearisations is tied.
     linear : str or Algorithm
         What solves them.
+    tolerance : float
+        The relative residual that the run asks for; 0 where it asks for another measure.
 
     Notes
     -----
-    The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, in the scale of the linearisation at hand.
+    The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
+    here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
     A step is shortened until F is defined and ‖Φ‖ falls below the worst of the last four points. Where that takes more
     than 16 trials, these are tried in turn: points on the path of the linearisation, whose slack at x is given and
     taken back in part (Ralph); the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its steepest
-    descent. Where nothing helps x is a stationary point of ‖Φ‖, and small problems start again elsewhere.
+    descent. The last three must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a
+    stationary point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active
+    sets or 20 interior steps without half the residual: Newton on Φ takes the next steps, a factorisation each, one at
+    first and each time twice as many.
 
     References
     ----------
@@ -87,6 +89,7 @@ class JosephyNewton(Algorithm):
     points: Linearisations = field(repr=False)
     compared_with: Reference = field(repr=False)
     linear: str | Algorithm = "auto"
+    tolerance: float = 0.0
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until nothing more can be done."""
@@ -103,41 +106,6 @@ class JosephyNewton(Algorithm):
         yield from run.steps()
 
 
-class _Briefly:
-    """A policy without its last resorts: whether a linearisation has a solution at all is not worth much work."""
-
-    def __init__(self, policy: Policy) -> None:
-        self._policy, self.name, self.chosen = policy, policy.name, policy.chosen
-
-    def first(self, problem: LCP) -> Choice:
-        """Return what the policy begins with."""
-        return self._policy.first(problem)
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the policy's next choice that asks for no proof; pivots are the last, and nothing has two turns."""
-        if isinstance(stages[-1].algorithm, Lemke):
-            return None
-        choice = self._policy.next_step(problem, stages, target, failed)
-        while choice is not None and isinstance(choice.algorithm, (FeasibilityCheck, ExhaustiveSearch)):
-            choice = self._policy.next_step(problem, stages, target, True)
-        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
-            return None
-        is_pivoting = isinstance(choice.algorithm, Lemke)
-        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
-
-
-def _solved(problem: LCP, policy: Policy, start: FloatVector, tolerance: float) -> Result:
-    """Return the result of a run within this one, whose limits hold for it and whose Ctrl-C ends both."""
-    left, clock = seconds_left(), Clock(problem.peers)
-    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
-    rehearse(None, problem)
-    first = policy.first(problem)
-    if (arrived := sprinted(problem, policy, first, settings, start, clock)) is not None:
-        return arrived
-    run = Run(problem, policy, settings, None, clock)
-    return run.judged(start, run.drive(start, first))
-
-
 class _Newton:
     """Where a run is, the last points, and the work since the last step."""
 
@@ -145,8 +113,11 @@ class _Newton:
         self.options, self.first, self.here = options, start, start
         self.recent: deque[Linearisation] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
+        self.weights = _weights(start, options.compared_with)
         self.tried = math.inf  # the merit of the last trial
         self.is_regularised = False  # since a linearisation was not solved
+        self.is_given_up = False  # the linearisation here
+        self.steps_of_phi, self.next_steps_of_phi = 0, 1  # that are taken before another linearisation is solved
         self.random = np.random.default_rng(0)
 
     def step(self) -> Step:
@@ -156,15 +127,23 @@ class _Newton:
 
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
-        latest, since = deque([self._relative(self.here)], maxlen=WINDOW), 0
+        latest, since = deque([self._progress(self.here)], maxlen=WINDOW), 0
         while since < PATIENCE and (following := self._following()) is not None:
-            self.here = following
+            self.here = following = self._reached(following)
             self.recent.append(following)
             self.options.points.keep(following)
             yield self.step()
-            size = self._relative(following)
+            size = self._progress(following)
             since = 0 if size < GAIN * min(latest) else since + 1
             latest.append(size)
+            if since and self._is_at_floor():
+                return
+
+    def _reached(self, point: Linearisation) -> Linearisation:
+        """Return the point with x° in the parts that are nearly there, where x° solves them."""
+        x = self.options.compared_with.reached(point.lcp, point.x)
+        there = point if np.array_equal(x, point.x) else self._at(x)
+        return there if there.is_defined and self._relative(there) <= self._relative(point) else point
 
     def start_elsewhere(self, problem: LCP) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
@@ -187,24 +166,49 @@ class _Newton:
     # --- one step ----------------------------------------------------------------------------------------
 
     def _following(self) -> Linearisation | None:
-        """Return the next point, or None where nothing helps or time is over."""
+        """Return the next point, or None where nothing helps, time is over, or rounding explains what is left."""
         lcp = self.here.lcp
-        if self._residual(self.here) == 0.0:
+        if not self._residuals(self.here).any():
             return None
-        worst = max(self._merit(point) for point in self.recent)
-        for find in (self._newton, self._on_path, self._proximal, self._descended):
-            found = find(lcp, worst)
-            if found is not None or is_over():
+        here, worst = self._merit(self.here), max(self._merit(point) for point in self.recent)
+        for find, least in (
+            (self._newton, worst), (self._on_path, worst), (self._proximal, here), (self._descended, here),
+        ):
+            found = find(lcp, least)
+            if found is not None or is_over() or self._is_at_floor():
                 return found
         return None
 
     def _newton(self, lcp: LCP, worst: float) -> Linearisation | None:
+        self.steps_of_phi -= 1
+        if self.steps_of_phi >= 0 and (found := self._by_phi(lcp, worst)) is not None:
+            return found
+        self.is_given_up = False
         if self.is_regularised:
             target = self._proximal_point(lcp, min(SHIFTS[1], self._relative(self.here)))
         else:
-            target = self._solution(lcp)
-            self.is_regularised = target is None
-        return None if target is None else self._searched(target, worst)
+            target = self._solution(lcp, self.here.value)
+            self.is_regularised = target is None and not self.is_given_up
+        if self.is_given_up:
+            self.steps_of_phi, self.next_steps_of_phi = self.next_steps_of_phi, 2 * self.next_steps_of_phi
+        found = None if target is None else self._searched(target, worst)
+        return self._by_phi(lcp, worst) if found is None and self.is_given_up else found
+
+    def _by_phi(self, lcp: LCP, worst: float) -> Linearisation | None:
+        """Return a point that Newton on Φ leads to."""
+        phi = self._phi(lcp, self.here)
+        shifted = phi_jacobian(lcp, phi, SHIFT_OF_PHI * min(1.0, phi.norm), lcp.matrix.row_largest)
+        factor = factorise(shifted) if lcp.is_dense or factor_fits(shifted) else None
+        direction = np.full(lcp.n, np.nan) if factor is None else factor.solve(-phi.value)
+        return self._along(direction, lcp, worst) if np.isfinite(direction).all() else None
+
+    def _along(self, direction: FloatVector, lcp: LCP, worst: float) -> Linearisation | None:
+        """Return the first point in that direction, projected, that is accepted."""
+        for k in range(SHORTER_OF_DESCENT):
+            x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)
+            if (found := self._accepted(x, worst, SUFFICIENT * 0.5**k)) is not None:
+                return found
+        return None
 
     def _on_path(self, lcp: LCP, worst: float) -> Linearisation | None:
         """Return a point of the path: at its start, slack that x has and should not have is given; at its end none."""
@@ -213,7 +217,7 @@ class _Newton:
         x, w = self.here.x, self.here.value
         given = np.where(x <= lcp.lower, np.minimum(w, 0.0), np.where(x >= lcp.upper, np.maximum(w, 0.0), w))
         for length in ON_PATH:
-            target = self._solution(lcp.with_q(lcp.q - (1.0 - length) * given))
+            target = self._solution(lcp, w - (1.0 - length) * given)
             if target is not None and (found := self._accepted(target, worst, length)) is not None:
                 return found
         return None
@@ -229,23 +233,16 @@ class _Newton:
         """Return the solution of the LCP of F′(x) + shift D, which leaves F(x) as it is."""
         added = shift * lcp.residual_scale
         M = lcp.M + sp.diags_array(added) if sp.issparse(lcp.M) else lcp.M + np.diag(added)
-        return self._solution(LCP(M, lcp.q - added * self.here.x, lower=lcp.lower, upper=lcp.upper))
+        return self._solution(LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper), self.here.value)
 
     def _descended(self, lcp: LCP, worst: float) -> Linearisation | None:
         """Return a point along the Newton direction of Φ, or its steepest descent."""
-        phi = fischer_burmeister(lcp, self.here.x, self.here.value)
-        jacobian = phi_jacobian(lcp, phi, 0.0)
-        gradient = jacobian.T @ phi.value
-        shifted = phi_jacobian(lcp, phi, SHIFT_OF_PHI * min(1.0, phi.norm))
-        factor = factorise(shifted) if lcp.is_dense or factor_fits(shifted) else None
-        for direction in (None if factor is None else factor.solve(-phi.value), -gradient):
-            if direction is None or not np.isfinite(direction).all():
-                continue
-            for k in range(SHORTER_OF_DESCENT):
-                x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)
-                if (found := self._accepted(x, phi.norm, SUFFICIENT * 0.5**k)) is not None:
-                    return found
-        return None
+        merit = self._merit(self.here)
+        if (found := self._by_phi(lcp, merit)) is not None:
+            return found
+        phi = self._phi(lcp, self.here)
+        jacobian = phi_jacobian(lcp, phi, 0.0, lcp.matrix.row_largest)
+        return self._along(-(jacobian.T @ (self.weights**2 * phi.value)), lcp, merit)
 
     def _searched(self, target: FloatVector, worst: float) -> Linearisation | None:
         """Return the first point on the way to the target that is accepted."""
@@ -271,38 +268,78 @@ class _Newton:
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearisation) -> float:
-        """Return ‖Φ‖₂ in the scale of the linearisation here; ∞ where F is not defined."""
+        """Return ‖Φ‖₂ beside the rows of the linearisation here, each part in its unit; ∞ where F is not defined."""
         if not np.isfinite(point.value).all():
             return math.inf
-        return fischer_burmeister(self.here.lcp, point.x, point.value).norm
+        return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
+
+    @staticmethod
+    def _phi(lcp: LCP, point: Linearisation) -> Linearised:
+        return fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
+
+    def _is_at_floor(self) -> bool:
+        return NonlinearCertificate.at(self.here, self.options.compared_with).is_limited_by_rounding
 
     def _overshoots(self, point: Linearisation, worst: float) -> bool:
         """Return whether slack between the bounds, of which Φ sees no more than how far they are, has exploded."""
         lcp = self.here.lcp
         is_between = (lcp.lower < point.x) & (point.x < lcp.upper)
         there, here = (
-            np.abs(one.value / lcp.residual_scale).max(initial=0.0, where=is_between) for one in (point, self.here)
+            np.abs(self.weights * one.value / lcp.matrix.row_largest).max(initial=0.0, where=is_between)
+            for one in (point, self.here)
         )
         return bool(there > EXPLODED * max(worst, here))
 
     @staticmethod
-    def _residual(point: Linearisation) -> float:
-        return float(np.abs(scaled_residual(point.lcp, point.x, point.value)).max(initial=0.0))
+    def _residuals(point: Linearisation) -> FloatVector:
+        """Return ‖r_P‖∞ of each part."""
+        return largest_of_parts(point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value)))
 
     def _relative(self, point: Linearisation) -> float:
-        reference = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
-        return self._residual(point) / reference if reference > 0.0 else math.inf
+        references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
+        return largest_ratio(self._residuals(point), references)
 
-    def _solution(self, lcp: LCP) -> FloatVector | None:
-        """Return a solution of a linearisation, as sharp as the residual here deserves; None where none was found."""
-        residual, unit = self._residual(self.here), reference_residual(lcp)
-        if unit == 0.0:
-            return lcp.nearest_to_zero
-        aim = min(FORCING, self._relative(self.here)) * residual / unit
-        tolerance = min(max(aim, SMALLEST_TOLERANCE), FORCING)
-        result = _solved(lcp, _Briefly(policy_for(self.options.linear, {})), self.here.x, tolerance)
+    def _progress(self, point: Linearisation) -> float:
+        """Return what must fall: where x runs away its residual does so for ever, and rows' own terms tell."""
+        size = self._relative(point)
+        if size > max(self.options.tolerance, SMALLEST_TOLERANCE):
+            return size
+        return NonlinearCertificate.at(point, self.options.compared_with).relative_residual
+
+    def _solution(self, lcp: LCP, w: FloatVector) -> FloatVector | None:
+        """Return a solution of M (x⁺ − x) + w on the bounds, as sharp as the residual here deserves, or None.
+
+        It is solved for x⁺ − x: the residual at x is then the reference, and of several solutions one near x is found.
+        """
+        x = self.here.x
+        step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
+        relative = self._relative(self.here)
+        enough = max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
+        tolerance = min(max(relative, enough), FORCING)
+        result = self._solved_by(self.options.linear, step, tolerance)
         self.work += result.work
-        is_near = result.residual * unit <= 0.5 * residual
-        return result.z if result.is_solved or is_near else None
+        self.is_given_up = result.status is Status.INTERRUPTED
+        if not (result.is_solved or result.residual <= 0.5):
+            return None
+        target = np.clip(x + result.z, lcp.lower, lcp.upper)
+        target = np.where(result.z <= step.lower, lcp.lower, target)  # the sum may have missed the bound
+        return np.where(result.z >= step.upper, lcp.upper, target)
+
+    def _solved_by(self, algorithm: str | Algorithm, step: LCP, tolerance: float) -> Result:
+        """Return the result of that algorithm; of auto where it does not take this linearisation."""
+        try:
+            return solved(step, LinearPolicy(algorithm), tolerance)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            if algorithm == "auto":
+                raise
+            return solved(step, LinearPolicy("auto"), tolerance)
 
 
+def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
+    """Return 1/(the reference of the part) for each row, shape (n,), where there are several parts; else (1,) of 1."""
+    several = parts(start.lcp.matrix)
+    if several is None:
+        return np.ones(1)
+    unit = compared_with.ends(start.lcp, start.x, start.value)[1]
+    weights: FloatVector = 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)[several.labels]
+    return weights

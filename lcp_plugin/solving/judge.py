@@ -10,23 +10,32 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.residuals import GAINED, Certificate, ratio, reference_residual
+from ..certificates.quotients import largest_ratio, ratio
+from ..certificates.references import CommonUnits, rounding_of_data
+from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual
 from ..checks import FloatVector
-from ..problem.lcp import LCP
+from ..kernels.floats import EPSILON
 from ..settings import PROVEN, Settings, Status
 from .error_watch import BoundOrReason, ErrorWatch
 
+FAR_OUT = 1e-2
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 
 
 class Judge:
     """Measures, certifies and names the end of a run on the caller's own data.
 
+    Every z that it is given is in the common units of the run; what it gives back is the caller's.
+
     Attributes
     ----------
+    problem : LCP
+        The caller's.
+    asked : LCP or NonlinearProblem
+        What the caller wants to have solved; of a nonlinear problem, `problem` is the linearisation at the start.
     reference : float
-        ‖r(z°)‖∞; where it is 0, z° solves the problem and no other point can be measured against it.
+        What the residuals of the run are relative to, in its units; where it is 0, z° solves the problem.
     proof : object or None
         Of the proofs that the problem has no solution, the one with the largest margin.
     words : mapping from Status to str
@@ -35,16 +44,17 @@ class Judge:
 
     words: ClassVar[Mapping[Status, str]] = {}
 
-    def __init__(self, problem: LCP, settings: Settings) -> None:
-        self.problem, self.settings = problem, settings
-        self.reference = reference_residual(problem)
-        self.errors = ErrorWatch(problem, settings) if settings.error_bound or settings.is_on_error else None
+    def __init__(self, units: CommonUnits, settings: Settings) -> None:
+        self.units, self.problem, self.settings = units, units.callers, settings
+        self.asked: Any = self.problem
+        self.reference = units.reference
+        self.errors = ErrorWatch(self.problem, settings) if settings.error_bound or settings.is_on_error else None
         self.proof: Any = None
         self._certificate: Certificate | None = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z on the caller's own data."""
-        return Certificate.of(self.problem, z)
+        return Certificate.of(self.problem, self.units.outward(z))
 
     @property
     def per_increment(self) -> float:
@@ -54,7 +64,7 @@ class Judge:
     def residual_of(self, step: Step) -> float | None:
         """Return the residual of a step in the measure of the run where the algorithm knows it."""
         if self.settings.measure == "relative":
-            return None if step.residual is None else ratio(step.residual, self.reference)
+            return None if step.residual is None else self._relative(step.residual)
         if step.euclidean is not None and SAFE_TO_SQUARE[0] < step.euclidean < SAFE_TO_SQUARE[1]:
             return step.euclidean
         return None
@@ -63,25 +73,40 @@ class Judge:
         """Return the residual of z in the measure of the run, as double precision gives it."""
         if self.settings.measure == "euclidean":
             return self.certificate_of(z).euclidean_residual
-        return ratio(measured_residual(self.problem, z), self.reference)
+        return self._relative(measured_residual(self.units.problem, z))
+
+    def _relative(self, residual: float) -> float:
+        """Return a residual of the run beside the reference; 0 where z° answers all parts: no step changes that."""
+        if self.reference == 0.0 and self.units.answered is not None:
+            return 0.0
+        return ratio(residual, self.reference)
 
     def certified(self, z: FloatVector) -> float:
-        """Return an upper bound of the residual of z in the measure of the run."""
+        """Return an upper bound of the residual of z in the measure of the run; no step changes what z° answers."""
         self._certificate = self.certificate_of(z)
-        return self._certificate.measured(self.settings.measure)
+        if self.settings.measure == "relative":
+            return self._relative_in_open_parts(self._certificate)
+        return self._certificate.euclidean_residual
+
+    def _relative_in_open_parts(self, certificate: Certificate) -> float:
+        if self.units.answered is None:
+            return certificate.relative_above(self.settings.least_reference)
+        largest, least = map(self.units.in_open_parts, certificate.residuals_of_parts)
+        least = np.maximum(least, self.settings.least_reference)
+        return self.problem.peers.largest(largest_ratio(largest, least))
 
     @cached_property
     def unit(self) -> float:
         """The size of a residual that is nothing to worry about: that of z°."""
-        return 1.0 if self.settings.measure == "relative" else self.measure(self.problem.nearest_to_zero)
+        return 1.0 if self.settings.measure == "relative" else self.measure(self.units.problem.nearest_to_zero)
 
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
         if self.errors is None or not self.settings.is_on_error:
-            return bool(residual <= self.settings.tolerance)
+            return bool(residual <= self.settings.goal)
         if self.settings.measure == "euclidean":  # another norm, in another unit
             residual = self.certificate_of(z).relative_residual
-        return self.errors.proves(z, residual * self.reference, iteration)
+        return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -90,60 +115,87 @@ class Judge:
 
     def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
         """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
-        return None if self.errors is None else self.errors.along_the_run(z, work)
+        return None if self.errors is None else self.errors.along_the_run(self.units.outward(z), work)
 
     def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
         return BoundOrReason() if self.errors is None else self.errors.final(certificate.z)
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
-        """Return whether the residual of z is no larger than rounding explains."""
-        return z is not None and _is_at_floor(self.certificate_of(z))
+        """Return whether the residual of z is small and no larger than rounding explains: no step is worth its work."""
+        if z is None:
+            return False
+        certificate = self.certificate_of(z)
+        return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+
+    def is_limited_by_size(self, z: FloatVector | None) -> bool:
+        """Return whether z is so far out that rounding of z alone hides the tolerance: a nearer solution need not."""
+        size = 0.0 if z is None else float(np.abs(z).max(initial=0.0))
+        return bool(size * EPSILON > FAR_OUT * self.settings.goal * self.reference)
+
+    def misses_by_rounding(self, z: FloatVector | None) -> bool:
+        """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
+        if z is None or self.proof is None or not self.proof.is_rounding:
+            return False
+        return measured_residual(self.problem, self.units.outward(z)) <= rounding_of_data(self.problem)
 
     def counts(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
 
-        Where the problem is made from a program, that has to be refuted in its own units as well.
+        It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a
+        program, that has to be refuted in its own units as well.
         """
-        settings = self.settings
+        settings, units = self.settings, self.units
+        if units.exponents is not None:
+            proof = proof.in_units(units.callers, -units.exponents)
         if not proof.verify():
             return False
         if self.proof is None or proof.measured(settings.measure) > self.proof.measured(settings.measure):
             self.proof = proof
-        if not proof.excludes(settings.tolerance, settings.measure, settings.tolerance_on):
+        is_program = getattr(self.problem.origin, "is_refuted", None) is not None
+        if not is_program and getattr(proof, "radius", math.inf) < math.inf:
+            return False  # a near-singular M has solutions that large
+        limits = settings.tolerance, settings.measure, settings.tolerance_on, settings.absolute_tolerance
+        if not proof.excludes(*limits):
             return False
         is_refuted = getattr(self.problem.origin, "is_refuted", None)
         return is_refuted is None or is_refuted(settings.tolerance)
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
-        if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
-            z = self.errors.proof[0]
         everywhere, certificate = self.problem.peers.everywhere, self._certificate
-        if certificate is None or not everywhere(np.array_equal(certificate.z, z)):
+        answer = self.units.outward(z)
+        if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
+            answer = self.errors.proof[0]
+            z = self.units.inward(answer)
+        if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
             certificate = self.certificate_of(z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
         if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
             return certificate
-        finished = last.finish(self.problem, z)
+        finished = last.finish(self.units.problem, z)
         cleaned = certificate if finished is z else self.certificate_of(finished)
-        return cleaned if cleaned.relative_residual <= certificate.relative_residual < math.inf else certificate
+        residual = self._relative_in_open_parts(certificate)
+        return cleaned if self._relative_in_open_parts(cleaned) <= residual < math.inf else certificate
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""
         if self.errors is not None and self.settings.is_on_error:
             is_solved = self.errors.is_proved(certificate.z)
         else:
-            is_solved = certificate.measured(self.settings.measure) <= self.settings.tolerance
+            is_solved = is_within(certificate, self.settings)
         if is_solved:
             return Status.SOLVED
         if reason in PROVEN:
             return reason
-        if _is_at_floor(certificate):
+        if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
             return Status.PRECISION_LIMIT
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason
 
 
-def _is_at_floor(certificate: Certificate) -> bool:
-    return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+def is_within(certificate: Certificate, settings: Settings) -> bool:
+    """Return whether a certificate shows the residual that these settings ask for."""
+    if settings.absolute_tolerance:
+        return certificate.relative_above(settings.least_reference) <= settings.goal
+    return bool(certificate.measured(settings.measure) <= settings.tolerance)

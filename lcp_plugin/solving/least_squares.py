@@ -4,143 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import islice
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..algorithms.least_squares.active_set import active_set_steps
-from ..algorithms.least_squares.faces import DenseFaces, Faces, SparseFaces
+from ..algorithms.least_squares.block_pivots import block_pivot_steps
+from ..algorithms.least_squares.faces import Faces
 from ..algorithms.least_squares.interior_steps import interior_steps
-from ..algorithms.least_squares.normal_equations import compiled_face, interior_points_of_gram
 from ..algorithms.least_squares.point import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
-from ..algorithms.rehearsal import rehearse
-from ..algorithms.short_road import ShortRoad
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
-from ..checks import FloatVector, read_only, restored
-from ..crossovers import COMPILED_UP_TO
-from ..deadline import time_limit
-from ..errors import NotConverged
-from ..matrix.factors import LARGEST_DENSE
+from ..checks import FloatVector, read_only
+from ..deadline import OutOfTimeError, time_limit
 from ..peers.alone import Peers
 from ..policy.pacing import Progress
-from ..problem.lcp import LCP
 from ..problem.least_squares import LeastSquares, UnitLeastSquares
 from ..settings import Settings, Status
+from .least_squares_result import LeastSquaresResult, point_nearer, result_of
 from .state import Clock
 
-DENSE_PATIENCE = 0.2  # steps that an orthogonal factor of A costs, ÷ its smaller dimension: .15 – .3 measured
+DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
 SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
-MOST_STEPS_FOR_GAP = 300
+SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
+EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
+ALONE = Peers()
 ROUNDS = 20  # of active sets for a small problem before an interior point is asked, or to refine an answer
 NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance
-
-
-@dataclass(frozen=True, eq=False)
-class LeastSquaresResult:
-    """The answer of a least squares run; names as in scipy, but for `status`.
-
-    Attributes
-    ----------
-    x : ndarray, shape (n,)
-        Within the bounds, exactly at a bound where `active_mask` says so.
-    cost : float
-        ½ Σ weights (A x − b)² + ½ ridge ‖x‖².
-    fun : ndarray, shape (m,)
-        The residual A x − b, without weights.
-    optimality : float
-        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the
-        same in units in which the columns of A have about unit length. With lower = 0 and upper = ∞ the numerator is
-        ‖min(x, g)‖∞. Where AᵀW b = 0, g at the point of the box nearest to 0 stands for it; where that is 0 as well,
-        that point is the answer.
-    active_mask : ndarray of int, shape (n,)
-        −1 at the lower bound, 1 at the upper one, 0 between them.
-    status : Status
-        SOLVED exactly where optimality ≤ tolerance.
-    nit : int
-        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor.
-    seconds : float
-        Wall-clock seconds of the run.
-    tolerance : float
-        As given.
-    is_proved : bool
-        Whether `optimality` and `gap` are upper bounds, rounding included. For a LinearOperator, whose entries nobody
-        knows, they are estimates.
-    problem : LeastSquares
-        The data.
-    """
-
-    x: FloatVector
-    cost: float
-    fun: FloatVector = field(repr=False)
-    optimality: float
-    active_mask: NDArray[np.int_] = field(repr=False)
-    status: Status
-    nit: int
-    seconds: float
-    tolerance: float
-    is_proved: bool
-    problem: LeastSquares = field(repr=False)
-
-    __setstate__ = restored
-
-    @cached_property
-    def gap(self) -> float:
-        """An upper bound of cost − min cost, at most cost but for rounding; the first look computes it, as a run does.
-
-        It is no more than cost where A is not proved to have full rank and some column without a bound on one side
-        (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").
-        """
-        unit = UnitLeastSquares(self.problem)
-        with np.errstate(all="ignore"):
-            start = Point(unit, np.clip(unit.from_caller(self.x), unit.lower, unit.upper))
-            steps = islice(projected_steps(start), min(2 * self.nit + 1, MOST_STEPS_FOR_GAP))
-            nearer = min(steps, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0)))
-            return duality_gap(self.problem, self.x, unit.to_caller(nearer.x))
-
-    @property
-    def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
-        return self.status is Status.SOLVED
-
-    @property
-    def advice(self) -> str:
-        """What the status means, in a sentence."""
-        return ADVICE.get(self.status, self.status.value).replace("z0=result.z", "x0=result.x")
-
-    def require_solved(self) -> LeastSquaresResult:
-        """Return this result, or raise where it is not solved.
-
-        Raises
-        ------
-        NotConverged
-            With the status, the optimality reached and the advice.
-        """
-        if not self.is_solved:
-            raise NotConverged(
-                f"{self.status.name} after {self.nit} steps: optimality {self.optimality:.1e} "
-                f"(tolerance {self.tolerance:.1e}); {self.advice}"
-            )
-        return self
-
-
-ADVICE = {
-    Status.PRECISION_LIMIT: (
-        "the gradient is above the tolerance, but no larger than rounding in double precision explains; accept x, "
-        "which result.gap bounds, or rescale the data"
-    ),
-    Status.STALLED: (
-        "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
-        "cannot be had; a ridge > 0 helps"
-    ),
-    Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.x",
-    Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.x",
-    Status.INTERRUPTED: "stopped by Ctrl-C; x is the best point so far",
-}
 
 
 def bounded_least_squares(
@@ -164,19 +57,19 @@ def bounded_least_squares(
     ----------
     A : array, sparse array or scipy LinearOperator, shape (m, n)
         Real, finite, of any shape and rank; not copied where it holds doubles, unless it has fewer than 10⁶ places.
-        AᵀA is formed for at most 256 columns, or where A is sparse and AᵀA has at most three times as many entries. A
+        AᵀA is formed for at most 3000 columns, or where A is sparse and AᵀA has at most three times as many entries. A
         LinearOperator needs rmatvec.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
         Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
-    x0 : array, shape (n,), optional
+    x0 : array, shape (n,), or a number for n = 1, optional
         Where to begin, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
     weights : array, shape (m,), optional
         ≥ 0, one a row: 0 leaves it out.
     ridge : float
         ≥ 0.
     tolerance : float
-        SOLVED means that `optimality` is at most this.
+        SOLVED means that `optimality` is at most this, and see :class:`LeastSquaresResult` for a LinearOperator.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, obeyed at the end of the step under way.
@@ -193,11 +86,13 @@ def bounded_least_squares(
 
     Notes
     -----
-    Small problems: the compiled methods for LCPs guess the face, least squares on it are the answer. Others: projected
-    gradient and conjugate gradient steps, about a product with A and one with Aᵀ each, until they have cost about as
-    much as a factor would. Then interior points and active sets with an orthogonal factor (dense A of up to 3000
-    columns), or with one of AᵀA (sparse A). Where neither can be had, and for a LinearOperator, the steps go on; an
-    ill-conditioned problem may end STALLED there.
+    Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots with a
+    Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an orthogonal
+    factor where rounding leaves AᵀA too little; where they do not arrive, interior points and active sets with the same
+    factor. That is for dense A of up to 3000 columns, and for sparse A where AᵀA is about as sparse. Large A come to it
+    after projected gradient and conjugate gradient steps, about a product with A and one with Aᵀ each, that have cost
+    about as much. Where no factor can be had, and for a LinearOperator, the steps go on; an ill-conditioned problem may
+    end STALLED there.
 
     Examples
     --------
@@ -207,27 +102,48 @@ def bounded_least_squares(
     """
     problem = LeastSquares(A, b, lower, upper, weights, ridge)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
-    run = _Run(problem, settings, problem.checked_start(x0))
-    with np.errstate(all="ignore"), time_limit(settings.max_seconds):
+    start = None if x0 is None else problem.checked_start(x0)
+    if (result := _solved_at_once(problem, settings)) is not None:
+        return result
+    run = _Run(problem, settings, problem.nearest_to_zero if start is None else start)
+    with np.errstate(all="ignore"):
         try:
-            reason = run.drive()
+            with time_limit(settings.max_seconds, is_enforced=True):
+                reason = run.drive()
+        except OutOfTimeError:
+            reason = Status.MAX_SECONDS
         except KeyboardInterrupt:
             reason = Status.INTERRUPTED
         return run.result(reason)
+
+
+def _solved_at_once(problem: LeastSquares, settings: Settings) -> LeastSquaresResult | None:
+    """Take the compiled way of small problems to its end; return the answer where that solves it."""
+    if not (problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL):
+        return None
+    from ..kernels.least_squares import solve_small
+
+    clock, most = Clock(ALONE), min(settings.max_iterations, EXCHANGES * problem.shape[1])
+    weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
+    A = problem.A if problem.is_dense else read_only(problem.A.toarray())
+    x, residual, optimality, faces = solve_small(
+        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most
+    )
+    if not optimality <= settings.tolerance:
+        return None
+    return result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
 
 
 class _Run:
     """One run: stages yield points, and the first reason to end ends it."""
 
     def __init__(self, problem: LeastSquares, settings: Settings, start: FloatVector) -> None:
-        self._is_small = problem.is_cheap_to_copy and problem.shape[1] <= COMPILED_UP_TO
-        if self._is_small:
-            _compile()  # before the clock runs
-        self.problem, self.settings, self.clock = problem, settings, Clock(Peers())
+        self.problem, self.settings, self.clock = problem, settings, Clock(ALONE)
         self.enclosures, self.start = Enclosures(problem), start
         self.best: Point | None = None  # by what its own products say, `judged` by the caller's data
         self.best_size, self.aim, self.iteration = np.inf, settings.tolerance, 0
         self.judged: Optimality | None = None
+        self.is_solved = False
         self.faces: Faces | None = None
         self.progress = Progress(problem.shape[1], settings.max_iterations)
 
@@ -235,11 +151,6 @@ class _Run:
     def unit(self) -> UnitLeastSquares:
         """The problem in the units of the methods."""
         return UnitLeastSquares(self.problem)
-
-    @cached_property
-    def dense(self) -> DenseFaces | None:
-        """Faces by orthogonal factors; None where time ended before."""
-        return DenseFaces.of(self.unit)
 
     @cached_property
     def sharp(self) -> Enclosures | None:
@@ -252,8 +163,6 @@ class _Run:
             self.start = self.problem.nearest_to_zero
             if self._is_solved_by(self.start):
                 return Status.SOLVED
-        if self._is_small and self._sprint():
-            return Status.SOLVED
         for stage in self._stages():
             self.progress.restart(self.iteration, self.best_size)
             for k, point in enumerate(stage):
@@ -270,35 +179,18 @@ class _Run:
         """Yield what is tried in turn, each from the best point so far."""
         problem = self.problem
         if problem.has_entries:
-            if not self._is_small:
+            if not problem.is_cheap_to_copy:
                 patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
                 yield islice(projected_steps(self._incumbent()), patience)
-            if problem.is_dense or problem.is_cheap_to_copy:
-                if problem.shape[1] <= LARGEST_DENSE and (dense := self.dense) is not None:
-                    self.faces = dense
-                    yield _in_turn(interior_steps(self._incumbent(), dense), dense)
-            elif (sparse := SparseFaces.of(self.unit)) is not None:
-                self.faces = sparse
-                yield _in_turn(interior_points_of_gram(self._incumbent(), sparse), sparse)
+            if (faces := Faces.of(self.unit)) is not None:
+                self.faces = faces
+                yield block_pivot_steps(self._incumbent(), faces)
+                yield _in_turn(interior_steps(self._incumbent(), faces), faces)
         yield projected_steps(self._incumbent())
-
-    def _sprint(self) -> bool:
-        """Take active sets to their end, from the face the compiled methods find; return whether that solves it."""
-        self.faces, most = self.dense, min(ROUNDS, self.settings.max_iterations)
-        if self.faces is None or most == 0:
-            return False
-        start = self._incumbent()
-        start, free = compiled_face(start, self.faces) or (start, None)
-        points = list(islice(active_set_steps(start, self.faces, free), most + 1))
-        self.best, self.iteration = points[-1], len(points) - 1
-        if self._is_solved_by(self.unit.to_caller(self.best.x)):
-            return True
-        self.best_size = self._measured(self.best)
-        return False
 
     def _refine(self, point: Point) -> None:
         """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
-        if self.faces is None:
+        if self.faces is None or (self.judged is not None and self.judged.is_at_rounding_level):
             return
         *_, refined = islice(active_set_steps(point, self.faces), ROUNDS)
         judged = self._judgement(self.unit.to_caller(refined.x))
@@ -344,7 +236,22 @@ class _Run:
         judged = self._judgement(x)
         if self.judged is None or judged.value < self.judged.value:
             self.judged = judged
-        return bool(judged.value <= self.settings.tolerance)
+        is_small = judged.value <= self.settings.tolerance
+        self.is_solved = is_small and (self.problem.has_entries or self._has_small_gap(judged))
+        return self.is_solved
+
+    def _has_small_gap(self, judged: Optimality) -> bool:
+        """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
+        problem, nearest = self.problem, self.problem.nearest_to_zero
+        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
+        if duality_gap(problem, judged.x) <= most:
+            return True
+        nearer = point_nearer(self.unit, judged.x, self.iteration)
+        if duality_gap(problem, judged.x, nearer) <= most:
+            return True
+        is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
+        fall = problem.cost(judged.x, judged.residual) - problem.cost(nearer, problem.product(nearer) - problem.b)
+        return bool(is_unbounded.any() and problem.ridge == 0.0 and fall <= most)
 
     def _judgement(self, x: FloatVector) -> Optimality:
         """Return how optimal x is on the caller's data, looked at sharply where rounding decides."""
@@ -362,27 +269,17 @@ class _Run:
 
     def result(self, reason: Status) -> LeastSquaresResult:
         """Return the result: the judgement names the status."""
-        problem, tolerance = self.problem, self.settings.tolerance
-        if self.judged is None or self.judged.value > tolerance:
+        if not self.is_solved:
             self._is_solved_by(self.start if self.best is None else self.unit.to_caller(self.best.x))
         judged = cast(Optimality, self.judged)
-        if judged.value <= tolerance:
+        if self.is_solved:
             reason = Status.SOLVED
         elif judged.is_at_rounding_level:
             reason = Status.PRECISION_LIMIT
-        x = judged.x
-        mask = np.where(x <= problem.lower, -1, np.where(x >= problem.upper, 1, 0))
-        return LeastSquaresResult(
-            x=read_only(x), cost=problem.cost(x, judged.residual), fun=read_only(judged.residual),
-            optimality=judged.value, active_mask=read_only(mask), status=reason, nit=self.iteration,
-            seconds=self.clock.read(), tolerance=tolerance, is_proved=problem.has_entries, problem=problem,
+        seconds = self.clock.read()
+        return result_of(
+            self.problem, self.settings, judged.x, judged.residual, judged.value, reason, self.iteration, seconds
         )
-
-
-@cache
-def _compile() -> None:
-    """Compile what small problems call."""
-    rehearse(ShortRoad(), LCP([[1.0]], [-1.0]))
 
 
 def _in_turn(steps: Iterator[Point], faces: Faces) -> Iterator[Point]:

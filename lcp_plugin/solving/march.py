@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm, Sprint
 from ..algorithms.active_sets.banded import Banded
 from ..algorithms.rehearsal import rehearse
+from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
 from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..matrix.parts import parts
 from ..policy.choice import Policy, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
@@ -73,6 +75,7 @@ class March(Results):
 def march(
     problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
+    absolute_tolerance: float = 0.0,
 ) -> March:
     """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
 
@@ -87,7 +90,7 @@ def march(
         Euler step (I + Δt A) z = z_before has −1.
     z0 : array, shape (n,), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
-    algorithm, tolerance, max_iterations
+    algorithm, tolerance, max_iterations, absolute_tolerance
         As for :func:`lcp_plugin.solve`, of each step.
 
     Returns
@@ -116,7 +119,7 @@ def march(
         raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
     problem.matrix.require_all_rows()
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
-    settings = Settings(tolerance, "residual", "relative", max_iterations, None, False, False)
+    settings = Settings(tolerance, max_iterations=max_iterations, absolute_tolerance=absolute_tolerance)
     policy, state = policy_for(algorithm, {}), problem.nearest_to_zero
     if z0 is not None:
         state = checked_vector(z0, "z0", problem.n)
@@ -131,7 +134,10 @@ def march(
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
                     q = offsets[before] + rows @ state
                 step = problem.with_q(q)
-                done._take(solve(step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations))
+                done._take(solve(
+                    step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations,
+                    absolute_tolerance=absolute_tolerance,
+                ))
             state = done.z[-1]
         except InvalidProblem as error:
             if not done:
@@ -149,7 +155,7 @@ def _sprinted(
 ) -> Iterator[tuple[Sprint, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not arrive."""
     first, clock = policy.first(problem), Clock(problem.peers)
-    if not isinstance(first.algorithm, Banded):
+    if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
         return
     rehearse(None, problem)
     rehearse(first.algorithm, problem)
@@ -167,7 +173,8 @@ def _sprinted(
 def _result(
     problem: LCP, q: FloatVector, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
 ) -> Result:
-    return arrival(problem.with_q(q), policy, first, sprint, settings, seconds)
+    certificate = Certificate.enclosed(problem.with_q(q), sprint.z, sprint.residual)
+    return arrival(certificate, policy, first, sprint, settings, seconds)
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

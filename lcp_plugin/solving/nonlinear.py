@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm
 from ..algorithms.rehearsal import rehearse
 from ..certificates.nonlinear import NonlinearCertificate, Reference
+from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
 from ..deadline import time_limit
@@ -41,31 +42,35 @@ def solve_nonlinear(
     measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
     record: bool = False,
     callback: Callback | None = None,
     error_bound: bool = False,
     check_jacobian: bool = True,
     threads: int | None = None,
+    verbose: bool = False,
 ) -> Result:
     """Return the best x that Josephy–Newton finds, judged by a certificate on F.
 
     Parameters
     ----------
     problem : NonlinearProblem
-    x0 : array, shape (n,)
-        Where to begin, projected onto the bounds. F must be defined there.
+    x0 : array, shape (n,), or a number for n = 1
+        Where to begin, projected onto the bounds. F must be defined there; it is given an array in any case.
     algorithm : str or Algorithm
         What solves the linear complementarity problem of each step.
     tolerance : float
         SOLVED means that the measured residual of the returned x is at most this.
     measure : {"relative", "euclidean"}
-        As for :func:`lcp_plugin.solve`, with F(x) for w: relative to the residual of F at the point of the bounds
-        nearest to 0, which counts for no more than that of an affine F with this derivative could be there
-        (``certificate.relative_to``, :mod:`lcp_plugin.certificates.nonlinear`).
+        As for :func:`lcp_plugin.solve`, with F(x) for w: in every part relative to the residual of F at the point of
+        the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
+        (``certificate.relative_to``), and every row in its own terms (:mod:`lcp_plugin.certificates.nonlinear`).
     max_iterations : int, default 100 000
         Newton steps.
     max_seconds : float, optional
-        Wall-clock limit in seconds, obeyed at the end of the step under way.
+        Wall-clock limit in seconds, obeyed as by :func:`lcp_plugin.solve`, inside a step as well.
+    absolute_tolerance : float
+        In the unit of x, as for :func:`lcp_plugin.solve`; such a row need not be right in its own terms either.
     record, callback
         As for :func:`lcp_plugin.solve`, a sample each Newton step.
     error_bound : bool
@@ -75,6 +80,8 @@ def solve_nonlinear(
         Compare a `jacobian` that was given with differences of F near the start.
     threads : int, optional
         As for :func:`lcp_plugin.solve`; F itself is called in this thread.
+    verbose : bool
+        Print the run, a line each Newton step at geometric intervals.
 
     Returns
     -------
@@ -110,7 +117,10 @@ def solve_nonlinear(
             f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
             "solve(problem) for an LCP"
         )
-    settings = Settings(tolerance, "residual", measure, max_iterations, max_seconds, record, error_bound, threads)
+    settings = Settings(
+        tolerance, "residual", measure, max_iterations, max_seconds, absolute_tolerance, record, error_bound, threads,
+        verbose,
+    )
     policy_for(algorithm, {})
     callers, start = checked_callback(callback), _checked_start(problem, x0)
     problem = problem.sized(start.size)
@@ -121,13 +131,14 @@ def solve_nonlinear(
         reference = Reference.of(problem, start)
         first = points.at(start)
         rehearse(None, first.lcp)
-        newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm)
+        asked = settings.goal if settings.measure == "relative" else 0.0
+        newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(first.lcp, _Alone(newton), settings, callers, clock, judge)
+        run = Run(judge.units, _Alone(newton), settings, callers, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 checked_jacobian(first)
-            with time_limit(settings.max_seconds - clock.read()):
+            with time_limit(settings.max_seconds - clock.read(), is_enforced=True):
                 reason = run.drive(start, Choice(newton))
             return run.judged(start, reason)
         except KeyboardInterrupt:
@@ -136,7 +147,7 @@ def solve_nonlinear(
 
 def _checked_start(problem: NonlinearProblem, x0: ArrayLike) -> FloatVector:
     try:
-        return checked_vector(x0, "x0", problem.n)
+        return checked_vector(x0, "x0", problem.n, may_be_number=True)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
 
@@ -170,8 +181,9 @@ class NonlinearJudge(Judge):
 
     def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:
         self.points, self.compared_with = points, reference
-        self.problem, self.settings = start.lcp, settings
-        self.reference = reference.ends(start.lcp, start.x, start.value)[1]
+        self.problem, self.asked, self.settings = start.lcp, points.problem, settings
+        self.units = CommonUnits(start.lcp, start.lcp)
+        self.reference = 1.0  # the certificate knows what each part is compared with
         self.errors = self.proof = self._certificate = None
 
     @cached_property
@@ -190,7 +202,10 @@ class NonlinearJudge(Judge):
 
     def measure(self, z: FloatVector) -> float:
         """Return the residual of z in the measure of the run."""
-        return self.certificate_of(z).measured(self.settings.measure)
+        certificate = self.certificate_of(z)
+        if self.settings.measure == "relative":
+            return certificate.relative_above(self.settings.least_reference)
+        return certificate.measured(self.settings.measure)
 
     def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return how a solution near the answer is proved."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,19 +22,21 @@ from ..conversions.program import QuadraticProgram
 from ..conversions.qp_certificates import proof_of_no_minimum
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import attempts
-from ..deadline import is_over, seconds_left
+from ..conversions.quadratic_program import Attempt, attempts
+from ..deadline import is_over, seconds_left, time_limit
 from ..errors import LCPError
 from ..exact.rational import enclosures
 from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import quotient_above, sum_above
 from ..kernels.floats import EPSILON
 from .driver import solve
+from .given_multipliers import LOOSE, multiplier_error
 
-OWN_TOLERANCE = 1e-12  # of the complementarity problem that is solved for multipliers
+OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
+SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
+MORE = 10  # times the iterations of a first solution: what a sharper one may take
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
-LOOSE = 10.0  # times the tolerance: errors of x beside 1 + ‖x‖∞, of multipliers beside the terms of their column
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 
@@ -103,17 +105,34 @@ class ProgramProofs:
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
         found: list[QPSolution] = []
-        with suppress(LCPError):  # a form may overflow
+        until = SHARE * seconds_left()  # what it is to prove takes time as well
+        with suppress(LCPError), time_limit(until):  # a form may overflow
             for attempt in attempts(self.program):
                 if is_over():
                     break
-                left = seconds_left()
-                limit = left if math.isfinite(left) else None
                 with suppress(LCPError):
-                    found.append(attempt.recover(solve(attempt.problem, tolerance=OWN_TOLERANCE, max_seconds=limit)))
+                    for solution in self._solutions(attempt):
+                        found.append(solution)
                     if found[-1].is_stationary(ALMOST):
                         break
-        return min(found, key=lambda solution: np.nan_to_num(solution.residual, nan=np.inf), default=None)
+        return min(found, key=_residual, default=None)
+
+    @staticmethod
+    def _solutions(attempt: Attempt) -> Iterator[QPSolution]:
+        """Yield the solution of one form, and a sharper one that starts there where the first leaves room for it.
+
+        A tolerance beside what acts in the complementarity problem may be far below the program's own.
+        """
+        options: dict[str, Any] = {}
+        for tolerance in (ALMOST, OWN_TOLERANCE):
+            left = seconds_left()
+            limit = left if math.isfinite(left) else None
+            result = solve(attempt.problem, tolerance=tolerance, max_seconds=limit, **options)
+            solution = attempt.recover(result)
+            yield solution
+            if _residual(solution) <= OWN_TOLERANCE or is_over():
+                return
+            options = {"z0": result.z, "max_iterations": MORE * max(result.iterations, MORE)}
 
     @cached_property
     def own_lower(self) -> float:
@@ -151,7 +170,7 @@ class ProgramProofs:
         # What a time limit may cut short is not kept with the program.
         is_limited = math.isfinite(seconds_left())
         proof = proof_of_no_minimum(self.program) if is_limited else self.program.proof_of_no_minimum
-        return proof if proof is not None and getattr(proof, "is_exact", True) and proof.verify() else None
+        return proof if proof is not None and proof.is_exact and proof.verify() else None
 
     @property
     def is_small(self) -> bool:
@@ -332,54 +351,6 @@ def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
     return (square - rounding - math.sqrt((square + rounding) * gap)) / length
 
 
-def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
-    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing."""
-    names = ("inequality", "equality", "lower", "upper")
-    size = 1.0 + max(float(np.abs(part).max(initial=0.0)) for part in given)
-    for name, part in zip(names, given, strict=False):
-        if name != "equality" and part.size and part.min() < -LOOSE * tolerance * size:
-            return f"the multiplier {name}[{int(part.argmin())}] = {part.min():.3g} has the wrong sign"
-    if idle := multiplier_beside_room(program, x, np.concatenate(given), tolerance):
-        return idle
-    inequality, equality = given[:2]
-    terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
-    terms += [abs(sp.csr_array(rows)).T @ np.abs(y) for rows, y in ((program.G, inequality), (program.A, equality))]
-    s = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
-    allowed = LOOSE * tolerance * (1.0 + np.max(terms, axis=0))
-    if len(given) == len(names):
-        s, low, high = s - given[2] + given[3], 0.0 * s, 0.0 * s
-    else:  # a bound takes up what its sign allows, at the x that holds it
-        with np.errstate(invalid="ignore"):
-            reach = tolerance * (1.0 + np.abs(x)) * LOOSE
-            low = np.where(x - program.lower <= reach, np.inf, 0.0)
-            high = np.where(program.upper - x <= reach, np.inf, 0.0)
-    wrong = np.maximum(np.maximum(s - low, -s - high), 0.0) - allowed
-    if wrong.max(initial=0.0) > 0.0:
-        j = int(wrong.argmax())
-        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
-    return ""
-
-
-def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
-    """Return which of the first multipliers is not 0 although x leaves room at its inequality, or nothing.
-
-    Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
-    """
-    rows, k = program.constraints, y.size
-    matrix, limit = rows.matrix[:k], rows.limit[:k]
-    is_finite = np.isfinite(limit)
-    room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), 1.0)  # y itself has to be 0 at no limit
-    terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), 1.0)
-    value = np.where(is_finite, abs(program.objective(x)), 0.0)
-    excess = np.abs(y * room) - LOOSE * tolerance * (1.0 + np.maximum(value, np.abs(y) * terms))
-    excess[rows.is_equality[:k]] = 0.0
-    if excess.max(initial=0.0) > 0.0:
-        i = int(excess.argmax())
-        what = f"{room[i]:.3g} of room" if is_finite[i] else "no limit"
-        return f"a multiplier {y[i]:.3g} stands where there is {what}"
-    return ""
-
-
 def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
     """Return doubles below and above the largest violation of a constraint by x."""
     rows = program.constraints
@@ -388,6 +359,10 @@ def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]
         value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
         value = np.where(rows.is_equality[finite], np.abs(value), value)
     return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
+
+
+def _residual(solution: QPSolution) -> float:
+    return float(np.nan_to_num(max(solution.residual, solution.row_residual), nan=np.inf))
 
 
 def _told(value: float) -> float | None:

@@ -122,7 +122,7 @@ class Result:
         What ran; for ``auto`` the chain of what it chose.
     iterations, work, seconds, setup_seconds
         Of the whole run; see :class:`Sample` for the units.
-    tolerance, tolerance_on, measure
+    tolerance, tolerance_on, measure, absolute_tolerance
         As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
@@ -155,6 +155,7 @@ class Result:
     stages: tuple[StageRecord, ...] = field(default=(), repr=False)
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
+    absolute_tolerance: float = 0.0
     chosen: Any = field(default="auto", repr=False)
     bounded: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
     words: Mapping[Status, str] = field(default_factory=dict, repr=False)
@@ -218,7 +219,15 @@ class Result:
         if self.infeasibility is None or self.is_refuted:
             return []
         what = "infeasible" if status_of(self.infeasibility) is Status.INFEASIBLE else "without solution"
+        if self.infeasibility.is_rounding:
+            size = self.infeasibility.absolute_margin
+            return [f"{what}, but only by {size:.0e} in the unit of z: rounding beside the largest number in q; "
+                    f"absolute_tolerance={1.1 * max(self.certificate.scaled_residual, size):.1e} accepts z"]
+        if (radius := getattr(self.infeasibility, "radius", np.inf)) < np.inf:
+            return [f"{what} up to ‖z‖∞ = {radius:.0e}"]
         margin = self.infeasibility.measured(self.measure)
+        if margin > self.tolerance and self.absolute_tolerance:
+            return [f"{what}, but only by {self.infeasibility.absolute_margin:.0e} in the unit of z"]
         if margin > self.tolerance:
             return [f"{what} beside its own data, but not beside those of the program that it was made from"]
         return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
@@ -279,11 +288,17 @@ class Result:
         asked_on_error = self.tolerance_on == "error"
         if self.error_bound is None:
             what = "a relative error of " if asked_on_error else ""
-            return f"{residual}, asked for {what}{self.tolerance:.3e}"
-        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e})"
+            return f"{residual}, asked for {what}{self.tolerance:.3e}{self._or_absolute}"
+        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e}{self._or_absolute})"
         asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
         bound, *proven = str(self.error_bound).splitlines()
         return "\n".join([f"{residual}; {bound}{asked}", *proven])
+
+    @property
+    def _or_absolute(self) -> str:
+        if not self.absolute_tolerance:
+            return ""
+        return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
 
     def _stiffness(self) -> list[str]:
         """Return a line where a small residual goes, or may go, with a much larger error."""
@@ -307,7 +322,7 @@ class Result:
         certificate, problem = self.certificate, self.certificate.problem
         if problem.is_distributed:
             return []
-        residual = certificate.relative_residual * certificate.reference_ends[1]
+        residual = certificate.scaled_residual
         error = estimated_error(problem, self.z, self.w, residual)
         size = float(np.abs(self.z).max(initial=0.0))
         if error is None or not error > FAR * size:
@@ -341,6 +356,7 @@ class Result:
             "seconds": self.seconds,
             "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
+            **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
         }
         if self.error_bound is not None:
             numbers["error_bound"] = self.error_bound.infinity

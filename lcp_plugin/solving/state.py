@@ -101,6 +101,8 @@ class Ledger:
         self.work += step.work
         stage.take(step.label, 0 if is_first else 1, step.work)
         stage.remark = step.remark or stage.remark
+        stage.least_residual = max(stage.least_residual, step.least_residual)
+        stage.settles = stage.settles or step.is_settling
         if not is_first:
             self.iteration += 1
         else:

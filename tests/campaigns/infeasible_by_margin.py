@@ -4,7 +4,8 @@ Run ``python tests/campaigns/infeasible_by_margin.py --cases 10000 --seed 0``; e
 margin is planted: a Farkas vector y and a z̄ that attains its contradiction; fractions written here and used nowhere
 else bound the smallest residual of any z from below (by y) and from above (by z̄). Claimed, at the default tolerance:
 
-- a margin of ten times the tolerance or more is refuted in 99 % by auto, with a proof that verifies;
+- a margin of ten times the tolerance or more, and of rounding of q, is refuted in 99 % by auto, with a proof that
+  verifies;
 - a margin below the tolerance is never refuted, by any method and in any measure;
 - no problem is SOLVED by one run and refuted by another in the same measure;
 - no proof claims a larger margin than z̄ has, or than the z that any method ends with;
@@ -23,9 +24,14 @@ from collections.abc import Iterator
 from fractions import Fraction
 from functools import partial
 from multiprocessing import Pool
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from exact_parts import part_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
@@ -57,6 +63,7 @@ class Planted(NamedTuple):
     euclidean: Margin
     tolerance: float  # in the euclidean measure
     is_linear: bool  # the linear constraints contradict, not only complementarity
+    is_data: bool  # the margin is more than rounding of the largest number in q
 
 
 # --- complementarity problems ------------------------------------------------------------------------------------
@@ -99,24 +106,31 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
         return LCP(M, w - M @ z, lower=lower, upper=upper)
 
     plain = with_margin(0.0)
-    reference = float(exact_reference(plain))
+    reference = float(max(exact_references(plain)))
     if not reference:
         return planted_lcp(rng)
-    return measured(with_margin(10.0 ** rng.uniform(-16, -1) * reference), y, z)
+    problem = with_margin(10.0 ** rng.uniform(-16, -1) * reference)
+    return measured(problem, y, z) if all(exact_references(problem)) else planted_lcp(rng)
 
 
 def measured(problem: LCP, y: Any, z: Any) -> Planted:
     """The exact margins that y and z̄ prove of the problem as it is stored."""
-    reference = exact_reference(problem)
+    references = exact_references(problem)
     d = [Fraction(float(v)) for v in problem.residual_scale]
     exact_y = [Fraction(float(v)) for v in y]
     missing = wrong_signs(problem, [Fraction(float(v)) for v in np.clip(z, problem.lower, problem.upper)])
     c = max(contradiction(problem, exact_y), Fraction(0))
-    weight = sum(abs(v) * s for v, s in zip(exact_y, d, strict=True))
-    high = max(v / s for v, s in zip(missing, d, strict=True))
+    weight = sum(abs(v) * s * of for v, s, of in zip(exact_y, d, references, strict=True))
+    absolute = c / sum(abs(v) * s for v, s in zip(exact_y, d, strict=True))
+    high = max(v / s / of for v, s, of in zip(missing, d, references, strict=True))
     squares = float(sum(v * v for v in exact_y)) ** 0.5, float(sum(v * v for v in missing)) ** 0.5
-    relative = Margin(float(c / weight / reference), float(high / reference))
-    return Planted(problem, relative, Margin(float(c) / squares[0], squares[1]), TOLERANCE * float(reference), True)
+    relative, euclidean = Margin(float(c / weight), float(high)), Margin(float(c) / squares[0], squares[1])
+    return Planted(problem, relative, euclidean, TOLERANCE * float(max(references)), True, is_data(problem, absolute))
+
+
+def is_data(problem: LCP, absolute: Fraction) -> bool:
+    """Whether a margin in the unit of z is more than rounding of the largest number in q; ten times, to be sure."""
+    return float(absolute) > 10.0 * 2.0**-44 * float(np.abs(problem.q / problem.residual_scale).max())
 
 
 def forced(rng: np.random.Generator) -> Planted:
@@ -126,15 +140,17 @@ def forced(rng: np.random.Generator) -> Planted:
     M[np.arange(n), np.arange(n)] = np.abs(M).sum(axis=1) + 1.0
     whole = np.zeros((n + 2, n + 2))
     whole[:n, :n], whole[:n, n + 1] = M, rng.integers(-1, 2, n)
+    whole[:n, n] = 1.0  # all is one part, if M is
     s = 2.0 ** rng.integers(-3, 4)
     whole[n + 1, n] = s
     t = 10.0 ** rng.uniform(-16, -1)
     q = np.concatenate([np.where(z > 0, 0.0, 1.0) - M @ z, [1.0, -s * t]])
     problem = LCP(whole, q)
-    reference = exact_reference(problem)
-    margin = float(Fraction(-q[-1]) / Fraction(s) / 2 / reference)
+    reference, absolute = exact_references(problem)[-1], Fraction(-q[-1]) / Fraction(s) / 2
+    margin = float(absolute / reference)
     least = float(t * s / np.hypot(1.0, s))
-    return Planted(problem, Margin(margin, margin), Margin(least, least), TOLERANCE * float(reference), False)
+    known = Margin(margin, margin), Margin(least, least), TOLERANCE * float(reference)
+    return Planted(problem, *known, False, is_data(problem, absolute))
 
 
 def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
@@ -145,10 +161,10 @@ def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
     ]
 
 
-def exact_reference(problem: LCP) -> Fraction:
-    """‖r(z°)‖∞, exactly."""
+def exact_references(problem: LCP) -> list[Fraction]:
+    """‖r_P(z°)‖∞ of the part of each row, exactly."""
     z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
-    largest = Fraction(0)
+    at_zero = []
     for v, w, d, low, high in zip(
         z, exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(), problem.upper.tolist(),
         strict=True,
@@ -156,8 +172,8 @@ def exact_reference(problem: LCP) -> Fraction:
         step = v - w / Fraction(d)
         step = max(step, Fraction(low)) if np.isfinite(low) else step
         step = min(step, Fraction(high)) if np.isfinite(high) else step
-        largest = max(largest, abs(v - step))
-    return largest
+        at_zero.append(v - step)
+    return references_of_rows(at_zero, part_of_rows(problem.csr))
 
 
 def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:
@@ -340,7 +356,8 @@ def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
     kind, planted = ("cases", forced(rng)) if case % 12 == 0 else ("lcp", planted_lcp(rng))
     bad, told = violations(planted, case)
     margins = {"relative": (planted.relative, TOLERANCE), "euclidean": (planted.euclidean, planted.tolerance)}
-    return bad, [(f"{kind}, {m}", decade(*margins[m]), status.name) for m, status in told.items()]
+    where = {m: decade(*of) if planted.is_data else "rounding of q" for m, of in margins.items()}
+    return bad, [(f"{kind}, {m}", where[m], status.name) for m, status in told.items()]
 
 
 def main(cases: int, seed: int, workers: int) -> int:

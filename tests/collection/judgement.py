@@ -17,7 +17,8 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
         return "lie: the exact residual is above the tolerance"
     if status == "SOLVED" and truth != SOLVABLE:
         return "false SOLVED"
-    if status == "PRECISION_LIMIT" and not ExactData(problem).is_at_rounding_level(result.z):
+    is_rounding_of_q = result.infeasibility is not None and ExactData(problem).misses_by_rounding_of_q(result.z)
+    if status == "PRECISION_LIMIT" and not (is_rounding_of_q or ExactData(problem).is_at_rounding_level(result.z)):
         return "PRECISION_LIMIT, but rounding does not explain the residual"
     if status == "INFEASIBLE" and truth != INFEASIBLE:
         return "false INFEASIBLE"

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from exact_parts import part_of_rows, relative_residual
 
 Bound = Fraction | None
 Point = tuple[Fraction, ...]
@@ -210,6 +211,7 @@ class ExactData:
         self.lower = [fraction(x) for x in problem.lower.tolist()]
         self.upper = [fraction(x) for x in problem.upper.tolist()]
         self.divisor = [self._divisor(i, row) for i, row in enumerate(self.rows)]
+        self.parts = part_of_rows(csr)
 
     def _divisor(self, i: int, row: list[tuple[int, int]]) -> Fraction:
         """d_i of the scaled residual: the diagonal, or the row's largest entry where that is negligible, or 1."""
@@ -237,14 +239,14 @@ class ExactData:
             residual.append(abs(step))
         return residual
 
-    def reference(self) -> Fraction:
-        """Return the largest residual of the point of the bounds nearest to zero."""
+    def at_zero(self) -> list[Fraction]:
+        """Return the residuals of the point of the bounds nearest to zero."""
         zero = Fraction(0)
         nearest = [
             high if high is not None and high < 0 else low if low is not None and low > 0 else zero
             for low, high in zip(self.lower, self.upper, strict=True)
         ]
-        return max(self.residual(nearest), default=zero)
+        return self.residual(nearest)
 
     def floor(self, z: Sequence[Any]) -> list[Fraction]:
         """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i."""
@@ -260,10 +262,15 @@ class ExactData:
         return not any(self.residual(z))
 
     def is_lie(self, z: Sequence[Any], tolerance: float) -> bool:
-        """Whether calling z solved is a lie: residual > tolerance · ‖r(z°)‖, both exact, no allowance."""
+        """Whether calling z solved is a lie: ‖r_P(z)‖ > tolerance · ‖r_P(z°)‖, both exact, in a part P."""
         if not np.isfinite(np.array([float(x) for x in z])).all():
             return True
-        return max(self.residual(z), default=Fraction(0)) > Fraction(tolerance) * self.reference()
+        return bool(relative_residual(self.residual(z), self.at_zero(), self.parts) > Fraction(tolerance))
+
+    def misses_by_rounding_of_q(self, z: Sequence[Any]) -> bool:
+        """Whether every residual is at most 2⁻⁴⁴ of the largest |q_i|/d_i, which is what may contradict in q."""
+        largest = max((abs(q) / d for q, d in zip(self.q, self.divisor, strict=True)), default=Fraction(0))
+        return max(self.residual(z), default=Fraction(0)) <= largest * (1 + MACHINE_EPSILON) / 2**44
 
     def is_at_rounding_level(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 5 times its floor: 4 as claimed, and 1 for the rounding of the claim."""

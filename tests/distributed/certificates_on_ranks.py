@@ -12,7 +12,8 @@ from checks import check, run_checks
 
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.algorithms import create
-from lcp_plugin.certificates.residuals import MEASURED, reference_residual
+from lcp_plugin.certificates.references import reference_residual
+from lcp_plugin.certificates.residuals import MEASURED
 from lcp_plugin.certificates.sweep_contraction import h_plus_certificate
 from lcp_plugin.errors import UnsuitableMatrix
 from lcp_plugin.peers.ranks.collective import largest

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...certificates.residuals import ratio_upwards
+from ...certificates.quotients import ratio_upwards
 from ...checks import FloatVector
-from ...crossovers import BANDED_ROUNDS, BOXED_ROUNDS, MULTIGRID_PASSES
+from ...crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...errors import UnsuitableMatrix
 from ...exact.rounding import read_only_views
 from ...matrix.bands import Bands, bands
@@ -172,7 +172,7 @@ def _is_one_sided(problem: LCP) -> bool:
 def _predicted_passes(matrix: Matrix) -> float:
     M, middle = matrix.csr, matrix.n // 2
     columns = M.indices[M.indptr[middle]:M.indptr[middle + 1]] if matrix.n else np.zeros(0)
-    if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > MULTIGRID_PASSES:
+    if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > BANDED_PASSES:
         return math.inf  # a look at one row spares most matrices the look at all
     below, above = bandwidth(matrix) or (0, 0)
     rounds, cost = BANDED_ROUNDS, below + 2.0

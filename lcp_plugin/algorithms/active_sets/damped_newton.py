@@ -38,17 +38,20 @@ class Linearised(NamedTuple):
         return float(np.linalg.norm(self.value))
 
 
-def fischer_burmeister(problem: LCP, z: FloatVector, w: FloatVector) -> Linearised:
+def fischer_burmeister(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> Linearised:
     """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
-    Where a bound is infinite, its φ is replaced by its limit; a row with equal bounds gives z − lower.
+    d is the scale of the residual unless another one is given, shape (n,), > 0. Where a bound is infinite, its φ is
+    replaced by its limit; a row with equal bounds gives z − lower.
 
     References
     ----------
     Billups 1995, *Algorithms for complementarity problems and generalized equations*, PhD thesis, Wisconsin.
     """
     with np.errstate(all="ignore"):
-        s = w / problem.residual_scale
+        s = w / (problem.residual_scale if scale is None else scale)
         value, by_a, by_b = _phi(problem.upper - z, -s)
         has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
         p = np.where(has_upper, -value, s)
@@ -154,10 +157,10 @@ def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None
     return direction if np.isfinite(direction).all() else None
 
 
-def phi_jacobian(problem: LCP, phi: Linearised, shift: float) -> Any:
-    """Return the Jacobian of Φ plus shift times the identity, dense or CSR as M is."""
+def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector | None = None) -> Any:
+    """Return the Jacobian of Φ in that scale plus shift times the identity, dense or CSR as M is."""
     M = problem.M
-    rows, diagonal = phi.by_w / problem.residual_scale, phi.by_z + shift
+    rows, diagonal = phi.by_w / (problem.residual_scale if scale is None else scale), phi.by_z + shift
     if sp.issparse(M):
         return sp.csr_array(sp.diags_array(rows) @ M + sp.diags_array(diagonal))
     jacobian = M * rows[:, None]

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from ...checks import FloatVector, read_only
 from ...kernels.floats import REFINEMENTS, STABLE, USEFUL
+from ...matrix.factors import made
 from ...matrix.structure import compressed_rows
 from .newton_matrix import SMALLEST, NewtonMatrix
 from .predictor_corrector import PredictorCorrector
@@ -46,9 +47,8 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
         self.work += self.symbolic.work
         np.multiply(self.signs, self._own_diagonal + diagonal, out=self._pivots)
-        if not symmetric_factors.factorise(
-            *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
-        ):
+        arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
+        if not made(lambda: symmetric_factors.factorise(*arrays), self.symbolic.work):
             return False
         x, error, _ = self._solved(self._ones, diagonal, 0)
         return error <= max(USEFUL, STABLE * float(np.abs(x).max()))

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import read_only
+from ...matrix.factors import made, most_operations
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,12 @@ class Symbolic:
         numbers[starts[1:] - 1] = 1.0
         indices = np.empty(numbers.size, dtype=np.int64)
         indices[numbers > 0.0], indices[numbers == 0.0] = np.arange(n), columns
-        lower, _, order = qdldl.Solver(sp.csc_array((numbers, indices, starts), shape=(n, n)), upper=True).factors()
+        upper = sp.csc_array((numbers, indices, starts), shape=(n, n))
+        try:
+            solver = made(lambda: qdldl.Solver(upper, upper=True), most_operations(upper))
+        except RuntimeError as error:  # no pivot is 0: it found no memory
+            raise MemoryError(str(error)) from error
+        lower, _, order = solver.factors()
         position = np.empty(n, dtype=np.int64)
         position[order] = np.arange(n)
         first, second = position[rows], position[columns]

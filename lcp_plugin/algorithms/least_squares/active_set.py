@@ -15,11 +15,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...checks import BoolVector, FloatVector
-from ...kernels.floats import EPSILON
 from .faces import Faces
 from .point import Point
 
-ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be: less is no pull
 REFINED = 0.5  # what a correction on the same face has to leave at the most to be followed by another
 
 
@@ -43,7 +41,7 @@ def active_set_steps(start: Point, faces: Faces, free: BoolVector | None = None)
         yield point
         free = point.is_free
         if length >= 1.0:  # the face is solved
-            noise, before, size = _noise(point), size, float(np.abs(point.natural_residual).max(initial=0.0))
+            noise, before, size = point.noise, size, float(np.abs(point.natural_residual).max(initial=0.0))
             pulled = np.abs(point.pull) > noise
             if not pulled.any() and not noise < size <= REFINED * before:
                 return
@@ -71,9 +69,3 @@ def _without(point: Point, free: BoolVector, correction: FloatVector) -> BoolVec
     hardest = point.is_free.copy()
     hardest[np.argmax(np.abs(np.where(let_go, point.pull, 0.0)))] = True
     return hardest
-
-
-def _noise(point: Point) -> float:
-    """Return up to where a gradient may be nothing but rounding."""
-    problem = point.problem
-    return ROUNDING * float(np.linalg.norm(point.residual) + np.linalg.norm(point.x) + np.linalg.norm(problem.b))

@@ -1,12 +1,13 @@
-"""Least squares on the free columns by a factor: orthogonal where A is dense, of AᵀA where A is sparse.
+"""Least squares on the free columns by a factor of AᵀA, the normal equations.
 
-Both give a *correction* d of x, so that the next one refines it. The factor of AᵀA, whose condition is squared, is only
-a preconditioner.
+Its condition is that of A squared: what it solves is a *correction*, and where A has the last word the factor is only
+a preconditioner of conjugate gradients with A itself.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,106 +15,120 @@ import scipy.sparse as sp
 from ...checks import BoolVector, FloatVector
 from ...deadline import is_over
 from ...kernels.floats import EPSILON
-from ...matrix.factors import factor_fits, factorise
+from ...matrix.factors import LARGEST_DENSE, cholesky, factor_fits, factorise
 from ...problem.least_squares import UnitLeastSquares
 from .point import Point
 
-RANK = 4.0 * EPSILON  # times the larger dimension: singular values below this share of the largest are 0
+Solve = Callable[[FloatVector], FloatVector]
+
 LOOKED_AT = 100  # columns of AᵀA, which tell how many entries it has
 LARGER = 3.0  # entries of AᵀA by those of A: one that is symmetric could be kept in half of them
 SHIFT = 8.0 * EPSILON  # of columns of unit length, so that the factor of a singular AᵀA is one
+GROWTH = 16.0  # of the shift where rounding left no factor
+LARGEST_SHIFT = 1e-3
+DUAL_SHIFT = 1e-12  # for more columns than rows, where the formula of the inverse divides rounding by it
 MOST_STEPS = 30
-GOAL = 1e-24  # of the energy of the error: what is left is for the next correction
+ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
+RANK = 4.0 * EPSILON  # times the larger dimension: singular values below this share of the largest are 0
 
 
-class Faces(Protocol):
-    """Minimises over the free columns."""
-
-    def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
-        """Return d, 0 but on the free columns, that minimises the cost at x + d; None where that cannot be had."""
-
-
-class DenseFaces:
-    """Faces of a dense A: of its triangular factor where that is smaller than A.
-
-    Parameters
-    ----------
-    matrix : array, shape (k, n)
-        (A; √ridge) or its triangular factor R, (A; √ridge) = Q R.
-    right : array, shape (k,)
-        (b; 0) or Qᵀ(b; 0).
-    """
-
-    def __init__(self, matrix: FloatVector, right: FloatVector) -> None:
-        self.matrix, self.right = matrix, right
-
-    @classmethod
-    def of(cls, problem: UnitLeastSquares) -> DenseFaces | None:
-        """Return the faces, or None where time ended before."""
-        m, n = problem.problem.shape
-        triangle: Any = np.eye(n if problem.ridge.any() else 0, n + 1)
-        triangle[:, :n] *= np.sqrt(problem.ridge)
-        if m + triangle.shape[0] <= n:
-            return cls(_whole(problem), problem.b)
-        at_once = 4 * n + 1  # a block's share of the work that is done again
-        for begin in range(0, m, at_once):
-            if is_over():
-                return None
-            rows = slice(begin, min(begin + at_once, m))
-            block = np.column_stack([_whole(problem, rows), problem.b[rows]])
-            triangle = np.linalg.qr(np.vstack([triangle, block]) if triangle.size else block, mode="r")
-        return cls(triangle[:n, :n], triangle[:n, n])
-
-    def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
-        """Return the shortest correction that minimises."""
-        from scipy.linalg import LinAlgError, lstsq
-
-        correction = np.zeros(free.size)
-        residual = self.matrix @ point.x - self.right
-        try:
-            block, rank_below = self.matrix[:, free], RANK * max(self.matrix.shape)
-            correction[free] = lstsq(block, -residual, rank_below, lapack_driver="gelsy", check_finite=False)[0]
-        except (LinAlgError, ValueError):
-            return None
-        return correction
-
-
-class SparseFaces:
-    """Faces of a sparse A whose AᵀA is no larger than A: conjugate gradients with the factor of AᵀA for preconditioner.
+class Faces:
+    """Factors of A_FᵀA_F + D for free columns F and a diagonal D ≥ 0.
 
     Parameters
     ----------
     problem : UnitLeastSquares
-    gram : CSR array, shape (n, n)
-        AᵀA + ridge.
+    matrix : array, shape (n, n) or (m, n)
+        AᵀA, sparse or not; or A itself where it is dense and has fewer rows than columns.
+    is_wide : bool
+        Whether it is A.
     """
 
-    def __init__(self, problem: UnitLeastSquares, gram: sp.csr_array) -> None:
-        self.problem, self.gram = problem, gram
+    def __init__(self, problem: UnitLeastSquares, matrix: Any, *, is_wide: bool = False) -> None:
+        self.problem, self.matrix, self.is_wide = problem, matrix, is_wide
 
     @classmethod
-    def of(cls, problem: UnitLeastSquares) -> SparseFaces | None:
-        """Return the faces, or None where AᵀA or its factor would be too large."""
+    def of(cls, problem: UnitLeastSquares) -> Faces | None:
+        """Return the faces; None where a factor would be too large, overflows, or time ended before."""
+        m, n = problem.problem.shape
+        if problem.problem.is_sparse and not problem.problem.is_cheap_to_copy:
+            return cls._of_sparse(problem)
+        if n > LARGEST_DENSE:
+            return None
+        if m < n:
+            return cls(problem, _dense(problem.entries()), is_wide=True)
+        gram, at_once = np.zeros((n, n)), ROWS * n + 1
+        for begin in range(0, m, at_once):
+            if is_over():
+                return None
+            block = _dense(problem.entries(slice(begin, min(begin + at_once, m))))
+            gram += block.T @ block
+        return cls(problem, gram) if np.isfinite(gram).all() else None
+
+    @classmethod
+    def _of_sparse(cls, problem: UnitLeastSquares) -> Faces | None:
         entries = problem.entries()
         if _gram_size(entries) > LARGER * entries.nnz + entries.shape[1]:
             return None
-        gram = sp.csr_array(entries.T @ entries + sp.diags_array(problem.ridge))
+        gram = sp.csr_array(entries.T @ entries)
         return cls(problem, gram) if np.isfinite(gram.data).all() and factor_fits(gram) else None
 
-    def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
-        """Return the correction that minimises, in a few steps as the factor is one of AᵀA up to rounding."""
-        columns, correction = np.flatnonzero(free), np.zeros(free.size)
-        block = self.gram[columns][:, columns] + sp.diags_array(np.full(columns.size, SHIFT))
-        factor = factorise(sp.csr_array(block), is_symmetric=True) if columns.size else None
+    def product(self, d: FloatVector) -> FloatVector:
+        """Return (AᵀA + ridge) d."""
+        product: FloatVector = self.matrix.T @ (self.matrix @ d) if self.is_wide else self.matrix @ d
+        return product + self.problem.ridge * d
+
+    def factor(self, columns: Any, diagonal: FloatVector) -> Solve | None:
+        """Return r ↦ (A_FᵀA_F + ridge + D)⁻¹ r for F = `columns`, D no less than a shift that leaves a factor."""
+        if not columns.size:
+            return np.copy
+        shift = DUAL_SHIFT if self.is_wide and columns.size > self.matrix.shape[0] else SHIFT
+        while shift <= LARGEST_SHIFT:
+            solve = self._factor(columns, np.maximum(diagonal + self.problem.ridge[columns], shift))
+            if solve is not None:
+                return solve
+            shift *= GROWTH
+        return None
+
+    def _factor(self, columns: Any, diagonal: FloatVector) -> Solve | None:
+        if sp.issparse(self.matrix):
+            block = sp.csr_array(self.matrix[columns][:, columns] + sp.diags_array(diagonal))
+            factor = factorise(block, is_symmetric=True)
+        elif not self.is_wide:
+            is_all = columns.size == self.matrix.shape[0]
+            block = self.matrix.copy() if is_all else self.matrix.take(columns, 0).take(columns, 1)
+            factor = _positive(block, diagonal)
+        elif columns.size <= self.matrix.shape[0]:
+            free = self.matrix[:, columns]
+            factor = _positive(free.T @ free, diagonal)
+        else:
+            return self._dual_factor(self.matrix[:, columns], diagonal)
+        return None if factor is None else factor.solve
+
+    def _dual_factor(self, free: FloatVector, diagonal: FloatVector) -> Solve | None:
+        """Return the same by the smaller I + A_F D⁻¹ A_Fᵀ (Sherman, Morrison, Woodbury)."""
+        scaled = free / diagonal
+        factor = _positive(scaled @ free.T, np.ones(free.shape[0]))
         if factor is None:
-            return None if columns.size else correction
-        left, direction, goal = -point.gradient[columns], np.zeros(free.size), 0.0
-        size = 0.0
+            return None
+        return lambda right: right / diagonal - scaled.T @ factor.solve(scaled @ right)
+
+    def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
+        """Return d, 0 but on the free columns, that minimises the cost at x + d; None where that cannot be had.
+
+        Conjugate gradients with A arrive in a few steps, as the factor is one of AᵀA up to rounding.
+        """
+        columns, correction = np.flatnonzero(free), np.zeros(free.size)
+        solve = self.factor(columns, np.zeros(columns.size))
+        if solve is None:
+            return None
+        left, direction, size = -point.gradient[columns], np.zeros(free.size), 0.0
         for _ in range(MOST_STEPS):
-            solved = factor.solve(left)
+            solved = solve(left)
             before, size = size, float(left @ solved)
-            goal = goal or GOAL * size
-            if not goal < size < np.inf:
+            if size == 0.0:
+                return correction
+            if not 0.0 < size < np.inf:
                 break
             direction[columns] = solved + (size / before if before > 0.0 else 0.0) * direction[columns]
             product = self.problem.product(direction)
@@ -123,7 +138,32 @@ class SparseFaces:
             correction += (size / curvature) * direction
             gradient = self.problem.transposed(product) + self.problem.ridge * direction
             left = left - (size / curvature) * gradient[columns]
+            if not np.abs(left).max() > point.noise:
+                return correction
+        m, n = self.problem.problem.shape
+        if not sp.issparse(self.matrix) and m <= ROWS * n:
+            correction[columns] = self._orthogonal(point, columns)
         return correction if np.isfinite(correction).all() else None
+
+    def _orthogonal(self, point: Point, columns: Any) -> FloatVector | float:
+        """Return the shortest correction by an orthogonal factor, for an A of which AᵀA says too little."""
+        from scipy.linalg import LinAlgError, lstsq
+
+        problem = self.problem
+        block, right, root = _dense(problem.entries())[:, columns], -point.residual, np.sqrt(problem.ridge[columns])
+        if root.any():
+            block, right = np.vstack([block, np.diag(root)]), np.concatenate([right, -root * point.x[columns]])
+        try:
+            rank_below = RANK * max(block.shape)
+            shortest: FloatVector = lstsq(block, right, rank_below, lapack_driver="gelsy", check_finite=False)[0]
+        except (LinAlgError, ValueError):
+            return np.nan
+        return shortest
+
+
+def _positive(matrix: FloatVector, diagonal: FloatVector) -> Any:
+    matrix.flat[:: matrix.shape[0] + 1] += diagonal
+    return cholesky(matrix, overwrite=True)
 
 
 def _gram_size(entries: Any) -> float:
@@ -133,7 +173,6 @@ def _gram_size(entries: Any) -> float:
     return float((entries.T @ entries[:, looked_at]).nnz * n / max(looked_at.size, 1))
 
 
-def _whole(problem: UnitLeastSquares, rows: slice = slice(None)) -> FloatVector:
-    entries = problem.entries(rows)
+def _dense(entries: Any) -> FloatVector:
     dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
     return dense

@@ -1,20 +1,19 @@
-"""Interior points with an orthogonal factor: they find the face where A is too ill-conditioned for other steps.
+"""Interior points: they find the face where A is too ill-conditioned for other steps.
 
-With multipliers y, v > 0 of the finite bounds and Θ = y/(x − lower) + v/(upper − x), a step solves the least squares
-problem (A; Θ^½) d ≈ (−r; Θ^−½ c) of the dense A, so that the condition of A is not squared; predictor and corrector
-(Mehrotra) share the factor. A point is shown with the columns at their bounds whose multipliers exceed their distances.
+With multipliers y, v > 0 of the finite bounds and Θ = y/(x − lower) + v/(upper − x), a step solves
+(AᵀA + ridge + Θ) d = c − gradient; predictor and corrector (Mehrotra) share the factor. A point is shown with the
+columns at their bounds whose multipliers exceed their distances.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from ...checks import FloatVector
 from ...kernels.floats import EPSILON
-from .faces import DenseFaces
+from .faces import Faces, Solve
 from .point import Point
 
 START = 0.1  # first distances from the bounds and first multipliers, ÷ the largest x and gradient
@@ -22,11 +21,10 @@ TO_THE_BOUND = 0.995  # of the way
 SMALLEST_STEP = 1e-8  # a shorter one leads nowhere
 PRECISION = EPSILON**2  # complementarity, ÷ that of the start, from which on rounding decides
 STEPS = 100
-DAMPING = 1e-11  # a singular value of 1e-10 is not hidden, and one that is rounding (1e-16) moves x by 1e6 at the most
 SIGNS = np.array([[1.0], [-1.0]])  # of a step of x in the distances from its lower and upper bound
 
 
-def interior_steps(start: Point, faces: DenseFaces) -> Iterator[Point]:
+def interior_steps(start: Point, faces: Faces) -> Iterator[Point]:
     """Yield points from the start on; ends where rounding decides which columns are free."""
     yield start
     state = _Interior(start, faces)
@@ -42,16 +40,17 @@ def interior_steps(start: Point, faces: DenseFaces) -> Iterator[Point]:
 class _Interior:
     """x strictly within its bounds; the rows of what belongs to bounds are for the lower and the upper ones."""
 
-    def __init__(self, point: Point, faces: DenseFaces) -> None:
+    def __init__(self, point: Point, faces: Faces) -> None:
         problem = self.problem = point.problem
-        self.matrix, self.right, may_move = faces.matrix, faces.right, problem.lower < problem.upper
+        self.faces, may_move = faces, problem.lower < problem.upper
         distance = START * max(float(np.abs(point.x).max(initial=0.0)), 1.0)
         room = np.minimum(0.25 * (problem.upper - problem.lower), distance)
         self.x = np.where(may_move, np.clip(point.x, problem.lower + room, problem.upper - room), problem.lower)
         self.columns = np.flatnonzero(may_move)
         self.has = np.isfinite([problem.lower, problem.upper]) & may_move
         multiplier = START * float(np.abs(point.gradient).max(initial=0.0)) + EPSILON
-        self.multipliers = np.where(self.has, np.maximum(SIGNS * point.gradient, 0.0) + multiplier, 0.0)
+        slopes = np.maximum(SIGNS * point.gradient, 0.0) + multiplier * distance / self.distances
+        self.multipliers = np.where(self.has, slopes, 0.0)
 
     @property
     def distances(self) -> FloatVector:
@@ -68,6 +67,7 @@ class _Interior:
         factor = self._factor()
         if factor is None:
             return False
+        self.gradient = Point(self.problem, self.x).gradient
         mean = self.complementarity()
         d, slopes = self._direction(factor, np.zeros_like(self.multipliers))
         length = min(1.0, self._farthest(d, slopes))
@@ -79,29 +79,16 @@ class _Interior:
         self.x, self.multipliers = self.x + length * d, self.multipliers + length * slopes
         return True
 
-    def _factor(self) -> tuple[FloatVector, FloatVector, FloatVector] | None:
-        """Return Θ^½ and the factors of (A; Θ^½), or None where they overflow."""
-        from scipy.linalg import qr
-
+    def _factor(self) -> Solve | None:
+        """Return the factor of AᵀA + ridge + Θ, or None where it overflows."""
         bend = (self.multipliers / self.distances).sum(axis=0)[self.columns]
-        root = np.maximum(np.sqrt(bend), DAMPING)
-        matrix = np.vstack([self.matrix[:, self.columns], np.diag(root)])
-        if not np.isfinite(matrix).all():
-            return None
-        return root, *qr(matrix, mode="economic", overwrite_a=True, check_finite=False)
+        return self.faces.factor(self.columns, bend) if np.isfinite(bend).all() else None
 
-    def _direction(self, factor: Any, targets: FloatVector) -> tuple[FloatVector, FloatVector]:
+    def _direction(self, solve: Solve, targets: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the steps of x and of the multipliers that bring their products to the targets, to first order."""
-        from scipy.linalg import LinAlgError, solve_triangular
-
-        root, orthogonal, triangle = factor
         distances, d = self.distances, np.zeros(self.x.size)
-        pull = np.where(self.has, SIGNS * targets / distances, 0.0).sum(axis=0)[self.columns]
-        right = np.concatenate([self.right - self.matrix @ self.x, pull / root])
-        try:
-            d[self.columns] = solve_triangular(triangle, orthogonal.T @ right, check_finite=False)
-        except LinAlgError:
-            d[:] = np.nan
+        pull = np.where(self.has, SIGNS * targets / distances, 0.0).sum(axis=0)
+        d[self.columns] = solve((pull - self.gradient)[self.columns])
         slopes = (targets - SIGNS * self.multipliers * d) / distances - self.multipliers
         return d, np.where(self.has, slopes, 0.0)
 

@@ -7,7 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from ...checks import BoolVector, FloatVector
+from ...kernels.floats import EPSILON
 from ...problem.least_squares import UnitLeastSquares
+
+ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 
 
 class Point:
@@ -59,6 +62,12 @@ class Point:
     def natural_residual(self) -> FloatVector:
         """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return np.clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
+
+    @property
+    def noise(self) -> float:
+        """Up to where a gradient may be nothing but rounding."""
+        sizes = np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
+        return ROUNDING * float(sizes)
 
     def curvature(self, direction: FloatVector, product: FloatVector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""

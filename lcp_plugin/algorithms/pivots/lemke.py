@@ -15,6 +15,8 @@ from ...certificates.row_residuals import measured_residual
 from ...checks import FloatVector
 from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
+from ...matrix.parts import parts as parts_of
+from ...matrix.structure import block_rows
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
 from ..base import Algorithm, Plan, Sprint, Step, without_warnings
@@ -235,17 +237,15 @@ def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
 
 def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
     """Return the rows of each connected part of M, in the order of their first rows."""
-    from scipy.sparse.csgraph import connected_components
+    several = parts_of(problem.matrix)
+    if several is None:
+        return [np.arange(problem.n)] if problem.n else []
+    return block_rows(several.labels, several.count)
 
-    if problem.n == 0:
-        return []
-    if problem.is_dense and problem.M[0].all():  # the first row ties all together
-        return [np.arange(problem.n)]
-    count, label = connected_components(problem.csr, directed=False)
-    if count == 1:
-        return [np.arange(problem.n)]
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+def has_parts_that_fit(problem: LCP) -> bool:
+    """Return whether no connected part is too large for a dense inverse."""
+    return problem.n <= PIVOTED_UP_TO or max(part.size for part in connected_parts(problem)) <= PIVOTED_UP_TO
 
 
 def _part(problem: LCP, rows: NDArray[np.intp]) -> LCP:

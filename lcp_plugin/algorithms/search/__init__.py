@@ -5,22 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
-from ...certificates.no_solution import NoSolution
+from ...certificates.no_solution import Case, NoSolution
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...exact.simplex import Effort
 from ...problem.exactly import exact_slack
 from ...problem.lcp import LCP
 from .explorer import Explorer, Face
+from .vertices import Point, extreme_points
 
 __all__ = ["Effort", "Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
 DEFAULT_NODES = 200_000
+SHOWN = 6  # vertices of a face, in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +42,28 @@ class Solution:
         The choice of every row: "lower" (z at its bound, w ≥ 0), "zero" (w = 0), "upper", "fixed" (lower = upper).
     dimension : int
         Of the face of all solutions with this pattern; 0 is an isolated solution.
+    problem : LCP
     """
 
     exact_z: tuple[Fraction, ...]
     exact_w: tuple[Fraction, ...] = field(repr=False)
     pattern: tuple[str, ...] = field(repr=False)
     dimension: int
+    problem: LCP = field(repr=False)
+
+    @cached_property
+    def exact_vertices(self) -> tuple[Point, ...]:
+        """All vertices of the face in lexicographic order, found when first asked for; each is a solution.
+
+        None where the face contains a line. An unbounded face is more than what lies between them.
+        """
+        return tuple(sorted(extreme_points(self.problem, self.pattern)))
+
+    @property
+    def vertices(self) -> FloatVector:
+        """The vertices of the face in doubles, shape (number of vertices, n)."""
+        rounded = [_in_doubles(vertex, "z") for vertex in self.exact_vertices]
+        return np.array(rounded).reshape(len(rounded), self.problem.n)
 
     @property
     def z(self) -> FloatVector:
@@ -61,8 +81,12 @@ class Solution:
         return self.dimension == 0
 
     def __str__(self) -> str:
-        kind = "isolated" if self.is_isolated else f"a vertex of a face of dimension {self.dimension}"
-        return f"z = ({', '.join(map(str, self.exact_z))}), {kind}"
+        if self.is_isolated:
+            return f"z = {_written(self.exact_z)}, isolated"
+        some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
+        others = [_written(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
+        told = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
+        return f"z = {_written(self.exact_z)}, a vertex of a face of dimension {self.dimension}{told}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +138,16 @@ def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NO
     return GaveUp(limit)
 
 
-def explore(problem: LCP, effort: Effort, *, first_only: bool = True) -> Iterator[Found | NoSolution | None]:
+def explore(
+    problem: LCP, effort: Effort, *, first_only: bool = True, tree: Case | None = None
+) -> Iterator[Found | NoSolution | None]:
     """Yield None after each case that was looked at, and within long ones, and at last what `search` returns.
 
-    For callers with a clock, or a limit of what they count in `effort`.
+    For callers with a clock, or a limit of what they count in `effort`. Of a tree that is given only those cases are
+    looked at that it leaves open, or closes with what does not hold.
     """
     _require_small(problem)
-    explorer = Explorer(problem, effort, first_only=first_only)
+    explorer = Explorer(problem, effort, first_only=first_only, tree=tree)
     for _ in explorer.run():
         yield None
     if explorer.faces:
@@ -135,7 +162,7 @@ def explore(problem: LCP, effort: Effort, *, first_only: bool = True) -> Iterato
 def all_solutions(
     problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
 ) -> list[Solution]:
-    """Return all solutions of a small problem, exactly; a continuum of them as one vertex a face.
+    """Return all solutions of a small problem, exactly; a continuum of them by its faces.
 
     Parameters
     ----------
@@ -150,7 +177,8 @@ def all_solutions(
     -------
     list of Solution
         In lexicographic order of z. Empty where there is none; `search` returns the proof of that. A face is listed
-        where it lies in no larger one.
+        where it lies in no larger one, with z one of its vertices; ``solution.vertices`` has them all, of which some
+        may be those of another face, too.
 
     Raises
     ------
@@ -171,6 +199,9 @@ def all_solutions(
     >>> for solution in all_solutions(LCP([[0, 2], [1, 0]], [-1, -1])):
     ...     print(solution)
     z = (1, 1/2), isolated
+    >>> (face,) = all_solutions(LCP([[1, 1], [1, 1]], [-2, -2]))
+    >>> print(face)
+    z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
     """
     outcome = search(problem, first_only=False, max_nodes=max_nodes)
     if isinstance(outcome, GaveUp):
@@ -192,7 +223,11 @@ def _maximal(faces: Sequence[Face]) -> list[Face]:
 
 
 def _solution(problem: LCP, face: Face) -> Solution:
-    return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension)
+    return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension, problem)
+
+
+def _written(point: Sequence[Fraction]) -> str:
+    return f"({', '.join(map(str, point))})"
 
 
 def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:

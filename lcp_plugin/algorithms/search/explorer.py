@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from ...certificates.no_solution import Case
-from ...certificates.refutation import FIXED, LOWER, UPPER, ZERO, row_choices
+from ...certificates.refutation import FIXED, LOWER, UPPER, ZERO, closed_exactly, row_choices
 from ...exact.simplex import Bound, Effort, ExactSimplex
 from ...problem.exactly import integer_matrix, slack_bounds
 from ...problem.lcp import LCP
@@ -33,7 +33,7 @@ class Face:
 class Explorer:
     """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
 
-    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool) -> None:
+    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool, tree: Case | None = None) -> None:
         self.problem, self.effort = problem, effort
         self.first_only = first_only
         self.n = problem.n
@@ -44,7 +44,7 @@ class Explorer:
         self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
         self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
         self.faces: list[Face] = []
-        self.tree = Case()
+        self.tree = tree or Case()
         self.nodes = 0
         self.path: list[tuple[int, str]] = []
 
@@ -59,7 +59,7 @@ class Explorer:
             depth, row, choice, case = stack.pop()
             self._return_to(depth)
             if row >= 0:
-                self._choose(row, choice)
+                self.choose(row, choice)
             branches = yield from self._examined(case)
             stack.extend((len(self.path), case.row, branch, case.branches[branch]) for branch in reversed(branches))
             self.nodes += 1
@@ -69,7 +69,11 @@ class Explorer:
                 return
 
     def _examined(self, case: Case) -> Generator[None, None, list[str]]:
-        """Close the case, record its face, or split it; return the branches to look at."""
+        """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
+        if case.branches:
+            return list(case.branches)
+        if case.y is not None and closed_exactly(self.problem, case.y, dict(self.path)) is not None:
+            return []
         case.y = yield from self.simplex.refutation()
         if case.y is not None:
             return []
@@ -149,7 +153,8 @@ class Explorer:
             for x in (i, self.n + i):
                 self.simplex.set_bounds(x, *self.root_bounds[x])
 
-    def _choose(self, i: int, choice: str) -> None:
+    def choose(self, i: int, choice: str) -> None:
+        """Let row i keep to one of its choices, and go one level deeper."""
         self.path.append((i, choice))
         bottom, top = self.root_bounds[i]
         if choice == ZERO:
@@ -164,7 +169,7 @@ class Explorer:
     def _record(self, undecided: list[int]) -> Iterator[None]:
         """Add the face of the present pattern, completed by what the point satisfies where rows are undecided."""
         for i in undecided:
-            self._choose(i, self._choice_at_point(i))
+            self.choose(i, self._choice_at_point(i))
         simplex = self.simplex
         yield from simplex.refutation()
         yield from simplex.go_to_vertex()

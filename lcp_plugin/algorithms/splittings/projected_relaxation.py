@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
@@ -127,8 +128,8 @@ class PSOR(_InPlace):
             raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return those of npsor by the gain of relaxation, and some in any case."""
-        return max(PSOR_PASSES, sweeps / PSOR_GAIN)
+        """Return a multiple of the root of npsor's, as relaxation has it at best, and some in any case."""
+        return max(PSOR_PASSES, PSOR_GAIN * math.sqrt(sweeps))
 
     def fixed_relaxation(self) -> float | None:
         """Return ω, or None for "auto"."""

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...certificates.convergence import PROJECTED_SPLITTING, IterationFacts
-from ...certificates.residuals import euclidean_norm
+from ...certificates.quotients import euclidean_norm
 from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix

@@ -47,15 +47,20 @@ def _dense(n: int) -> LCP:
     return LCP(factor @ factor.T / n + 0.1 * np.eye(n), rng.normal(size=n))
 
 
-def _passes(problem: LCP, name: str, repeats: int) -> str:
-    """Return the work of a cold solve, as it is counted and as its seconds by those of an npsor sweep."""
+def _seconds_of_sweep(problem: LCP, name: str, repeats: int) -> float:
+    """Return what a driven sweep takes."""
     sweeps = 400
     seconds = medians({
-        "answer": lambda: solve(fresh(problem), name),
-        "sweeps": lambda: solve(problem, "npsor", max_iterations=sweeps, tolerance=0.0),
-        "none": lambda: solve(problem, "npsor", max_iterations=0, tolerance=0.0),
+        "sweeps": lambda: solve(problem, name, max_iterations=sweeps, tolerance=0.0),
+        "none": lambda: solve(problem, name, max_iterations=0, tolerance=0.0),
     }, repeats)
-    sweep = max((seconds["sweeps"] - seconds["none"]) / sweeps, 1e-9)
+    return max((seconds["sweeps"] - seconds["none"]) / sweeps, 1e-9)
+
+
+def _passes(problem: LCP, name: str, repeats: int) -> str:
+    """Return the work of a cold solve, as it is counted and as its seconds by those of an npsor sweep."""
+    seconds = medians({"answer": lambda: solve(fresh(problem), name)}, repeats)
+    sweep = _seconds_of_sweep(problem, "npsor", repeats)
     counted = solve(fresh(problem), name).work
     return f"{counted:.0f} passes counted, {seconds['answer'] / sweep:.0f} by the clock ({name}, n = {problem.n})"
 
@@ -63,6 +68,28 @@ def _passes(problem: LCP, name: str, repeats: int) -> str:
 def _direct(repeats: int) -> str:
     problem = _grid(30)
     return f"{_passes(problem, 'newton', repeats)}, of {problem.nonzeros / problem.n:.0f} entries a row"
+
+
+def _direct_small(repeats: int) -> str:
+    problem = LCP(_random_definite(150, 0.2), np.linspace(-1.0, 0.5, 150))
+    return f"{_passes(problem, 'interior_point', repeats)}, {problem.nonzeros} entries"
+
+
+def _calls_of_a_sweep(repeats: int) -> str:
+    """Return what a driven sweep takes besides its entries, by two grids."""
+    small, large = _grid(15), _grid(60)
+    few, many = (1e6 * _seconds_of_sweep(problem, "psor", repeats) for problem in (small, large))
+    entry = max((many - few) / (large.nonzeros - small.nonzeros), 1e-9)
+    return f"{few / entry - small.nonzeros:.0f} entries (psor on grids of 15² and 60²)"
+
+
+def _multigrid_small(repeats: int) -> str:
+    problem = _grid(40)
+    return f"{_passes(problem, 'multigrid', repeats)}, of {problem.n} rows"
+
+
+def _small_band(repeats: int) -> str:
+    return _passes(LCP(_grid(14).csr, np.linspace(-1.0, 0.5, 196)), "banded", repeats)
 
 
 def _direct_dense(repeats: int) -> str:
@@ -74,14 +101,14 @@ def _multigrid(repeats: int) -> str:
 
 
 def _gain(repeats: int) -> str:
-    """Return how many sweeps npsor promises after ten for each that psor then needs, over a range of grids."""
+    """Return how many sweeps psor needs beside the root of those that npsor promises after ten, over some grids."""
     found = []
     for size in (10, 20, 40):
         trial = Stage(NPSOR(scaling="diagonal"))
         for sample in solve(_grid(size), trial.algorithm, max_iterations=10, record=True).history:
             trial.iterations = sample.iteration
             trial.note(sample.residual or 0.0)
-        found.append(trial.steps_to_go(1e-8) / solve(_grid(size), PSOR()).iterations)
+        found.append(solve(_grid(size), PSOR()).iterations / trial.steps_to_go(1e-8) ** 0.5)
     return "on grids of 10², 20² and 40²: " + ", ".join(f"{one:.1f}" for one in found)
 
 
@@ -256,7 +283,9 @@ def _hand_over(repeats: int) -> str:
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
-    "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "MULTIGRID_PASSES": _multigrid, "PSOR_GAIN": _gain,
+    "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small,
+    "SWEEP_ENTRIES": _calls_of_a_sweep, "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
+    "BANDED_PASSES": _small_band, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),

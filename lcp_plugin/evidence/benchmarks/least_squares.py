@@ -1,4 +1,4 @@
-"""Bounded least squares beside accelerated gradients and scipy, and the patience that precedes a factor."""
+"""Bounded least squares beside scipy on every kind of A, beside accelerated gradients, and the crossovers inside."""
 
 from __future__ import annotations
 
@@ -9,16 +9,28 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...algorithms.least_squares.faces import DenseFaces, SparseFaces
+from ...algorithms.least_squares.faces import Faces
 from ...algorithms.least_squares.point import Point
 from ...algorithms.least_squares.projected_steps import projected_steps
 from ...checks import FloatVector
 from ...problem.least_squares import LeastSquares, UnitLeastSquares
-from ...solving.least_squares import DENSE_PATIENCE, SPARSE_PATIENCE, bounded_least_squares
+from ...settings import Settings
+from ...solving.least_squares import DENSE_PATIENCE, SMALL, SPARSE_PATIENCE, bounded_least_squares
 from .rivals import SEED
-from .timing import medians, timed
+from .timing import medians, rounds, timed
 
 STEPS = 30  # enough to time one
+OVERHEAD = 60e-6  # seconds that a call may cost beside scipy's
+ALLOWED = 2.0  # times scipy's seconds, and the overhead
+LONG_ENOUGH = 0.003  # seconds, which shorter calls are repeated for: a slice that one process has for itself
+UPPER = 0.5  # of boxes: about half the positive entries of the planted x exceed it
+SOLVED = 1e-8  # optimality of a rival that counts
+ROUNDS = 15
+LONG = 1.0  # seconds; a rival that takes longer is timed once
+SUBSPACE_UP_TO = 100  # columns up to which scipy's bvls is asked, which takes seconds beyond
+SPARSE_AS_DENSE = 1000  # columns of a sparse A up to which scipy is asked, by dense methods as well
+REFLECTIVE_UP_TO = 400  # the same for its trf on dense A
+RIVAL_TOLERANCE = 1e-12
 
 
 def planted(A: Any, seed: int = SEED) -> tuple[FloatVector, FloatVector]:
@@ -59,14 +71,95 @@ def accelerated_gradients(A: Any, b: FloatVector, tolerance: float) -> FloatVect
         x, Ax, t = after, product, following
 
 
+def of_condition(m: int, n: int, condition: float, rng: np.random.Generator) -> FloatVector:
+    """Return a dense A with singular values from 1 to 1/condition, in even ratios."""
+    k = min(m, n)
+    left, right = np.linalg.qr(rng.standard_normal((m, k)))[0], np.linalg.qr(rng.standard_normal((n, k)))[0]
+    product: FloatVector = (left * np.logspace(0.0, -np.log10(condition), k)) @ right.T
+    return product
+
+
+def cases(*, quick: bool = False) -> Iterator[tuple[str, Any, FloatVector]]:
+    """Yield a name, A and b of each row of the table: b = A x and a tenth of noise, half of x ≥ 0 is 0."""
+    rng, scale = np.random.default_rng(SEED), 10 if quick else 1
+    kinds: dict[str, Callable[[int, int], Any]] = {
+        "normal": lambda m, n: rng.standard_normal((m, n)), "positive": lambda m, n: rng.random((m, n)),
+        "condition 1e8": lambda m, n: of_condition(m, n, 1e8, rng), "sparse": lambda m, n: random_rows(m, n, 8),
+    }
+    shapes = {
+        "normal": ((8, 5), (40, 20), (200, 100), (2000, 400), (2000, 1000), (300, 800)),
+        "positive": ((8, 5), (40, 20), (200, 100), (2000, 400), (20_000, 100), (2000, 1000), (300, 800)),
+        "condition 1e8": ((60, 30), (600, 300), (400, 400)), "sparse": ((3000, 600), (40_000, 8000)),
+    }
+    for kind, sizes in shapes.items():
+        for small in dict.fromkeys((-(-m // scale), -(-n // scale)) if m * n > SMALL else (m, n) for m, n in sizes):
+            A = kinds[kind](*small)
+            exact = A @ np.where(rng.random(small[1]) < 0.5, rng.random(small[1]), 0.0)
+            b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(small[0])
+            yield f"{kind} {small[0]} × {small[1]}", A, b
+
+
+def _table(*, quick: bool) -> Iterator[str]:
+    for name, A, b in cases(quick=quick):
+        for upper in (np.inf, UPPER):
+            bound = "0 ≤ x" if upper == np.inf else f"0 ≤ x ≤ {upper}"
+            yield f"{name}, {bound}: {_beside_scipy(A, b, upper, 1 if quick else ROUNDS)}"
+
+
+def _beside_scipy(A: Any, b: FloatVector, upper: float, repeats: int) -> str:
+    """Return the seconds of both, and how they stand to what is allowed; a rival counts that has the answer."""
+    result, seconds = bounded_least_squares(A, b, 0.0, upper), {}
+    calls: dict[str, Callable[[], Any]] = {"ours": lambda: bounded_least_squares(A, b, 0.0, upper)}
+    for rival, call in _scipy_calls(A, b, upper).items():
+        once = timed(call)
+        if _optimality(A, b, once.answer, upper) <= SOLVED:
+            seconds[rival] = once.seconds
+            if once.seconds < LONG:
+                calls[rival] = call
+    counts = {name: max(1, int(LONG_ENOUGH / timed(call).seconds)) for name, call in calls.items()}
+    many = {name: lambda name=name: [calls[name]() for _ in range(counts[name])] for name in calls}
+    for name, runs in rounds(many, repeats).items():  # the quickest, as scipy's microseconds drown in others' work
+        seconds[name] = min(one.seconds for one in runs) / counts[name]
+    ours = seconds.pop("ours")
+    said = f"{1e3 * ours:.3f} ms, {result.status.name} to {result.optimality:.0e}"
+    if not seconds:
+        return f"{said}; no rival at this size"
+    best = min(seconds, key=lambda rival: seconds[rival])
+    allowed = ALLOWED * seconds[best] + OVERHEAD
+    return f"{said}; {best} {1e3 * seconds[best]:.3f} ms; {ours / allowed:.2f} of what is allowed"
+
+
+def _scipy_calls(A: Any, b: FloatVector, upper: float) -> dict[str, Callable[[], FloatVector]]:
+    from scipy.optimize import lsq_linear, nnls
+
+    n, box = A.shape[1], (0.0, upper)
+    dense = A.toarray() if sp.issparse(A) and n <= SPARSE_AS_DENSE else A
+    calls: dict[str, Callable[[], FloatVector]] = {}
+    if upper == np.inf and not sp.issparse(dense):
+        calls["nnls"] = lambda: nnls(dense, b, maxiter=30 * n)[0]
+    if n <= SUBSPACE_UP_TO:
+        calls["bvls"] = lambda: lsq_linear(dense, b, box, method="bvls", tol=RIVAL_TOLERANCE).x
+    if n <= REFLECTIVE_UP_TO:
+        calls["trf"] = lambda: lsq_linear(dense, b, box, method="trf", tol=RIVAL_TOLERANCE).x
+    if sp.issparse(A) and n <= SPARSE_AS_DENSE:
+        calls["sparse trf"] = lambda: lsq_linear(A, b, box, tol=RIVAL_TOLERANCE, lsmr_tol="auto").x
+    return calls
+
+
+def _optimality(A: Any, b: FloatVector, x: FloatVector, upper: float) -> float:
+    gradient = A.T @ (A @ x - b)
+    return float(np.abs(np.clip(gradient, x - upper, x)).max() / np.abs(A.T @ b).max())
+
+
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield the speed on sparse, dense and small problems, and both patiences."""
+    """Yield the table beside scipy, the speed on large sparse problems, and the crossovers inside."""
     scale, repeats = (10, 1) if quick else (1, 5)
+    yield from _table(quick=quick)
     for m, n in ((40_000 // scale, 8000 // scale), (200_000 // scale, 100_000 // scale)):
         A = random_rows(m, n)
         b, x = planted(A)
         yield from _sparse(A, b, x, repeats)
-    yield from _small(100 if quick else 1000)
+    yield _crossover()
     yield _patience("DENSE_PATIENCE", DENSE_PATIENCE, _dense(600 // (scale // 5 or 1)))
     yield _patience("SPARSE_PATIENCE", SPARSE_PATIENCE, _chain(100_000 // scale))
 
@@ -85,26 +178,27 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
     )
 
 
-def _small(count: int) -> Iterator[str]:
-    from scipy.optimize import nnls
+def _crossover() -> str:
+    """Return how the two ways with a dense A stand where one gives way to the other."""
+    from ...solving import least_squares as solving
 
+    n = int(np.sqrt(SMALL / 2))
     rng = np.random.default_rng(SEED)
-    problems = [(rng.standard_normal((40, 20)), rng.standard_normal(40)) for _ in range(count)]
-    farthest = max(float(np.abs(bounded_least_squares(A, b).x - nnls(A, b)[0]).max()) for A, b in problems)
-    seconds = medians({
-        "ours": lambda: [bounded_least_squares(A, b) for A, b in problems],
-        "scipy": lambda: [nnls(A, b) for A, b in problems],
-    }, 1)
-    yield (
-        f"{count} dense NNLS 40 × 20: {1e6 * seconds['ours'] / count:.0f} µs each, ÷ scipy.optimize.nnls "
-        f"{seconds['ours'] / seconds['scipy']:.1f}; x differs by {farthest:.0e} at the most"
-    )
+    A, b = rng.random((2 * n, n)), rng.random(2 * n)
+
+    def by_libraries() -> Any:
+        problem = LeastSquares(A, b, 0.0, np.inf, None, 0.0)
+        run = solving._Run(problem, Settings(), problem.nearest_to_zero)
+        return run.result(run.drive())
+
+    seconds = medians({"compiled": lambda: bounded_least_squares(A, b), "libraries": by_libraries}, 20)
+    return f"SMALL = {SMALL}: there, libraries ÷ one compiled call {seconds['libraries'] / seconds['compiled']:.1f}"
 
 
 def _dense(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
     rng = np.random.default_rng(SEED)
     problem = LeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), 0.0, np.inf, None, 0.0)
-    return UnitLeastSquares(problem), DenseFaces.of, float(n)
+    return UnitLeastSquares(problem), Faces.of, float(n)
 
 
 def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
@@ -112,7 +206,7 @@ def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any],
     problem = LeastSquares(A, np.random.default_rng(SEED).standard_normal(n), 0.0, np.inf, None, 0.0)
 
     def solved_once(unit: UnitLeastSquares) -> Any:
-        faces = SparseFaces.of(unit)
+        faces = Faces.of(unit)
         return faces and faces.correction(Point(unit, unit.lower), np.ones(n, dtype=np.bool_))
 
     return UnitLeastSquares(problem), solved_once, 1.0

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
+from ...certificates.references import rounding_of_data
 from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...exact.rounding import compensated_product
@@ -55,9 +59,9 @@ def lie_in(result: Result, exact: Answer | None) -> str:
 
     Notes
     -----
-    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖, both exact, a PRECISION_LIMIT with a row that
-    rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is exceeded, and
-    a z that is not finite or not within its bounds.
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a part, both exact, a PRECISION_LIMIT with a
+    row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
+    exceeded, and a z that is not finite or not within its bounds.
     """
     problem, z = result.certificate.problem, result.z
     if not np.isfinite(z).all():
@@ -82,10 +86,24 @@ def _lie_about_residual(result: Result) -> str:
     if result.status is Status.PRECISION_LIMIT:
         floors = rounding_floors(problem, result.z)
         explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
+        if result.infeasibility is not None and result.infeasibility.is_rounding:
+            explained |= max(residuals) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
-    reference = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
-    is_true = max(residuals, default=0) <= Fraction(result.tolerance) * reference
+    references = _references(problem, exact_residuals(problem, problem.nearest_to_zero))
+    is_true = all(r <= Fraction(result.tolerance) * of for r, of in zip(residuals, references, strict=True))
     return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
+
+
+def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
+    """Return the largest value of the part of each row."""
+    from scipy.sparse.csgraph import connected_components  # not our own parts, which are judged here
+
+    pattern = sp.csr_array((np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
+    labels = connected_components(pattern, directed=True, connection="weak")[1].tolist()
+    largest: dict[int, Any] = {}
+    for label, value in zip(labels, at_zero, strict=True):
+        largest[label] = max(value, largest.get(label, value))
+    return [largest[label] for label in labels]
 
 
 def _is_surely_solved(result: Result) -> bool:
@@ -93,7 +111,8 @@ def _is_surely_solved(result: Result) -> bool:
     problem = result.certificate.problem
     _, above = _residual_bounds(problem, result.z)
     below, _ = _residual_bounds(problem, problem.nearest_to_zero)
-    return bool(above.max() <= result.tolerance * below.max() * (1.0 - ROUNDINGS))
+    references = np.array(_references(problem, below.tolist()))
+    return bool(np.all(above <= result.tolerance * references * (1.0 - ROUNDINGS)))
 
 
 def _residual_bounds(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:

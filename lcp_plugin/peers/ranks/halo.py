@@ -84,7 +84,16 @@ class Halo(Peers):
         self.comm.Gatherv(np.ascontiguousarray(own), (whole, counts), root=0)
         return whole
 
+    def everybodys(self, own: NDArray[Any]) -> NDArray[Any]:
+        """Return the rows of all ranks' tables one after the other, shape (all, columns), on every rank."""
+        return np.concatenate(self.comm.allgather(own))
+
     # --- what all agree on -------------------------------------------------------------------------------
+
+    def places(self, count: int) -> tuple[int, int]:
+        """Return how many things the ranks before this one have, which has `count`, and how many all have."""
+        counts = self.comm.allgather(count)
+        return sum(counts[: self.rank]), sum(counts)
 
     def largest(self, value: float) -> float:
         """Return the largest of all ranks' values; a NaN stays."""

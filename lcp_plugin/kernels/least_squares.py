@@ -1,0 +1,333 @@
+"""Compiled least squares within bounds: products with proved errors, how optimal a point is, and small problems whole.
+
+A small problem is solved by an active set that changes by one column at a time, as Lawson and Hanson do, between two
+bounds as Stark and Parker do. The columns are kept as rows of `work`, of about unit length, with reflections applied
+so that the free ones form a triangle; right-hand sides are kept with them. No square of A is formed.
+
+References
+----------
+C. L. Lawson, R. J. Hanson, *Solving least squares problems*, Prentice-Hall 1974, chapter 23. P. B. Stark, R. L. Parker,
+*Bounded-variable least-squares: an algorithm and applications*, Comput. Stat. 10 (1995).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .compilation import compiled, compiled_in_any_order, compiled_into_others
+from .floats import EPSILON, TINY, UNIT
+
+OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
+LARGEST_EXPONENT = 500
+PULL = 16.0 * EPSILON  # of the lengths of a column and the right-hand side: less is rounding
+DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free ones: less is rounding
+
+
+@compiled
+def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
+    """Return the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
+    (m, n), sums = A.shape, np.zeros((4, A.shape[0]))
+    last = n - n % 4
+    for i in range(m):
+        a = b = c = d = p = q = r = s = 0.0
+        for j in range(0, last, 4):
+            e, f, g, h = A[i, j] * v[j], A[i, j + 1] * v[j + 1], A[i, j + 2] * v[j + 2], A[i, j + 3] * v[j + 3]
+            a, b, c, d = a + e, b + f, c + g, d + h
+            p, q, r, s = p + abs(e), q + abs(f), r + abs(g), s + abs(h)
+        for j in range(last, n):
+            e = A[i, j] * v[j]
+            a, p = a + e, p + abs(e)
+        for j in range(slip.size):
+            sums[2, i] += abs(A[i, j]) * slip[j]
+        sums[0, i], sums[1, i] = (a + b) + (c + d), (p + q) + (r + s)
+        sums[3, i] = sums[1, i] > 0.0 or _has_term(A[i], v, slip)
+    return sums
+
+
+@compiled
+def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
+    """Return the same for Aᵀ, A by rows."""
+    (m, n), sums = A.shape, np.zeros((4, A.shape[1]))
+    value, size, spread = sums[0], sums[1], sums[2]
+    for i in range(m):
+        for j in range(n):
+            term = A[i, j] * v[i]
+            value[j] += term
+            size[j] += abs(term)
+    for i in range(slip.size):
+        for j in range(n):
+            spread[j] += abs(A[i, j]) * slip[i]
+    for j in range(n):
+        sums[3, j] = size[j] > 0.0 or _has_term(A[:, j], v, slip)
+    return sums
+
+
+@compiled_into_others
+def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
+    has_some = False
+    for j in range(row.size):
+        has_some |= row[j] != 0.0 and (v[j] != 0.0 or (slip.size > 0 and slip[j] != 0.0))
+    return has_some
+
+
+@compiled
+def largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
+    """Return ‖mid(x − upper, x − lower, g)‖∞, that in units of the columns, and if all are at most twice the radius.
+
+    They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
+    """
+    plain = scaled = 0.0
+    is_at_floor = True
+    for j in range(x.size):
+        below, above = x[j] - upper[j], x[j] - lower[j]
+        one = abs(min(max(gradient[j], below), above))
+        two = abs(min(max(gradient[j] / units[j], below * units[j]), above * units[j]))
+        off = (radius[j] if is_enclosed else 0.0) + (np.nan if math.isnan(gradient[j]) else 0.0)
+        of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / units[j])
+        plain = max(plain, of_plain) if of_plain < np.inf else np.inf  # what is not a number is no proof either
+        scaled = max(scaled, of_scaled) if of_scaled < np.inf else np.inf
+        is_at_floor = is_at_floor and max(one, two * units[j]) <= 2.0 * radius[j]
+    return plain, scaled, is_at_floor
+
+
+@compiled_into_others
+def power_above(size):  # type: ignore[no-untyped-def]
+    """Return the power of two just above a size, within what can be multiplied by; 1 for 0."""
+    if not size > 0.0:
+        return 1.0
+    return math.ldexp(1.0, min(max(math.frexp(size)[1], -LARGEST_EXPONENT), LARGEST_EXPONENT))
+
+
+@compiled
+def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
+    """Raise `largest` to the largest entries of the columns of diag(root) A, A by rows."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            largest[j] = max(largest[j], abs(A[i, j] * root[i]))
+
+
+@compiled
+def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
+    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows."""
+    inverse = 1.0 / units
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            part = A[i, j] * root[i] * inverse[j]
+            squares[j] += part * part
+
+
+@compiled
+def radii(sums, terms):  # type: ignore[no-untyped-def]
+    """Return by how much rounding, and slip, may have moved such sums of so many terms."""
+    radius, k = np.empty(sums.shape[1]), (2 * terms + 8) * UNIT
+    for j in range(radius.size):
+        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
+        radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
+    return radius
+
+
+@compiled
+def residual_ball(A, x, b):  # type: ignore[no-untyped-def]
+    """Return A x − b and its radius, A by rows."""
+    sums = along_rows(A, x, np.empty(0))
+    sums[1] += np.abs(b)
+    return sums[0] - b, radii(sums, A.shape[1])
+
+
+@compiled
+def with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
+    """Add ridge x to a value, and what that rounds to its radius."""
+    if ridge > 0.0:
+        for j in range(x.size):
+            value[j] += ridge * x[j]
+            slip = 4.0 * EPSILON * (abs(value[j]) + ridge * abs(x[j])) + TINY * (x[j] != 0.0)
+            radius[j] = OUTWARD * (radius[j] + slip)
+
+
+@compiled
+def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-untyped-def]
+    """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows. It is ∞ where that was not found.
+
+    How optimal is as in `certificates.least_squares`, or ∞ where AᵀWb = 0.
+    """
+    (m, n), nothing = A.shape, np.empty(0)
+    units = np.zeros(n)
+    root = np.sqrt(weights)
+    raise_to_largest(units, A, root)
+    squares = np.zeros(n)
+    for j in range(n):
+        units[j] = power_above(units[j])
+    add_squares(squares, A, root, units)
+    for j in range(n):
+        units[j] = power_above(math.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
+    x, rounds = _minimum(A, b, root, ridge, lower, upper, units, most)
+    residual, slip = residual_ball(A, x, b)
+    sums = down_columns(A, weights * b, nothing)
+    radius = radii(sums, m)
+    plain = scaled = 0.0
+    for j in range(n):
+        plain = max(plain, abs(sums[0, j]) - radius[j])
+        scaled = max(scaled, (abs(sums[0, j]) - radius[j]) / units[j])
+    if rounds < 0 or not (plain > 0.0 and scaled > 0.0):
+        return x, residual, np.inf, rounds
+    sums = down_columns(A, weights * residual, weights * slip)
+    radius = radii(sums, m)
+    with_ridge(sums[0], radius, ridge, x)
+    of_plain, of_scaled, _ = largest_residuals(sums[0], radius, x, lower, upper, units, True)
+    return x, residual, OUTWARD * max(of_plain / plain, of_scaled / scaled), rounds
+
+
+@compiled
+def _minimum(A, b, root, ridge, lower, upper, units, most):  # type: ignore[no-untyped-def]
+    """Return x, each column free or exactly at its bound, and the faces solved."""
+    m, n = A.shape
+    rows = m + n if ridge > 0.0 else m
+    work, right, x = np.zeros((n, rows)), np.zeros(rows), np.empty(n)
+    size = 0.0
+    for i in range(m):
+        size = max(size, abs(root[i] * b[i]))
+    for j in range(n):
+        x[j] = min(max(0.0, lower[j]), upper[j])
+        size = max(size, abs(units[j] * x[j]))
+    size = power_above(size)
+    for i in range(m):
+        right[i] = root[i] * b[i] / size
+        for j in range(n):
+            work[j, i] = A[i, j] * root[i] / units[j]
+    low, high = lower * (units / size), upper * (units / size)
+    for j in range(n):
+        x[j] = min(max(x[j] * (units[j] / size), low[j]), high[j])
+        if ridge > 0.0:
+            work[j, m + j] = math.sqrt(ridge) / units[j]
+    rounds = _exchange(work, right, low, high, x, most)
+    for j in range(n):
+        there = min(max(x[j] * (size / units[j]), lower[j]), upper[j])
+        x[j] = lower[j] if x[j] <= low[j] else upper[j] if x[j] >= high[j] else there
+    return x, rounds
+
+
+@compiled
+def _exchange(work, right, low, high, x, most):  # type: ignore[no-untyped-def]
+    """Move x to the minimum, a column at a time; return the faces solved, −1 − those where that takes too many."""
+    n = x.size
+    free, is_free, is_rejected = np.empty(n, np.int64), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    count = rounds = 0
+    noise, z = PULL * (1.0 + math.sqrt(_dot(right, right, 0))), np.empty(n)
+    for j in range(n):
+        if x[j] != 0.0:
+            _add(right, work[j], -x[j], 0)
+    while rounds < most:
+        j = _hardest_pulled(work, right, low, high, x, is_free, is_rejected, count, noise)
+        if j < 0:
+            return rounds
+        if not _enter(work, right, x, is_free, j, count):
+            is_rejected[j] = True
+            continue
+        free[count], is_free[j] = j, True
+        count += 1
+        while count > 0:
+            rounds += 1
+            hit, share = _triangle_solved(work, right, low, high, x, free, count, z)
+            for p in range(count):
+                i = free[p]
+                x[i] = z[p] if hit < 0 else min(max(x[i] + share * (z[p] - x[i]), low[i]), high[i])
+            if hit < 0:
+                break
+            x[free[hit]] = low[free[hit]] if z[hit] < low[free[hit]] else high[free[hit]]
+            for p in range(count - 1, -1, -1):
+                i = free[p]
+                if x[i] == low[i] or x[i] == high[i]:
+                    _leave(work, right, x, free, p, count)
+                    is_free[i] = False
+                    count -= 1
+        is_rejected[:] = False
+        is_rejected[j] = not is_free[j]
+    return -1 - rounds
+
+
+@compiled_into_others
+def _hardest_pulled(work, right, low, high, x, is_free, is_rejected, first, noise):  # type: ignore[no-untyped-def]
+    """Return the column at a bound that the residual pulls inwards hardest, −1 where none is pulled."""
+    best, largest = -1, noise
+    for j in range(x.size):
+        if not (is_free[j] or is_rejected[j]) and low[j] < high[j]:
+            pull = _dot(work[j], right, first)
+            if (pull > largest and x[j] < high[j]) or (-pull > largest and x[j] > low[j]):
+                best, largest = j, abs(pull)
+    return best
+
+
+@compiled_into_others
+def _enter(work, right, x, is_free, j, p):  # type: ignore[no-untyped-def]
+    """Reflect so that column j ends at row p; return False where it depends on the free ones."""
+    column, rows = work[j], right.size
+    length = math.sqrt(_dot(column, column, p))
+    if p >= rows or length <= DEPENDENT * math.sqrt(_dot(column, column, 0)):
+        return False
+    _add(right, column, x[j], 0)
+    end = -length if column[p] > 0.0 else length
+    mirror = column.copy()
+    mirror[p] -= end
+    factor = -1.0 / (length * (length + abs(column[p])))
+    _add(right, mirror, factor * _dot(mirror, right, p), p)
+    for i in range(x.size):
+        if not is_free[i] and i != j:
+            _add(work[i], mirror, factor * _dot(mirror, work[i], p), p)
+    column[p] = end
+    column[p + 1 :] = 0.0
+    return True
+
+
+@compiled_into_others
+def _leave(work, right, x, free, p, count):  # type: ignore[no-untyped-def]
+    """Take column free[p] out, rotating those behind it back into a triangle."""
+    n, gone = x.size, free[p]
+    for q in range(p, count - 1):
+        free[q] = free[q + 1]
+        column = work[free[q]]
+        length = math.hypot(column[q], column[q + 1])
+        c, s = column[q] / length, column[q + 1] / length
+        for i in range(n):
+            above, below = work[i, q], work[i, q + 1]
+            work[i, q], work[i, q + 1] = c * above + s * below, c * below - s * above
+        above, below = right[q], right[q + 1]
+        right[q], right[q + 1] = c * above + s * below, c * below - s * above
+        column[q + 1] = 0.0
+    _add(right, work[gone], -x[gone], 0)
+
+
+@compiled_into_others
+def _triangle_solved(work, right, low, high, x, free, count, z):  # type: ignore[no-untyped-def]
+    """Write the minimum on the face to z; return the first column that leaves its bounds on the way, and the share."""
+    for p in range(count):
+        z[p] = right[p]
+    hit, share = -1, 1.0
+    for p in range(count - 1, -1, -1):
+        column = work[free[p]]
+        z[p] /= column[p]
+        for q in range(p):
+            z[q] -= column[q] * z[p]
+    for p in range(count):
+        i = free[p]
+        if not low[i] <= z[p] <= high[i]:
+            part = ((low[i] if z[p] < low[i] else high[i]) - x[i]) / (z[p] - x[i])
+            if part <= share:
+                hit, share = p, part
+    return hit, share
+
+
+@compiled_in_any_order
+def _dot(v, w, first):  # type: ignore[no-untyped-def]
+    total, v, w = 0.0, v[first:], w[first:]  # an index from 0 on is known not to be negative
+    for i in range(v.size):
+        total += v[i] * w[i]
+    return total
+
+
+@compiled_in_any_order
+def _add(v, w, factor, first):  # type: ignore[no-untyped-def]
+    v, w = v[first:], w[first:]
+    for i in range(v.size):
+        v[i] += factor * w[i]

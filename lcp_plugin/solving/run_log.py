@@ -1,0 +1,87 @@
+"""What ``verbose=True`` prints: the problem, a line a stage, lines at geometric intervals, and how the run ended."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from ..deadline import compilation
+from ..matrix import verdicts
+from ..matrix.matrix import Matrix
+from ..matrix.structure import triangular_form
+from ..policy.stages import Choice, Stage
+from ..problem.lcp import LCP
+from ..settings import Settings
+from .result import Result, Sample
+
+GROWTH = 1.5  # of a stage's iterations from one line to the next
+NOTICEABLE = 0.5  # seconds of compilation
+
+
+class RunLog:
+    """Prints a run while it goes on; of several ranks the first one does.
+
+    Parameters
+    ----------
+    problem : LCP or NonlinearProblem
+        The caller's.
+    settings : Settings
+    """
+
+    def __init__(self, problem: Any, settings: Settings) -> None:
+        self._is_silent = isinstance(problem, LCP) and problem.peers.rank > 0
+        self._compilation, self._compiled = compilation(), compilation().seconds
+        self._next = 0
+        classes = ", ".join(_classes(problem.matrix)) if isinstance(problem, LCP) else ""
+        self._say(f"{problem!r}{classes and f'; M {classes}'}")
+        self._say(f"{'iteration':>12} {'work':>10} {settings.measure + ' residual':>19} {'seconds':>9}")
+
+    def begin(self, choice: Choice) -> None:
+        """Print which algorithm begins, and why."""
+        self._next = 0
+        self._say(choice.algorithm.name + (choice.because and f": {choice.because}"))
+
+    def is_due(self, stage: Stage) -> bool:
+        """Return whether the present iteration of a stage has a line; the same on every rank."""
+        return stage.iterations >= self._next
+
+    def step(self, stage: Stage, sample: Sample) -> None:
+        """Print the line of an iteration."""
+        self._next = max(stage.iterations + 1, math.ceil(stage.iterations * GROWTH))
+        residual = math.nan if sample.residual is None else sample.residual
+        self._say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
+
+    def end(self, result: Result) -> None:
+        """Print what came out."""
+        self._say(
+            f"{result.status.name}: {result.measure} residual {result.residual:.2e} after {result.iterations} "
+            f"iterations, work {result.work:.1f} passes over M, {result.seconds:.3g} s; {result.advice}"
+        )
+
+    def _say(self, line: str) -> None:
+        compiled = self._compilation.seconds
+        if compiled - self._compiled > NOTICEABLE:
+            self._write(f"(compiling or loading kernels took {compiled - self._compiled:.1f} s, which are not counted)")
+            self._compiled = compiled
+        self._write(line)
+
+    def _write(self, line: str) -> None:
+        if not self._is_silent:
+            encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+            print(line.encode(encoding, "replace").decode(encoding), flush=True)
+
+
+def _classes(matrix: Matrix) -> Iterator[str]:
+    """Yield what one look at the entries tells of M; nothing where the rows are on several ranks."""
+    if not matrix.peers.is_alone:
+        return
+    yield "dense" if matrix.is_dense else "sparse"
+    if verdicts.symmetric(matrix).value:
+        yield "symmetric"
+    if (form := triangular_form(matrix)) is not None:
+        yield form if form == "diagonal" else f"{form} triangular"
+    if verdicts.z_matrix(matrix).value:
+        yield "a Z-matrix"
+    yield "with positive diagonal" if (matrix.diagonal > 0.0).all() else "with a diagonal not everywhere positive"

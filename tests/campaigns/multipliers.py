@@ -1,0 +1,108 @@
+"""Multipliers of degenerate programs beside those of HiGHS: never more than 1e3 times as large.
+
+Run ``python tests/campaigns/multipliers.py --cases 2000 --seed 0``; exit code 1 where a claim fails. The programs have
+more active rows than variables, redundant rows, rows of decimals that are redundant but for rounding, or variables that
+equal bounds fix beside rows that hold them too. Compared is the largest multiplier, of bounds as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import convex_programs
+
+from lcp_plugin import QuadraticProgram
+from lcp_plugin.modeling.qp_solver import solve_quadratic_program
+
+KINDS = ("degenerate", "redundant", "linear", "fixed", "decimal")
+MOST = 1e3  # times the multipliers of HiGHS
+NOTHING = 1e-6  # multipliers that are none
+HIGHS_SECONDS = 2.0  # some semidefinite programs it goes on with for ever
+
+
+def program(kind: str, rng: np.random.Generator, largest: int = 25) -> QuadraticProgram:
+    """Return a program of that kind with a minimum."""
+    if kind == "decimal":
+        n = int(rng.integers(3, 12))
+        m = int(rng.integers(2, n + 1))
+        A = np.round(rng.uniform(-1, 1, (m - 1, n)), 1)
+        A = np.vstack([A, A.sum(axis=0)])
+        x = np.round(rng.uniform(0, 1, n), 1)
+        P = np.diag(1.0 * (rng.random(n) < 0.5 * rng.integers(0, 2)))
+        c = A.T @ np.round(rng.normal(size=m), 1) + (rng.random(n) < 0.3) * (x == 0.0) - P @ x
+        return QuadraticProgram(P, c, A=A, b=A @ x, lower=np.where(x == 0.0, 0.0, -np.inf))
+    if kind != "fixed":
+        return convex_programs.program(kind, rng, largest)
+    free = convex_programs.program(str(rng.choice(["linear", "degenerate"])), rng, largest)
+    x = solve_quadratic_program(free)[1].x
+    is_fixed = rng.random(free.n) < 0.5
+    A, b = sp.csr_array(free.A), free.b
+    if b.size:  # once more, summed up
+        A, b = sp.vstack([A, A.sum(axis=0)[None, :]]), np.append(b, b.sum())
+    lower, upper = np.where(is_fixed, x, free.lower), np.where(is_fixed, x, free.upper)
+    return QuadraticProgram(free.P, free.c, free.G, free.h, A, b, lower, upper)
+
+
+def largest_of_highs(case: QuadraticProgram) -> float | None:
+    """Return the largest multiplier of HiGHS; None where it finds no minimum."""
+    x, constraints = cp.Variable(case.n), []
+    if case.h.size:
+        constraints.append(sp.csr_array(case.G) @ x <= np.minimum(case.h, 1e20))
+    if case.b.size:
+        constraints.append(sp.csr_array(case.A) @ x == case.b)
+    for bound, sign in ((case.lower, -1.0), (case.upper, 1.0)):
+        if (listed := np.flatnonzero(np.isfinite(bound))).size:
+            constraints.append(sign * x[listed] <= sign * bound[listed])
+    P = case.P.toarray() if sp.issparse(case.P) else case.P
+    curved = 0.5 * cp.quad_form(x, cp.psd_wrap(P)) if np.any(P) else 0.0
+    problem = cp.Problem(cp.Minimize(case.c @ x + curved), constraints)
+    try:
+        problem.solve(solver=cp.HIGHS, time_limit=HIGHS_SECONDS)
+    except cp.SolverError:
+        return None
+    if problem.status != cp.OPTIMAL:
+        return None
+    return max((float(np.abs(one.dual_value).max(initial=0.0)) for one in constraints), default=0.0)
+
+
+def main() -> int:
+    """Run the campaign and print its totals."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--cases", type=int, default=500, help="of all kinds together")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    counts: Counter[tuple[str, str]] = Counter()
+    ratios: list[tuple[float, str, int, float]] = []
+    began = time.perf_counter()
+    for k in range(arguments.cases):
+        kind = KINDS[k % len(KINDS)]
+        case: Any = program(kind, np.random.default_rng([arguments.seed, k, 7]))
+        answer, theirs = solve_quadratic_program(case)[1], largest_of_highs(case)
+        ours = float(np.abs(answer.multipliers).max(initial=0.0))
+        if theirs is None or not answer.is_optimal():
+            counts[kind, "left out: HiGHS has none" if theirs is None else f"ours is {answer.status}"] += 1
+            continue
+        ratio = ours / max(theirs, NOTHING) if ours > NOTHING else 0.0
+        ratios.append((ratio, kind, k, ours))
+        counts[kind, "within" if ratio <= MOST else "TOO LARGE"] += 1
+    for (kind, what), count in sorted(counts.items()):
+        print(f"{kind:<12} {what:<30} {count}")
+    values = np.array([ratio for ratio, *_ in ratios])
+    print(f"ours ÷ HiGHS's: median {np.median(values):.3g}, 99 % {np.quantile(values, 0.99):.3g}, "
+          f"largest {max(ratios)}, of {values.size}; {time.perf_counter() - began:.0f} s")
+    return int(bool((values > MOST).any()) or any("ours" in what for _, what in counts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

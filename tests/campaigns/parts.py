@@ -1,0 +1,628 @@
+"""Problems made of uncoupled ones in units 10^±12 apart: SOLVED holds in every part, whoever is asked and however.
+
+Run ``python tests/campaigns/parts.py --cases 5000 --seed 0``; exit code 1 where a claim fails. Two to six problems with
+planted answers, some without, in units and rows of any size, are permuted together, dense and sparse; one case in 250
+is two grids. They are solved by auto and all methods, cold and from starts that are right in some parts, in both
+measures, recorded, called back, in batches, marches, from files and through cvxpy. Fractions written elsewhere judge:
+
+- SOLVED: every part is within the tolerance of its own reference (euclidean: all of it is, absolutely); the residuals
+  of certificates are no smaller than the exact ones, and the worst part is named;
+- refuted: the proof verifies, and no planted answer is within the tolerance;
+- PRECISION_LIMIT: every row is at its rounding floor, or what contradicts is rounding of the largest number in q;
+- error bounds hold in every component; derivatives are those of the single parts;
+- batches have the bits of single solves, two calls the same bits, and nobody's data are modified;
+- auto solves 99.5 % of what has an answer within a hundredth of the tolerance.
+
+Ranks are left to tests/distributed: they need mpi4py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, partial
+from multiprocessing import Pool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from collection.truth import ExactData
+from exact_parts import references_of_rows, relative_residual
+
+from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch, solve_many
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+
+Generator = np.random.Generator
+Vector = np.ndarray
+TOLERANCE = 1e-8
+REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+MOST_STEPS = 3000  # of a named method
+ALL_METHODS_EVERY, GRIDS_EVERY = 20, 250
+UNSOLVED = 0.005
+SOLVABLE, UNSOLVABLE, UNDECIDED = "solvable", "without solution", "limited by its data"
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A small problem with its answer; None where there is none."""
+
+    M: Vector
+    q: Vector
+    lower: Vector
+    upper: Vector
+    z: Vector | None
+    is_regular: bool = False  # one nondegenerate answer, and all principal minors positive
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Parts put together, and what is known of them."""
+
+    problem: LCP
+    labels: Vector
+    z: Vector  # NaN in parts without solution
+    is_regular: bool
+
+    @cached_property
+    def data(self) -> ExactData:
+        return ExactData(self.problem)
+
+    @cached_property
+    def at_zero(self) -> list[Fraction]:
+        return self.data.at_zero()
+
+    def relative(self, z: Any) -> Any:
+        """The largest ‖r_P(z)‖/‖r_P(z°)‖, exactly."""
+        return relative_residual(self.data.residual(z), self.at_zero, self.data.parts)
+
+    def square(self, z: Any) -> Fraction:
+        """The square of the euclidean residual, exactly."""
+        return square_of_natural(self.data, z)
+
+    @cached_property
+    def kind(self) -> str:
+        if np.isnan(self.z).any():
+            return UNSOLVABLE
+        return SOLVABLE if self.relative(self.z.tolist()) <= Fraction(TOLERANCE) / 100 else UNDECIDED
+
+
+def square_of_natural(data: ExactData, z: Any) -> Fraction:
+    """‖z − mid(lower, upper, z − w)‖₂², exactly."""
+    total = Fraction(0)
+    for i, (x, w) in enumerate(zip(map(Fraction, z), data.slack(z), strict=True)):
+        low, high = data.lower[i], data.upper[i]
+        step = w if high is None else max(w, x - high)
+        step = step if low is None else min(step, x - low)
+        total += step * step
+    return total
+
+
+# --- Parts ----------------------------------------------------------------------------------------------------------
+
+
+def whole(rng: Generator, *shape: int, size: int = 3) -> Vector:
+    return rng.integers(-size, size + 1, shape).astype(float)
+
+
+def dominant(n: int, rng: Generator) -> Vector:
+    """An H₊-matrix."""
+    M = whole(rng, n, n) * (rng.random((n, n)) < 0.5)
+    np.fill_diagonal(M, 0.0)
+    return M + np.diag(abs(M).sum(axis=1) + rng.integers(1, 4, n))
+
+
+def definite(n: int, rng: Generator) -> Vector:
+    B = whole(rng, n, n)
+    return B @ B.T + np.eye(n)
+
+
+def semidefinite(n: int, rng: Generator) -> Vector:
+    B = whole(rng, n, max(1, n // 2), size=2)
+    return B @ B.T
+
+
+def nonsymmetric(n: int, rng: Generator) -> Vector:
+    K = whole(rng, n, n)
+    return definite(n, rng) + K - K.T
+
+
+def triangular(n: int, rng: Generator) -> Vector:
+    order = rng.permutation(n)
+    return (np.tril(whole(rng, n, n), -1) + np.diag(rng.integers(1, 4, n)))[np.ix_(order, order)]
+
+
+def chain(n: int, rng: Generator) -> Vector:
+    return 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+
+
+def cycle(n: int, rng: Generator) -> Vector:
+    """A P-matrix for odd n, on which rounds of active sets cycle."""
+    n += 1 - n % 2
+    return np.eye(n) + float(rng.integers(1, 4)) * np.roll(np.eye(n), -1, axis=0) * (n > 1)
+
+
+def single(n: int, rng: Generator) -> Vector:
+    return np.eye(1)
+
+
+def nothing(n: int, rng: Generator) -> Vector:
+    """A row without entries: its w is q."""
+    return np.zeros((1, 1))
+
+
+def saddle(n: int, rng: Generator) -> Vector:
+    """The optimality conditions of a convex quadratic program."""
+    A = whole(rng, max(1, n // 3), n)
+    return np.block([[definite(n, rng), -A.T], [A, np.zeros((len(A), len(A)))]])
+
+
+FAMILIES: dict[str, tuple[Callable[[int, Generator], Vector], bool]] = {
+    one.__name__: (one, one not in (semidefinite, nothing, saddle))
+    for one in (
+        dominant, definite, semidefinite, nonsymmetric, triangular, chain, cycle, single, nothing, saddle,
+    )
+}
+
+
+def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Part:
+    """Rows with bounds of all kinds, at them, between them, and with w = 0 at them."""
+    n = len(M)
+    kinds = rng.choice(["lower", "upper", "box", "free"], n, p=[0.7, 0.05, 0.2, 0.05]) if rng.random() < 0.5 else \
+        np.full(n, "lower")
+    start = whole(rng, n) if rng.random() < 0.3 else np.zeros(n)
+    lower = np.where(np.isin(kinds, ["lower", "box"]), start, -np.inf)
+    width = rng.integers(1, 5, n)
+    upper = np.where(kinds == "upper", start, np.where(kinds == "box", start + width, np.inf))
+    is_at, is_top = rng.random(n) < rng.choice([0.2, 0.5, 1.0], p=[0.4, 0.4, 0.2]), rng.random(n) < 0.3
+    at_lower = is_at & np.isfinite(lower) & ~(is_top & np.isfinite(upper))
+    at_upper = is_at & np.isfinite(upper) & ~at_lower
+    away = rng.integers(1, 4, n)
+    inside = np.where(np.isfinite(lower), lower + np.minimum(away, 0.5 * (upper - lower)), upper - away)
+    z = np.where(at_lower, lower, np.where(at_upper, upper, np.where(kinds == "free", whole(rng, n), inside)))
+    w = np.where(at_lower, 1.0, np.where(at_upper, -1.0, 0.0)) * rng.integers(1, 4, n)
+    is_degenerate = (rng.random(n) < 0.2) & (rng.random() < 0.3)
+    w = np.where(is_degenerate, 0.0, w)
+    return Part(M, w - M @ z, lower, upper, z, is_regular and not is_degenerate.any())
+
+
+def contradictory(rng: Generator) -> Part:
+    """A row of numbers ≤ 0 with q < 0, or one that is forced to stand where another cannot be."""
+    if rng.random() < 0.5:
+        return Part(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, -1.0]), np.zeros(2), np.full(2, np.inf), None)
+    n = int(rng.integers(1, 4))
+    M, q = definite(n, rng), whole(rng, n)
+    M[-1], q[-1] = -abs(M[-1]), -float(rng.integers(1, 4))
+    return Part(M, q, np.zeros(n), np.full(n, np.inf), None)
+
+
+def at_zero(n: int, rng: Generator) -> Part:
+    """z° is the answer."""
+    M = dominant(n, rng)
+    lower = rng.integers(0, 3, n) + 0.0 if rng.random() < 0.5 else np.zeros(n)
+    return Part(M, rng.integers(0, 3, n) - M @ lower, lower, np.full(n, np.inf), lower)
+
+
+def random_part(rng: Generator) -> Part:
+    n, draw = int(rng.integers(1, 11)), rng.random()
+    if draw < 0.04:
+        return contradictory(rng)
+    if draw < 0.12:
+        return at_zero(n, rng)
+    if draw < 0.15:  # a box as narrow as rounding of its q
+        return Part(np.eye(1), np.array([-1.0]), np.zeros(1), np.array([2.0 ** -int(rng.integers(30, 70))]), None)
+    make, is_regular = FAMILIES[str(rng.choice(list(FAMILIES)))]
+    return planted(make(n, rng), rng, is_regular=is_regular)
+
+
+def grid(rng: Generator) -> Part:
+    """Five points, z planted in a third of the rows."""
+    side = int(rng.integers(28, 36))
+    T = 2.0 * np.eye(side) - np.eye(side, k=1) - np.eye(side, k=-1)
+    M = np.kron(T, np.eye(side)) + np.kron(np.eye(side), T)
+    z = rng.integers(1, 5, side * side) * (rng.random(side * side) < 0.3)
+    return Part(M, (z == 0.0) * 1.0 - M @ z, np.zeros(len(M)), np.full(len(M), np.inf), z + 0.0)
+
+
+def powers(rng: Generator, size: int, count: int) -> Vector:
+    """Units: powers of two, of ten, or none."""
+    kind = rng.choice(["two", "ten", "one"], p=[0.45, 0.35, 0.2])
+    exponents = rng.integers(-size, size + 1, count)
+    return np.ones(count) if kind == "one" else 2.0 ** (3.3 * exponents).round() if kind == "two" else 10.0**exponents
+
+
+def in_units(part: Part, unit: float, rng: Generator) -> Part:
+    n = len(part.q)
+    rows = powers(rng, 6, n) if rng.random() < 0.3 else np.full(n, powers(rng, 12, 1)[0])
+    columns = 2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.2 else np.ones(n)
+    size = unit * columns
+    if part.z is None and np.isfinite(part.upper).all():  # the box: z is at its upper end
+        part = Part(part.M, part.q, part.lower, part.upper, part.upper)
+    return Part(
+        rows[:, None] * part.M / columns, rows * unit * part.q, size * part.lower, size * part.upper,
+        None if part.z is None else size * part.z, part.is_regular,
+    )
+
+
+def joined(parts: list[Part], rng: Generator, *, is_dense: bool) -> Case:
+    """The parts as one problem, in any order."""
+    count = sum(len(part.q) for part in parts)
+    order = rng.permutation(count)
+    M = sp.block_diag([part.M for part in parts], format="csr")[order][:, order]
+    M.eliminate_zeros()
+    q, lower, upper = (np.concatenate([getattr(part, name) for part in parts])[order]
+                       for name in ("q", "lower", "upper"))
+    labels = np.repeat(np.arange(len(parts)), [len(part.q) for part in parts])[order]
+    z = np.concatenate([np.full(len(part.q), np.nan) if part.z is None else part.z for part in parts])[order]
+    M = M.toarray() if is_dense else sp.csr_array(M)
+    return Case(LCP(M, q, lower=lower, upper=upper), labels, z, all(part.is_regular for part in parts))
+
+
+def random_case(rng: Generator, number: int) -> Case:
+    if number % GRIDS_EVERY == GRIDS_EVERY - 1:
+        parts, is_dense = [grid(rng), grid(rng)], False
+    else:
+        parts, is_dense = [random_part(rng) for _ in range(int(rng.integers(2, 7)))], bool(rng.random() < 0.6)
+    units = np.concatenate([powers(rng, 12, 1) for _ in parts]) * powers(rng, 12, 1)[0] ** (rng.random() < 0.2)
+    return joined([in_units(part, unit, rng) for part, unit in zip(parts, units, strict=True)], rng, is_dense=is_dense)
+
+
+def right_in_some(case: Case, rng: Generator) -> Vector:
+    """A start that is the answer in some parts, near it in others, and anything in the rest."""
+    size = np.array([np.nanmax(np.abs(np.r_[case.z[case.labels == k], 0.0])) for k in range(case.labels.max() + 1)])
+    noise = rng.choice([0.0, 1e-9, 1e-3, 1.0, 1e6], size.size)
+    if rng.random() < 0.2:
+        size[:] = size.max()
+    z = np.nan_to_num(case.z) + (noise * size)[case.labels] * rng.normal(size=case.z.size)
+    return np.asarray(z)
+
+
+# --- Judging --------------------------------------------------------------------------------------------------------
+
+
+def complaints(case: Case, result: Any, measure: str = "relative", tolerance: float = TOLERANCE) -> Iterator[str]:
+    """What is wrong with a result that stops on the residual."""
+    z, status, certificate = result.z.tolist(), result.status, result.certificate
+    if np.isfinite(result.z).all():
+        residual, square = case.relative(z), case.square(z)
+        if status is Status.SOLVED and measure == "relative" and residual > Fraction(tolerance):
+            yield f"SOLVED with {float(residual):.3e}"
+        if status is Status.SOLVED and measure == "euclidean" and square > Fraction(tolerance) ** 2:
+            yield f"SOLVED with {float(square) ** 0.5:.3e}, not {tolerance:.3e}"
+        if residual > Fraction(certificate.relative_residual) if certificate.relative_residual < np.inf else False:
+            yield f"certificate of {certificate.relative_residual:.3e}, exactly {float(residual):.3e}"
+        yield from misnamed(case, z, certificate, residual)
+    elif status is Status.SOLVED:
+        yield "SOLVED without numbers"
+    if status in REFUTED:
+        yield from refuted(case, result, measure, tolerance)
+    if status is Status.PRECISION_LIMIT:
+        is_rounding = result.infeasibility is not None and result.infeasibility.is_rounding
+        if not is_rounding and not case.data.is_at_rounding_level(z):
+            yield "PRECISION_LIMIT above the rounding floor"
+
+
+def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[str]:
+    """Whether the part that the certificate names is not the worst one."""
+    if not 1e-6 < residual < 1e6:
+        return
+    worst, labels = certificate.worst_index, case.data.parts
+    residuals, references = case.data.residual(z), references_of_rows(case.at_zero, labels)
+    own = max(r for r, label in zip(residuals, labels, strict=True) if label == labels[worst])
+    if own < residual * references[worst] * Fraction(999, 1000):
+        yield f"the worst part is not that of row {worst}"
+
+
+def refuted(case: Case, result: Any, measure: str, tolerance: float) -> Iterator[str]:
+    proof = result.infeasibility
+    if not (proof.verify() and proof.measured(measure) > tolerance):
+        yield f"{result.status.name} without a proof that counts"
+    if np.isnan(case.z).any():
+        return
+    z = case.z.tolist()
+    least = case.relative(z) if measure == "relative" else float(case.square(z)) ** 0.5
+    if least <= tolerance:
+        yield f"{result.status.name}, but planted is one with {float(least):.3e}"
+
+
+def told(prefix: str, found: Iterator[str]) -> list[str]:
+    return [f"{prefix}: {text}" for text in found]
+
+
+def bits(result: Any) -> tuple[bytes, Status, int]:
+    return result.z.tobytes(), result.status, result.iterations
+
+
+def frozen(problem: LCP) -> list[bytes]:
+    return [vector.tobytes() for vector in (problem.csr.data, problem.q, problem.lower, problem.upper)]
+
+
+# --- What is asked --------------------------------------------------------------------------------------------------
+
+Asked = Callable[[Case, Generator], list[str]]
+
+
+def named(case: Case, rng: Generator, name: str) -> list[str]:
+    """A method cold and warm, in both measures."""
+    bad = []
+    for start in (None, right_in_some(case, rng)):
+        for measure in ("relative", "euclidean") if rng.random() < 0.3 else ("relative",):
+            tolerance = TOLERANCE if measure == "relative" else euclidean_tolerance(case)
+            try:
+                result = solve(
+                    case.problem, name, z0=start, measure=measure, tolerance=tolerance,
+                    max_iterations=None if name == "auto" else MOST_STEPS,
+                )
+            except (UnsuitableMatrix, UnsuitableProblem):
+                continue
+            how = "cold" if start is None else "warm"
+            bad += told(f"{name}, {measure}, {how}", complaints(case, result, measure, tolerance))
+    return bad
+
+
+def euclidean_tolerance(case: Case) -> float:
+    square = case.square(case.problem.nearest_to_zero.tolist())
+    return float(TOLERANCE * min(float(square) ** 0.5, 1e100))
+
+
+def recorded(case: Case, rng: Generator) -> list[str]:
+    """The points that a callback sees are the caller's, and the last of a solved run is an answer."""
+    seen: list[Vector] = []
+    result = solve(case.problem, record=True, callback=lambda sample, z: seen.append(z.copy()),
+                   z0=right_in_some(case, rng) if rng.random() < 0.5 else None)  # fmt: skip
+    bad = told("recorded", complaints(case, result))
+    if result.status is Status.SOLVED and case.relative(seen[-1].tolist()) > Fraction(TOLERANCE):
+        bad.append("recorded: the last point that was shown is no answer")
+    if result.status is Status.SOLVED and not result.history[-1].residual <= TOLERANCE:
+        bad.append("recorded: the last sample is above the tolerance")
+    return bad
+
+
+def in_batches(case: Case, rng: Generator) -> list[str]:
+    """Stacked and listed, with parts in other units and connected ones beside them: the bits of single solves."""
+    problem, n = case.problem, case.problem.n
+    problems = [as_dense(problem, np.arange(n), np.ones(n)), as_dense(problem, rng.permutation(n), np.ones(n))]
+    problems.append(as_dense(problem, np.arange(n), 2.0 ** rng.integers(-30, 31, case.labels.max() + 1)[case.labels]))
+    problems.append(LCP(definite(n, rng), whole(rng, n)))
+    problems = [problems[k] for k in rng.permutation(4)[: rng.integers(1, 5)]]
+    starts = None
+    if rng.random() < 0.3:
+        starts = np.stack([right_in_some(case, rng) for _ in problems])
+    name = str(rng.choice(["auto", "newton", "lemke", "npsor"], p=[0.7, 0.1, 0.1, 0.1]))
+    options: dict[str, Any] = {"algorithm": name, "max_iterations": MOST_STEPS}
+    stacks = {name: np.stack([getattr(one, name) for one in problems]) for name in ("q", "lower", "upper")}
+    stacks["M"] = np.stack([one.csr.toarray() for one in problems])
+    batches = [
+        ("stacked", problems, starts, lambda: solve_batch(**stacks, z0=starts, **options)),
+    ]
+    mixed = [*problems, problem, as_dense(problem, np.arange(n), np.full(n, 0.25)), LCP(np.eye(1), [-1.0])]
+    given = None if starts is None else [*starts, None, None, None]
+    batches.append(("listed", mixed, given, lambda: solve_batch(mixed, z0=given, **options)))
+    bad: list[str] = []
+    for how, items, at, ask in batches:
+        batch = ask()
+        for k, one in enumerate(items):
+            try:
+                alone = solve(one, name, z0=None if at is None else at[k], max_iterations=MOST_STEPS)
+            except (UnsuitableMatrix, UnsuitableProblem):
+                if k not in batch.errors:
+                    bad.append(f"{how} {k}: no error")
+                continue
+            bad += differences(f"{how} {k} {name}", alone, batch[k])
+            if (batch.z[k].tobytes(), batch.status[k], batch.iterations[k]) != bits(batch[k]):
+                bad.append(f"{how} {k}: arrays and results differ")
+            if batch.status[k] is Status.SOLVED and ExactData(one).is_lie(batch.z[k].tolist(), TOLERANCE):
+                bad.append(f"{how} {k}: false SOLVED")
+    return bad
+
+
+def differences(prefix: str, alone: Any, other: Any) -> list[str]:
+    if bits(alone) == bits(other):
+        return []
+    return [f"{prefix}: alone {alone.status.name} {alone.iterations} {alone.algorithm}, "
+            f"not {other.status.name} {other.iterations} {other.algorithm}, "
+            f"{np.abs(alone.z - other.z).max():.1e} apart"]
+
+
+def as_dense(problem: LCP, order: Vector, units: Vector) -> LCP:
+    M = problem.csr.toarray()[np.ix_(order, order)]
+    q, lower, upper = ((vector * units)[order] for vector in (problem.q, problem.lower, problem.upper))
+    return LCP(M, q, lower=lower, upper=upper)
+
+
+def many_offsets(case: Case, rng: Generator) -> list[str]:
+    """solve_many: the bits of single solves."""
+    problem = case.problem
+    factors = np.exp2(rng.integers(-20, 21, (3, case.labels.max() + 1)))[:, case.labels]
+    Q = [problem.q, *(problem.q * row for row in factors)]
+    bad: list[str] = []
+    for q, found in zip(Q, solve_many(problem, Q), strict=True):
+        one = problem.with_q(q)
+        bad += differences("many", solve(one), found)
+        bad += ["many: false SOLVED"] * (found.is_solved and ExactData(one).is_lie(found.z.tolist(), TOLERANCE))
+    return bad
+
+
+def marched(case: Case, rng: Generator) -> list[str]:
+    """A march: the bits of single steps."""
+    problem = case.problem
+    forcing = np.stack([problem.q, problem.q * 2.0, problem.q])
+    carry = -1.0 if rng.random() < 0.5 else 0.0
+    state = problem.nearest_to_zero
+    bad: list[str] = []
+    for k, step in enumerate(march(problem, forcing, carry)):
+        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, carry))) @ state)
+        bad += differences(f"march {k}", solve(one, z0=state), step)
+        bad += [f"march {k}: false SOLVED"] * (step.is_solved and ExactData(one).is_lie(step.z.tolist(), TOLERANCE))
+        state = step.z
+    return bad
+
+
+def filed(case: Case, rng: Generator) -> list[str]:
+    """Saved and loaded: the bits of the stored problem; bounds beyond 1e20 are none to files, and refused."""
+    bounds = np.abs(np.r_[case.problem.lower, case.problem.upper])
+    if ((bounds >= 1e20) & np.isfinite(bounds)).any():
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ("problem.npz" if rng.random() < 0.5 else "problem")
+        case.problem.save(path)
+        loaded = LCP.load(path)
+    return differences("file", solve(LCP(case.problem.csr, case.problem.q, lower=case.problem.lower,
+                                         upper=case.problem.upper)), solve(LCP(
+        loaded.csr, loaded.q, lower=loaded.lower, upper=loaded.upper)))  # fmt: skip
+
+
+def through_cvxpy(case: Case, rng: Generator) -> list[str]:
+    """A model of one pair a part: what is called optimal is within the tolerance in every part of the caller's."""
+    import cvxpy as cp
+
+    from lcp_plugin import box, complements
+
+    problem, pairs, xs = case.problem, [], []
+    M = problem.csr.toarray()
+    for k in range(case.labels.max() + 1):
+        rows = np.flatnonzero(case.labels == k)
+        x = cp.Variable(rows.size)
+        F = M[np.ix_(rows, rows)] @ x + problem.q[rows]
+        pairs.append(complements(box(x, problem.lower[rows], problem.upper[rows]), F))
+        xs.append((rows, x))
+    model = cp.Problem(cp.Minimize(0), pairs)
+    z = np.full(problem.n, np.nan)
+    try:
+        model.solve(method="LCP")
+    except cp.SolverError:
+        return []
+    if model.status != "optimal":
+        return ["cvxpy: infeasible"] * (model.status == "infeasible" and case.kind == SOLVABLE)
+    for rows, x in xs:
+        z[rows] = x.value
+    residual = case.relative(z.tolist()) if np.isfinite(z).all() else np.inf
+    is_within = residual <= Fraction(TOLERANCE) * Fraction(1001, 1000)
+    return [] if is_within else [f"cvxpy: optimal with {float(residual):.3e}"]
+
+
+def bounded(case: Case, rng: Generator) -> list[str]:
+    """Bounds of the error hold in every component, and the tolerance on it is no lie."""
+    is_answer = case.is_regular and not any(case.data.residual(case.z.tolist()))
+    if not is_answer:
+        return []
+    bad: list[str] = []
+    truth = [Fraction(value) for value in case.z.tolist()]
+    results = []
+    for options in ({"error_bound": True}, {"tolerance_on": "error"}, {"tolerance_on": "error", "measure": "euclidean"},
+                    {"tolerance_on": "error", "record": True, "algorithm": "npsor", "max_iterations": MOST_STEPS}):
+        try:
+            results.append(solve(case.problem, **options))  # type: ignore[arg-type]
+        except UnsuitableMatrix:
+            continue
+        if options == {"tolerance_on": "error"} and not results[-1].is_solved:
+            bad.append(f"open: {results[-1].status.name} on the error")
+    for result in results:
+        errors = [abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), truth, strict=True)]
+        size = max(abs(Fraction(value)) for value in result.z.tolist())
+        if result.tolerance_on == "error" and result.is_solved and max(errors) > Fraction(TOLERANCE) * size:
+            bad.append("error: false SOLVED")
+        for bound in (result.error_bound, error_bound(case.problem, right_in_some(case, rng)) if result.error_bound
+                      else None):
+            if bound is result.error_bound and bound is not None and bound.kind == "rigorous":
+                bad += ["error: a component outside of its bound"] * any(
+                    e > Fraction(b) for e, b in zip(errors, bound.componentwise.tolist(), strict=True) if b < np.inf)
+    return bad
+
+
+def differentiated(case: Case, rng: Generator) -> list[str]:
+    """A change of q in one part moves that part alone, as its own system says."""
+    if not case.is_regular or case.kind != SOLVABLE:
+        return []
+    result = solve(case.problem)
+    if not result.is_solved:
+        return []
+    k = int(rng.integers(case.labels.max() + 1))
+    rows = case.labels == k
+    dq = np.where(rows, rng.normal(size=rows.size) * np.abs(case.problem.q).max(initial=0.0, where=rows), 0.0)
+    dz = derivative(result).jvp(dq=dq)
+    free = rows & (case.z > case.problem.lower) & (case.z < case.problem.upper)
+    expected = np.zeros(rows.size)
+    if free.any():
+        M = case.problem.csr.toarray()[np.ix_(free, free)]
+        scale = abs(M).max(axis=1)
+        expected[free] = np.linalg.solve(M / scale[:, None], -dq[free] / scale)
+    bad = ["derivative: another part moved"] * bool(dz[~rows].any())
+    if not np.allclose(dz, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(initial=0.0)):
+        bad.append(f"derivative: {np.abs(dz - expected).max():.1e} off, of {np.abs(expected).max():.1e}")
+    return bad
+
+
+ASKED: tuple[Asked, ...] = (
+    recorded, in_batches, many_offsets, marched, filed, through_cvxpy, bounded, differentiated, in_batches, bounded,
+)
+
+
+def by_auto(case: Case) -> tuple[list[str], str]:
+    """Two calls of auto, and what it says."""
+    first, second = solve(case.problem), solve(case.problem)
+    bad = told("auto", complaints(case, first)) + differences("auto, once more", first, second)
+    return bad, first.status.name
+
+
+def judge(seed: int, number: int) -> tuple[list[str], str, str]:
+    """What is wrong with a case, its kind, and what auto says of it."""
+    rng = np.random.default_rng([seed, number])
+    case = random_case(rng, number)
+    before, kind, status = frozen(case.problem), "", ""
+    try:
+        kind = case.kind
+        bad, status = by_auto(case)
+        is_small = case.problem.n < 200
+        names = ["auto", *REGISTRY] if is_small and number % ALL_METHODS_EVERY == 0 else ["auto"]
+        if len(names) == 1 and is_small:
+            names.append(list(REGISTRY)[number % len(REGISTRY)])
+        for name in names:
+            bad += named(case, rng, name)
+        if is_small:
+            bad += ASKED[number // len(REGISTRY) % len(ASKED)](case, rng)
+    except Exception:  # whatever it is, it is the finding
+        bad = [traceback.format_exc().strip()]
+    if frozen(case.problem) != before:
+        bad.append("the data are modified")
+    return bad, kind, status
+
+
+def main(cases: int, seed: int, workers: int) -> int:
+    counts: Counter[tuple[str, str]] = Counter()
+    failed = 0
+    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:  # of methods not covered
+        for number, (bad, kind, status) in enumerate(pool.imap(partial(judge, seed), range(cases), chunksize=10)):
+            counts[kind, status] += 1
+            wrong = [text for text in bad if not text.startswith("open")]
+            failed += bool(wrong)
+            for text in bad:
+                print(f"case {number} (seed {seed}): {text}", flush=True)
+            if kind == SOLVABLE and status != "SOLVED":
+                print(f"case {number} (seed {seed}): open: {status}", flush=True)
+    for kind in (SOLVABLE, UNSOLVABLE, UNDECIDED):
+        of = Counter({status: count for (one, status), count in counts.items() if one == kind})
+        print(f"{kind:<20}{of.total():>6}  {', '.join(f'{name} {count}' for name, count in of.most_common())}")
+    solvable = sum(count for (kind, _), count in counts.items() if kind == SOLVABLE)
+    left = solvable - counts[SOLVABLE, "SOLVED"]
+    print(f"{cases} cases, {failed} with a claim that fails; {left} of {solvable} open")
+    return int(failed > 0 or left > UNSOLVED * solvable)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.cases, arguments.seed, arguments.workers))

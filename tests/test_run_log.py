@@ -1,0 +1,94 @@
+"""verbose=True prints a run while it goes on, and changes nothing about it."""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, NonlinearProblem, Result, Status, gallery, solve, solve_nonlinear
+
+LINE = re.compile(r" +(\d+) +[\d.]+ +\d\.\d\de[+-]\d\d +[\d.]+")
+
+
+def printed_by(run: Result, printed: str) -> tuple[str, list[str], list[int], str]:
+    """The header, the lines of stages, the iterations that have a line, and the end of what a run printed."""
+    header, columns, *lines, end = printed.splitlines()
+    assert columns.split() == ["iteration", "work", *f"{run.measure} residual seconds".split()]
+    stages = [line for line in lines if not LINE.fullmatch(line) and not line.startswith("(compiling")]
+    return header, stages, [int(found[1]) for line in lines if (found := LINE.fullmatch(line))], end
+
+
+def scene() -> LCP:
+    """A problem whose facts nobody has asked for yet."""
+    return gallery.obstacle_2d(size=20).problem
+
+
+def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str]) -> None:
+    """A header with what is seen of M, each stage with its reason, few lines of iterations, and the end."""
+    result = solve(scene(), verbose=True)
+    header, stages, iterations, end = printed_by(result, capsys.readouterr().out)
+    assert header.startswith("LCP(n=400, nonzeros=1920, bounds 400 one-sided); M sparse, symmetric, a Z-matrix, ")
+    assert stages == [f"{stage.name}: {stage.because}" for stage in result.stages]
+    assert len(stages) == 2
+    assert iterations == sorted(iterations)
+    assert 5 < len(iterations) < result.iterations / 3
+    assert end.startswith(f"SOLVED: relative residual {result.residual:.2e} after {result.iterations} iterations")
+
+
+@pytest.mark.parametrize("name", ["auto", "pgs", "newton"])
+def test_printing_changes_nothing(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """z, iterations, work and history are those of a run that prints nothing."""
+    silent = solve(scene(), name, record=True)
+    assert capsys.readouterr().out == ""
+    told = solve(scene(), name, record=True, verbose=True)
+    assert np.array_equal(told.z, silent.z)
+    assert (told.iterations, told.work, told.status) == (silent.iterations, silent.work, silent.status)
+    assert [sample.residual for sample in told.history] == [sample.residual for sample in silent.history]
+
+
+def test_small_problems_are_printed_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """What one compiled call solves otherwise is taken step by step, to the same answer."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    silent = solve(problem)
+    assert capsys.readouterr().out == ""
+    told = solve(problem, verbose=True)
+    header, _, iterations, _ = printed_by(told, capsys.readouterr().out)
+    assert "M dense, symmetric, with positive diagonal" in header
+    assert iterations[0] == 0
+    np.testing.assert_allclose(told.z, silent.z, atol=1e-8)
+
+
+def test_lines_come_at_geometric_intervals(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a hundred sweeps twelve have a line, and an unsolved run ends with its advice."""
+    result = solve(scene(), "pgs", tolerance=0.0, max_iterations=100, measure="euclidean", verbose=True)
+    _, stages, iterations, end = printed_by(result, capsys.readouterr().out)
+    assert stages == ["pgs"]
+    assert iterations == [0, 1, 2, 3, 5, 8, 12, 18, 27, 41, 62, 93]
+    assert end.startswith("MAX_ITERATIONS: euclidean residual")
+    assert end.endswith(Status.MAX_ITERATIONS.value)
+
+
+def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFixture[str]) -> None:
+    """The linear problems inside print nothing."""
+    problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]))
+    solve_nonlinear(problem, [0.0, 0.0])
+    assert capsys.readouterr().out == ""
+    result = solve_nonlinear(problem, [0.0, 0.0], verbose=True)
+    header, stages, _, end = printed_by(result, capsys.readouterr().out)
+    assert header == "NonlinearProblem(n=2, differences)"
+    assert stages == ["josephy_newton"]
+    assert "as measured on F" in end
+
+
+def test_a_terminal_without_unicode_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sign that the terminal does not know becomes a question mark."""
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert solve(LCP([[1.0]], [-1.0]), verbose=True).is_solved
+    stream.seek(0)
+    assert stream.readline() == "LCP(n=1, nonzeros=1, bounds 0 ? z); M dense, symmetric, diagonal, a Z-matrix, " \
+        "with positive diagonal\n"

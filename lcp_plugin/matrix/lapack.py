@@ -1,4 +1,8 @@
-"""LAPACK's factorisations that scipy calls with the interpreter's lock held: the same ones with the lock let go."""
+"""LAPACK's factorisations that scipy calls with the interpreter's lock held: the same ones with the lock let go.
+
+Arrays go in as addresses, taken before the call: ctypes turns whatever is raised while it asks an array for its
+address, Ctrl-C included, into an ``ArgumentError``.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +25,9 @@ def dpotrf(matrix: FloatVector, *, overwrite: bool = False) -> tuple[FloatVector
         L may take the place of A.
     """
     factor = _by_columns(matrix, overwrite)
-    n, info = ctypes.c_int(matrix.shape[0]), ctypes.c_int()
-    _function("dpotrf", 5)(b"L", ctypes.byref(n), factor.ctypes, ctypes.byref(_rows(factor)), ctypes.byref(info))
+    n, rows, info = ctypes.c_int(matrix.shape[0]), _rows(factor), ctypes.c_int()
+    arguments = b"L", ctypes.byref(n), factor.ctypes.data, ctypes.byref(rows), ctypes.byref(info)
+    _function("dpotrf", 5)(*arguments)
     return factor, info.value
 
 
@@ -35,12 +40,14 @@ def dgbtrf(band: FloatVector, below: int, above: int) -> tuple[FloatVector, Any,
         As LAPACK wants it.
     """
     factor = _by_columns(band, True)
-    n, info = ctypes.c_int(band.shape[1]), ctypes.c_int()
+    n, kl, ku = (ctypes.c_int(number) for number in (band.shape[1], below, above))
+    rows, info = _rows(factor), ctypes.c_int()
     pivots = np.empty(band.shape[1], dtype=np.intc)
-    _function("dgbtrf", 8)(
-        ctypes.byref(n), ctypes.byref(n), ctypes.byref(ctypes.c_int(below)), ctypes.byref(ctypes.c_int(above)),
-        factor.ctypes, ctypes.byref(_rows(factor)), pivots.ctypes, ctypes.byref(info),
+    arguments = (
+        ctypes.byref(n), ctypes.byref(n), ctypes.byref(kl), ctypes.byref(ku),
+        factor.ctypes.data, ctypes.byref(rows), pivots.ctypes.data, ctypes.byref(info),
     )
+    _function("dgbtrf", 8)(*arguments)
     pivots -= 1
     return factor, pivots, info.value
 

@@ -65,29 +65,29 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     yielded where they are near both ends.
     """
     from ..kernels import small_problems as kernels
-    from ..kernels.desk import LOWER, UPPER, Q, Z, sizes
+    from ..kernels.desk import STATE
 
-    M, n, unit = as_dense(problem.matrix), problem.n, 0
-    of_real, of_whole, of_room = sizes(n)
-    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
-    nonzeros, is_usual, may_sweep, is_symmetric = kernels.look_at(M, 0, real)
-    if not is_usual:
-        unit = int(np.frexp(np.abs(M).max())[1])
-        M = read_only(np.ldexp(M, -unit))
-        nonzeros, is_usual, may_sweep, is_symmetric = kernels.look_at(M, 0, real)
-    if not is_usual:
+    n, desk, answers = problem.n, new_desk(problem.n), Answers(1, problem.n)
+    arrays: tuple[Any, ...] = as_dense(problem.matrix), *map(as_batch, (problem.q, problem.lower, problem.upper, z0))
+    limits, state = (-1.0, 1, 0, 1), desk[1][STATE]
+    kernels.run_all(*arrays, *plan, *limits, kernels.NONE_YET, *desk, *answers.arrays)
+    unit = 0
+    if state[kernels.PHASE] == kernels.UNUSUAL:
+        unit = int(np.frexp(np.abs(arrays[0]).max())[1])
+        arrays = read_only(np.ldexp(arrays[0], -unit)), *(read_only(np.ldexp(vector, unit)) for vector in arrays[1:])
+        kernels.run_all(*arrays, *plan, *limits, kernels.NONE_YET, *desk, *answers.arrays)
+    if state[kernels.PHASE] == kernels.UNUSUAL:
         return
-    real[Q, :n] = problem.q
-    for row, values in ((LOWER, problem.lower), (UPPER, problem.upper), (Z, z0)):
-        real[row, :n] = np.ldexp(values, unit)
-    is_cold = np.array_equal(z0, problem.nearest_to_zero)
-    residual = kernels.begin(M, 0, real, whole, *plan, may_sweep, is_cold)
-    phase, touched = kernels.next_phase(whole), float(n * n)
-    while phase != kernels.OVER:
-        z = np.clip(np.ldexp(real[Z, :n], -unit), problem.lower, problem.upper) if unit else real[Z, :n]
+    phase = int(answers.work[0, :3].argmax())
+    while True:
+        z = np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper) if unit else answers.z[0]
         if np.isfinite(z).all():
-            yield Step(z, residual=float(np.ldexp(residual, -unit)), work=touched / nonzeros, label=PARTS[phase])
-        phase, residual, touched = kernels.advance(M, 0, real, whole, room, is_symmetric)
+            residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0, kernels.TOTAL]
+            yield Step(z, residual=float(residual), work=float(work), label=PARTS[phase])
+        run(arrays, plan, *limits, answers, steps=kernels.ONE_MORE, desk=desk)
+        if not answers.made.any():
+            return
+        phase = int(answers.made[0].argmax())
 
 
 def sprint(problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int, plan: Plan) -> Sprint | None:
@@ -101,11 +101,30 @@ def sprint_of_arrays(
     arrays: tuple[Any, ...], tolerance: float, max_iterations: int, plan: Plan = EVERYTHING
 ) -> Sprint | None:
     """Return the same for a problem that is no more than M, q, lower, upper and a start, finite, each `as_batch`."""
-    from ..kernels.small_problems import run_all
-
     answers = Answers(*arrays[1].shape)
-    run_all(*arrays, *plan, tolerance, max_iterations, 0, 1, *answers.arrays)
+    run(arrays, plan, tolerance, max_iterations, 0, 1, answers)
     return answers.sprint(0)
+
+
+def new_desk(n: int) -> tuple[Any, Any, Any]:
+    """Return the work arrays of one problem at a time, as :mod:`~lcp_plugin.kernels.desk` has them."""
+    from ..kernels.desk import sizes
+
+    real, whole, room = sizes.py_func(n)
+    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
+
+
+def run(
+    arrays: tuple[Any, ...], plan: Plan, tolerance: float, max_iterations: int, first: int, end: int, answers: Answers,
+    *, steps: int = -1, desk: tuple[Any, Any, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases arrive."""
+    from ..kernels.small_problems import follow_all, run_all
+
+    desk = desk or new_desk(arrays[0].shape[1])
+    run_all(*arrays, *plan, tolerance, max_iterations, first, end, steps, *desk, *answers.arrays)
+    if answers.needs_path[first:end].any():
+        follow_all(*arrays[:4], tolerance, first, end, *desk, *answers.arrays)
 
 
 class Answers:
@@ -120,17 +139,19 @@ class Answers:
         Steps of each phase; passes over M of each phase and of all.
     has_arrived : array of bool, shape (count,)
         Where z is within the tolerance.
+    needs_path : array of bool, shape (count,)
+        Where pivots are to be tried.
     """
 
     def __init__(self, count: int, n: int) -> None:
         self.z, self.residual = np.empty((count, n)), np.empty(count)
         self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
-        self.has_arrived = np.zeros(count, np.bool_)
+        self.has_arrived, self.needs_path = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
-        return self.z, self.residual, self.made, self.work, self.has_arrived
+        return self.z, self.residual, self.made, self.work, self.has_arrived, self.needs_path
 
     def sprint(self, k: int) -> Sprint | None:
         """Return the answer of problem k, None where there is none."""

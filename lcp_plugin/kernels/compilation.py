@@ -1,4 +1,9 @@
-"""How kernels are compiled: by numba at their first call, kept on disk in the user's cache folder.
+"""How kernels are compiled: by numba at their first call, once, kept on disk in the user's cache folder.
+
+A kernel is what Python calls. Its parts are functions that only kernels call: these are optimised as a part of the
+kernel, and not kept by themselves. No function is compiled twice because one caller's array may be written to and
+another's may not. Kernels of the small problems that somebody begins with are not compiled before that pays: their
+first calls are interpreted, with the same bits.
 
 The folder is `lcp_plugin` in the place that the operating system has for such files; ``NUMBA_CACHE_DIR`` names another.
 Where no folder can be written to, numba keeps the result beside the package or in memory.
@@ -15,8 +20,12 @@ from pickle import PickleError
 from threading import local
 from typing import Any, cast
 
+import numpy as np
 from numba import config, njit, types, vectorize
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
 
 from ..deadline import compiling
@@ -55,43 +64,139 @@ def compiled(function: Any) -> Any:
 
 
 def compiled_in_any_order(function: Any) -> Any:
-    """Compile a function whose sums may be taken in another order, and whose numbers are never NaN.
+    """Compile a part of kernels whose sums may be taken in another order, and whose numbers are never NaN.
 
     The order is fixed when it is compiled: the same call gives the same bits.
     """
-    return _compiled(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
+    return _part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
+
+
+def interpreted_while_small(function: Any) -> Any:
+    """Compile a kernel as `compiled` does once a call is large, or many have been interpreted; the bits are the same.
+
+    Its work is not far above the numbers in its arrays. A kernel that lies on disk is loaded.
+    """
+    return _compiled(function, is_patient=True)
+
+
+def compiled_part(function: Any) -> Any:
+    """Compile a part of kernels."""
+    return _part(function)
 
 
 def compiled_into_others(function: Any) -> Any:
-    """Compile a short function that other kernels call: on a few unknowns a call costs more than what it does."""
-    return _compiled(function, forceinline=True)
+    """Compile a short part of kernels: on a few unknowns a call costs more than what it does."""
+    return _part(function, forceinline=True)
 
 
 def compiled_in_place(function: Any) -> Any:
-    """Compile a function as a part of the only kernel that calls it: neither is optimised twice."""
-    return _compiled(function, inline="always")
+    """Compile a part of the only kernel that calls it, line by line as if it stood there."""
+    return _part(function, inline="always")
 
 
-def _compiled(function: Any, **options: Any) -> Any:
-    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy", **options)(function))
-    if hasattr(dispatcher, "_cache"):  # there is none where numba is told not to compile
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """The code of a part: optimised where it is used, and no machine code of its own."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Leave out what numba does for functions that Python calls."""
+
+
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
+        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
+
+
+def _part(function: Any, **options: Any) -> Any:
+    options |= {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+    dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
+    if hasattr(dispatcher, "compile"):  # it has none where numba is told not to compile
+        dispatcher._insert = lambda *_: None  # there is no machine code that Python could call
+        dispatcher._compile_for_args = lambda *_, **__: function
+    return _as_one_type(dispatcher)
+
+
+def _compiled(function: Any, *, is_patient: bool = False) -> Any:
+    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy")(function))
+    if hasattr(dispatcher, "compile"):
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
-        _forget_constants(dispatcher)
+        compile_for = dispatcher._compile_for_args
+
+        def of_arguments(*arguments: Any) -> Any:
+            if is_patient and _may_be_interpreted(dispatcher, arguments):
+                return np.errstate(all="ignore")(function)
+            with compiling():  # or loading
+                return compile_for(*arguments)
+
+        dispatcher._compile_for_args = of_arguments
+    return _as_one_type(dispatcher)
+
+
+FEW = 2**12  # numbers in the arrays of a call: interpreted in some 20 ms, or .2 s where a dense system is solved
+PATIENCE = 2**18  # numbers in all calls that a process interprets: about as long as one kernel is compiled
+_interpreted = [0]
+
+
+def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...]) -> bool:
+    numbers = sum(argument.size for argument in arguments if isinstance(argument, np.ndarray))
+    if numbers > FEW or _interpreted[0] + numbers > PATIENCE or dispatcher._cache.has(dispatcher, arguments):
+        return False
+    _interpreted[0] += numbers
+    return True
+
+
+@contextmanager
+def compiling_at_once() -> Iterator[None]:
+    """Interpret nothing inside a ``with`` statement."""
+    before, _interpreted[0] = _interpreted[0], PATIENCE
+    try:
+        yield
+    finally:
+        _interpreted[0] = before
+
+
+def _as_one_type(dispatcher: Any) -> Any:
+    """Let all arguments that differ in no more than a constant, or in whether an array may be written to, use one code.
+
+    numba would compile another one for every constant, for the first value of a variable in a loop, too, and for every
+    mixture of arrays that are read-only and not. What a kernel writes to is named in its docstring.
+    """
+    if not hasattr(dispatcher, "compile"):
+        return dispatcher
+    template, compile_for = dispatcher.get_call_template, dispatcher.compile
+
+    def of_types(arguments: Any, named: Any) -> Any:
+        return template(tuple(map(_plain, arguments)), {name: _plain(kind) for name, kind in named.items()})
+
+    def compile_once(signature: Any) -> Any:
+        arguments, _ = normalize_signature(signature)
+        plain = tuple(map(_plain, arguments))
+        entry = compile_for(plain)
+        if plain != arguments:
+            dispatcher._insert([kind._code for kind in arguments], entry, False)
+        return entry
+
+    dispatcher.get_call_template, dispatcher.compile = of_types, compile_once
     return dispatcher
 
 
-def _forget_constants(dispatcher: Any) -> None:
-    """Let a call with a constant use the kernel for variables: numba would compile another one for every constant.
-
-    It would do so for the first value of a variable in a loop, too, while the first small problem of an installation
-    waits.
-    """
-    resolve, plain = dispatcher.get_call_template, cast(Any, types.unliteral)
-
-    def of_types(arguments: Any, named: Any) -> Any:
-        return resolve(tuple(map(plain, arguments)), {name: plain(kind) for name, kind in named.items()})
-
-    dispatcher.get_call_template = of_types
+def _plain(kind: Any) -> Any:
+    kind = cast(Any, types.unliteral)(kind)
+    return kind.copy(readonly=False) if isinstance(kind, types.Array) and not kind.mutable else kind
 
 
 def compiled_elementwise(function: Any) -> Any:
@@ -152,6 +257,15 @@ class _ForgivingCache:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)
+
+    def has(self, dispatcher: Any, arguments: tuple[Any, ...]) -> bool:
+        """Return whether the code for arguments like these lies on disk."""
+        try:
+            signature = tuple(_plain(dispatcher.typeof_pyval(argument)) for argument in arguments)
+            key = self._cache._index_key(signature, dispatcher.targetctx.codegen())
+            return key in self._cache._cache_file._load_index()
+        except Exception:  # there is no disk, or what lies there is damaged
+            return False
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         try:

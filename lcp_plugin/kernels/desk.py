@@ -7,7 +7,7 @@ and matrices in `room`, (n + 4, n + 1); functions take these three and (M, k), M
 
 from __future__ import annotations
 
-from .compilation import compiled
+from .compilation import compiled_into_others
 
 # Rows of `real`: the problem, the point, what a search for the next point needs, what a path needs.
 Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = 0, 1, 2, 3, 4, 5, 6, 7
@@ -19,7 +19,7 @@ SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
 AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
 
 
-@compiled
+@compiled_into_others
 def sizes(n):  # type: ignore[no-untyped-def]
     """Return the shapes of `real`, `whole` and `room`."""
     return (16, n + 1), (7, 2 * n + 6), (n + 4, n + 1)

@@ -6,38 +6,50 @@ and no sum meets a subnormal number where none was given.
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numba import float64, njit, uintp
-from numba.extending import intrinsic
+from numba import float64, uintp
+from numba.extending import lower_builtin, type_callable
 
-from .compilation import compiled
+from .compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 from .floats import EPSILON, TINY, UNIT
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROWS_AT_ONCE = 1024
 
 
-@njit(inline="always")
+@compiled_in_place
 def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
     """Return mid(lower, upper, value)."""
     return min(max(value, lower), upper)
 
 
-def _fused_code(typing_context, a, b, c):  # type: ignore[no-untyped-def]
-    """Return how a b + c, rounded once, is compiled: one instruction, or a function of the C library."""
-
-    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.fma(*arguments)
-
-    return float64(float64, float64, float64), code
-
-
-fused: Any = intrinsic(_fused_code)
+def fused(a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, rounded once."""
+    if math.isfinite(a) and math.isfinite(b) and not math.isinf(c):
+        with suppress(OverflowError, ValueError):  # the latter where c is not a number
+            exact = Fraction(float(a)) * Fraction(float(b)) + Fraction(float(c))
+            return np.float64(exact) if exact != 0 else a * b + c
+        return np.float64(np.inf if exact > 0 else -np.inf) if c == c else c
+    return c if math.isfinite(a) and math.isfinite(b) else a * b + c
 
 
-@njit(inline="always")
+@type_callable(fused)  # type: ignore[untyped-decorator]
+def _fused_type(context):  # type: ignore[no-untyped-def]
+    return lambda a, b, c: float64
+
+
+@lower_builtin(fused, float64, float64, float64)  # type: ignore[untyped-decorator]
+def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    """One instruction, or a function of the C library."""
+    return builder.fma(*arguments)
+
+
+@compiled_in_place
 def split_sum(a, b):  # type: ignore[no-untyped-def]
     """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
     s = a + b
@@ -45,7 +57,7 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
     return s, (a - (s - t)) + (b - t)
 
 
-@njit(inline="always")
+@compiled_in_place
 def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     """Return a sum with the rounded product h = fl(a b) in it, the errors so far added up, and their magnitudes."""
     e = fused(a, b, -h)
@@ -53,14 +65,14 @@ def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     return total, errors + (e + f), size + (abs(e) + abs(f))
 
 
-@njit(inline="always")
+@compiled_in_place
 def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
     """Return such a sum of so many terms, and how far it may be off: γ₂ₖ times the magnitudes, and what was left."""
     high, low = split_sum(total, errors)
     return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
 
 
-@njit(inline="always")
+@compiled_in_place
 def _outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
@@ -68,14 +80,14 @@ def _outward(value, error):  # type: ignore[no-untyped-def]
     return widened if error > 0.0 else 0.0
 
 
-@njit(inline="always")
+@compiled_in_place
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
     value, error = split_sum(a, -b)
     return value, _outward(value, abs(error)) if abs(value) < np.inf else 0.0
 
 
-@njit(inline="always")
+@compiled_in_place
 def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error.
 
@@ -88,7 +100,7 @@ def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
 
 
-@njit
+@compiled_part
 def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-def]
     """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
     lost = 0.0
@@ -140,7 +152,7 @@ row_sums = _summing_rows(False)
 comparison_row_sums = _summing_rows(True)
 
 
-@njit(inline="always")
+@compiled_in_place
 def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip."""
     step, slip_step = _quotient(slack, scale, slip)
@@ -154,7 +166,7 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     return least if is_finite & (least > 0.0) else 0.0, abs(most) if is_finite else np.inf  # no −0
 
 
-@compiled
+@interpreted_while_small
 def residual_ends(  # type: ignore[no-untyped-def]
     indptr, indices, data, stride, x, q, z, lower, upper, scale, smallest, largest
 ):

@@ -5,18 +5,17 @@ of the wrong sign, then Lemke's pivots. It ends as soon as the residual is *encl
 every other answer is. What is out of the ordinary (numbers near the ends of the range, a path lost to rounding, a
 problem without solution) is left to others.
 
-The same steps are taken one at a time (`advance`) or all at once (`run_all`): the numbers are the same bit for bit.
+The same kernel takes one step at a time or all at once, so the numbers are the same bit for bit. Pivots are another
+kernel, which few problems need.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
 from ..crossovers import PIVOTED_AT_ONCE_UP_TO
-from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
+from .compilation import compiled_into_others, compiled_part, interpreted_while_small
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -31,19 +30,19 @@ from .desk import (
     Q,
     W,
     Z,
-    sizes,
 )
 from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from .floats import NEGLIGIBLE_DIAGONAL
 from .small_systems import solve_free
 from .tableau import follow_path
 
-SWEEP, ROUND, PIVOT, OVER = 0, 1, 2, 3
+SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 TOTAL = 3  # behind the work of the phases
+ALL, NONE_YET, ONE_MORE = -1, 0, 1  # steps that a call takes: the first two begin, the last goes on
 
 # The row STATE: what comes next, how many of these were made, the fewest swaps of a round so far, rounds without fewer,
-# what follows the rounds, and whether these go on as long as they may help an M-matrix.
-PHASE, MADE, FEWEST, IDLE, LAST, TO_THE_END = 0, 1, 2, 3, 4, 5
+# what follows the rounds, whether these go on as long as they may help an M-matrix, and what M is like.
+PHASE, MADE, FEWEST, IDLE, LAST, TO_THE_END, IS_SYMMETRIC, NONZEROS = 0, 1, 2, 3, 4, 5, 6, 7
 
 SWEEPS = 2  # as many as improve the guess of the active set
 ROUNDS = 12  # these cost about as much as the pivots of a whole path
@@ -53,7 +52,7 @@ RELAXATION = 1.7
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 
-@compiled_in_any_order
+@compiled_into_others
 def look_at(M, k, real):  # type: ignore[no-untyped-def]
     """Fill in SCALE; return (nonzeros, all usual, the diagonal positive, M symmetric)."""
     n = M.shape[1]
@@ -75,29 +74,30 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
     return max(nonzeros, 1), most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
 
 
-@compiled_in_any_order
+@compiled_into_others
+def _row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
+    """Return Σ m_ij x_j over j < end, x that row of `real`: four sums side by side, the same on every machine."""
+    a = b = c = d = 0.0
+    fours = end - end % 4
+    for j in range(0, fours, 4):
+        a += M[k, i, j] * real[point, j]
+        b += M[k, i, j + 1] * real[point, j + 1]
+        c += M[k, i, j + 2] * real[point, j + 2]
+        d += M[k, i, j + 3] * real[point, j + 3]
+    for j in range(fours, end):
+        a += M[k, i, j] * real[point, j]
+    return (a + b) + (c + d)
+
+
+@compiled_part
 def slack(M, k, real, point):  # type: ignore[no-untyped-def]
     """Write W = M x + q at that row x of `real`."""
     n = M.shape[1]
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += M[k, i, j] * real[point, j]
-        real[W, i] = total + real[Q, i]
+        real[W, i] = _row_times(M, k, i, n, real, point) + real[Q, i]
 
 
-@compiled_into_others
-def largest_residual(real, n):  # type: ignore[no-untyped-def]
-    """Return max_i |mid(z_i − u_i, z_i − l_i, w_i / d_i)|, as double precision gives it."""
-    largest = 0.0
-    for i in range(n):
-        above, below = real[Z, i] - real[LOWER, i], real[Z, i] - real[UPPER, i]
-        r = abs(min(max(real[W, i] / real[SCALE, i], below), above))
-        largest = r if not r <= largest else largest
-    return largest
-
-
-@compiled_into_others
+@compiled_part
 def classify(real, whole, n, point):  # type: ignore[no-untyped-def]
     """Note where x − w/d lies, x that row of `real`; return how many rows changed their side."""
     changes = 0
@@ -113,77 +113,95 @@ def classify(real, whole, n, point):  # type: ignore[no-untyped-def]
     return changes
 
 
-@compiled_into_others
+@compiled_part
 def moved(M, k, real, point):  # type: ignore[no-untyped-def]
-    """Put Z at the point of the box nearest to that row of `real`, and W with it; return its residual."""
-    n = M.shape[1]
+    """Put Z at the point of the box nearest to that row of `real`, and W with it; return its residual.
+
+    That is max_i |mid(z_i − u_i, z_i − l_i, w_i / d_i)|, as double precision gives it.
+    """
+    n, largest = M.shape[1], 0.0
     for i in range(n):
         real[Z, i] = min(max(real[point, i], real[LOWER, i]), real[UPPER, i])
     slack(M, k, real, Z)
-    return largest_residual(real, n)
+    for i in range(n):
+        above, below = real[Z, i] - real[LOWER, i], real[Z, i] - real[UPPER, i]
+        r = abs(min(max(real[W, i] / real[SCALE, i], below), above))
+        largest = r if not r <= largest else largest
+    return largest
 
 
-@compiled_in_any_order
-def sweep(M, k, real):  # type: ignore[no-untyped-def]
+@compiled_into_others
+def _sweep(M, k, real):  # type: ignore[no-untyped-def]
     """Write FOUND by a sweep of NPSOR with the row scaling 1/d from Z and W."""
     n, pivot = M.shape[1], 1.0 / (1.0 / RELAXATION + 3.0)
     for i in range(n):
-        total = 0.0
-        for j in range(i):
-            total += M[k, i, j] * real[KEPT, j]
+        total = _row_times(M, k, i, i, real, KEPT)
         z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
         r = min(max(real[W, i] / scale, z - upper), z - lower)
         new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)
         real[FOUND, i], real[KEPT, i] = new, new - z
 
 
-@compiled
-def begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold):  # type: ignore[no-untyped-def]
-    """Begin at Z with the phases that the caller wants; return its residual."""
-    n = M.shape[1]
-    slack(M, k, real, Z)
+@compiled_into_others
+def _take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
+    """Copy a problem's vectors, Z at the point of its box nearest to 0; return whether that is 0."""
+    of_q, of_lower, of_upper = (
+        item if q.shape[0] > 1 else 0, item if lower.shape[0] > 1 else 0, item if upper.shape[0] > 1 else 0
+    )  # fmt: skip
+    is_zero = True
+    for i in range(n):
+        real[Q, i], real[LOWER, i], real[UPPER, i] = q[of_q, i], lower[of_lower, i], upper[of_upper, i]
+        real[Z, i] = min(max(0.0, real[LOWER, i]), real[UPPER, i])
+        is_zero &= real[Z, i] == 0.0
+    return is_zero
+
+
+@compiled_into_others
+def _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n):  # type: ignore[no-untyped-def]
+    """Write the start to FOUND, and which of the phases that the caller wants comes first."""
+    is_cold = True
+    for i in range(n):
+        real[FOUND, i] = real[Z, i]
+    if has_start:
+        at = item if starts.shape[0] > 1 else 0
+        for i in range(n):
+            is_cold &= starts[at, i] == real[Z, i]
+            real[FOUND, i] = starts[at, i]
     wants_sweeps = sweeps and may_sweep and is_cold
     wants_rounds = rounds and (may_sweep or not is_cold or not pivots)
-    whole[STATE, PHASE] = SWEEP if wants_sweeps else ROUND if wants_rounds else PIVOT
     whole[STATE, MADE], whole[STATE, FEWEST], whole[STATE, IDLE] = 0, n + 1, 0
     whole[STATE, TO_THE_END] = not pivots
     whole[STATE, LAST] = PIVOT if pivots and (n <= PIVOTED_AT_ONCE_UP_TO or not may_sweep) else OVER
-    classify(real, whole, n, Z)
-    return largest_residual(real, n)
+    return SWEEP if wants_sweeps else ROUND if wants_rounds else PIVOT
 
 
-@compiled
-def advance(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
-    """Take one step; return (its phase, the residual of Z, entries touched); OVER where nothing is left to be done."""
-    n = M.shape[1]
-    if whole[STATE, PHASE] == SWEEP:
-        sweep(M, k, real)
-        size = moved(M, k, real, FOUND)
-        classify(real, whole, n, Z)
+@compiled_into_others
+def _step(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+    """Take one step; return (its phase, the residual of Z, entries touched): a pivot or OVER where none is taken."""
+    n, free, touched = M.shape[1], 0, float(M.shape[1] * M.shape[1])
+    phase = whole[STATE, PHASE]
+    if phase == ROUND:
+        is_symmetric = whole[STATE, IS_SYMMETRIC] == 1
+        free = solve_free(M, k, real, whole, room, is_symmetric)
+        if free < 0:
+            phase = whole[STATE, PHASE] = whole[STATE, LAST]
+        else:
+            slack(M, k, real, FOUND)
+            _judge_round(classify(real, whole, n, FOUND), whole, n)
+            touched = 2.0 * n * n + free * free * (free / (6.0 if is_symmetric else 3.0))
+    elif phase == SWEEP:
+        _sweep(M, k, real)
+        touched = 1.5 * n * n
         whole[STATE, MADE] += 1
         if whole[STATE, MADE] >= SWEEPS:
             whole[STATE, PHASE], whole[STATE, MADE] = ROUND, 0
-        return SWEEP, size, 1.5 * n * n
-    if whole[STATE, PHASE] == ROUND:
-        free = solve_free(M, k, real, whole, room, is_symmetric)
-        if free >= 0:
-            slack(M, k, real, FOUND)
-            _judge_round(classify(real, whole, n, FOUND), whole, n)
-            size = moved(M, k, real, FOUND)
-            return ROUND, size, 2.0 * n * n + free * free * (free / (6.0 if is_symmetric else 3.0))
-        whole[STATE, PHASE] = whole[STATE, LAST]
-    if whole[STATE, PHASE] == PIVOT:
+    if phase == PIVOT or phase == OVER:
         whole[STATE, PHASE] = OVER
-        made = follow_path(M, k, real, whole, room, PIVOTS * (n + 10))
-        if made >= 0:
-            size = _refined(M, k, real, whole, room, is_symmetric, moved(M, k, real, FOUND))
-            return PIVOT, size, (made + 4.0) * n * (n + 1.0)
-    return OVER, np.inf, 0.0
-
-
-def next_phase(whole: Any) -> int:
-    """Return which phase `advance` comes to next."""
-    return int(whole[STATE, PHASE])
+        return phase, np.inf, 0.0
+    size = moved(M, k, real, FOUND)
+    if phase != ROUND:
+        classify(real, whole, n, Z)
+    return phase, size, touched
 
 
 @compiled_into_others
@@ -199,18 +217,7 @@ def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
         whole[STATE, PHASE] = whole[STATE, LAST]
 
 
-@compiled_in_place
-def _refined(M, k, real, whole, room, is_symmetric, size):  # type: ignore[no-untyped-def]
-    """Solve for the end of a path once more on the problem's own data; keep what has the smaller residual."""
-    for i in range(M.shape[1]):
-        real[KEPT, i] = real[Z, i]
-    if solve_free(M, k, real, whole, room, is_symmetric) < 0:
-        return size
-    after = moved(M, k, real, FOUND)
-    return after if after <= size else moved(M, k, real, KEPT)
-
-
-@compiled
+@compiled_part
 def _ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
     """Return (a lower, an upper bound) of ‖r(z)‖∞ as `residual_ends` does; ∞ where a product may underflow."""
     n, least, most = M.shape[1], 0.0, 0.0
@@ -236,71 +243,108 @@ def _ratio_upwards(a, b):  # type: ignore[no-untyped-def]
     return np.nextafter(quotient, np.inf) if fused(quotient, b, -a) < 0.0 else quotient
 
 
-@compiled_in_place
-def _run(  # type: ignore[no-untyped-def]
-    M, k, starts, sweeps, rounds, pivots, tolerance, max_iterations, real, whole, room, residual, made, work, item
-):
-    """Solve one problem; `starts` has no columns for z°. Return whether it arrived."""
-    n = M.shape[1]
-    nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
-    is_zero = is_cold = True
-    is_dense = nonzeros > DENSE_ABOVE_DENSITY * n * n  # a sparse M is kept without its zeros: fewer terms a row
-    for i in range(n):
-        real[Z, i] = min(max(0.0, real[LOWER, i]), real[UPPER, i])
-        is_zero &= real[Z, i] == 0.0
-    if not is_usual:
-        return False
-    least, most = _ends(M, k, real, is_zero, is_dense)
-    if most > 0.0 and starts.shape[1] > 0:
-        at = item if starts.shape[0] > 1 else 0
-        for i in range(n):
-            is_cold &= starts[at, i] == real[Z, i]
-            real[Z, i] = starts[at, i]
-    size = begin(M, k, real, whole, sweeps, rounds, pivots, may_sweep, is_cold)
-    work[item, whole[STATE, PHASE]] = work[item, TOTAL] = n * n / nonzeros
-    residual[item] = 0.0
-    if most == 0.0:
-        return True
-    if not (least > 0.0 and USUAL[0] < most < USUAL[1]):
-        return False
-    for count in range(max_iterations + 1):
-        if size / most <= tolerance:
-            _, largest = _ends(M, k, real, False, is_dense)
-            residual[item] = _ratio_upwards(largest, least)
-            if residual[item] <= tolerance:
-                return True
-        if count < max_iterations:
-            phase, size, touched = advance(M, k, real, whole, room, is_symmetric)
-            if phase == OVER:
-                break
-            made[item, phase] += 1
-            work[item, phase] += touched / nonzeros
-            work[item, TOTAL] += touched / nonzeros
-    return False
+@compiled_into_others
+def _is_dense(nonzeros, n):  # type: ignore[no-untyped-def]
+    """Return whether M is kept with its zeros; a sparse one is kept without them, and has fewer terms a row."""
+    return nonzeros > DENSE_ABOVE_DENSITY * n * n
 
 
-@compiled
+@compiled_into_others
+def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
+    """Write the relative residual of Z, enclosed where `size` lets it hope for that; return if it is within."""
+    residual[item] = size
+    if not size / most <= tolerance:
+        return False
+    _, largest = _ends(M, k, real, False, is_dense)
+    residual[item] = _ratio_upwards(largest, least)
+    return residual[item] <= tolerance
+
+
+@interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end,
-    z, residual, made, work, has_arrived,
+    M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
+    real, whole, room, z, residual, made, work, has_arrived, needs_path,
 ):
-    """Solve the problems first ≤ k < end of a batch; an array with one row in front stands for all of them.
+    """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
     Written are z, shape (B, n), `residual` (B,), the relative one; `made` (B, 3): steps of each phase, `work` (B, 4):
-    passes of each phase and of all, and `has_arrived` (B,).
+    passes of each phase and of all; `has_arrived` (B,), and `needs_path` (B,) where pivots are to follow. Where one
+    problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is judged, and `residual` is
+    the absolute one; no column of `starts` stands for z°.
     """
-    n = M.shape[1]
-    of_real, of_whole, of_room = sizes(n)
-    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
-    for k in range(first, end):
-        own = k if q.shape[0] > 1 else 0, k if lower.shape[0] > 1 else 0, k if upper.shape[0] > 1 else 0
-        for i in range(n):
-            real[Q, i], real[LOWER, i], real[UPPER, i] = q[own[0], i], lower[own[1], i], upper[own[2], i]
+    n, is_judged = M.shape[1], tolerance >= 0.0
+    for item in range(first, end):
+        k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
+        has_arrived[item] = needs_path[item] = False
         for phase in range(3):
-            made[k, phase], work[k, phase], work[k, TOTAL] = 0, 0.0, 0.0
-        has_arrived[k] = _run(
-            M, k if M.shape[0] > 1 else 0, starts, sweeps, rounds, pivots, tolerance, max_iterations, real, whole, room,
-            residual, made, work, k,
-        )
+            made[item, phase], work[item, phase] = 0, 0.0
+        work[item, TOTAL] = 0.0
+        if steps == ONE_MORE:
+            count, limit = 0, 1
+        else:
+            limit = max_iterations if steps == ALL else 0
+            is_zero = _take(q, lower, upper, item, real, n)
+            nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
+            whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
+            is_dense = _is_dense(nonzeros, n)
+            if is_usual and is_judged:
+                least, most = _ends(M, k, real, is_zero, is_dense)
+            has_start = starts.shape[1] > 0 and most > 0.0
+            after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
+            work[item, after] = work[item, TOTAL] = n * n / nonzeros
+            if is_usual and most == 0.0:
+                residual[item], has_arrived[item] = 0.0, True
+            is_usual &= not is_judged or (least > 0.0 and USUAL[0] < most < USUAL[1])
+            if is_usual:
+                whole[STATE, PHASE] = BEGINNING
+            else:
+                count = limit
+        while count < limit:
+            before = whole[STATE, PHASE]
+            phase, size, touched = _step(M, k, real, whole, room)
+            needs_path[item] = phase == PIVOT
+            if phase == PIVOT or phase == OVER:
+                break
+            if before == BEGINNING:
+                whole[STATE, PHASE] = after
+            else:
+                made[item, phase] += 1
+                work[item, phase] += touched / whole[STATE, NONZEROS]
+                work[item, TOTAL] += touched / whole[STATE, NONZEROS]
+            count += 1
+            has_arrived[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+            if has_arrived[item]:
+                break
         for i in range(n):
-            z[k, i] = real[Z, i]
+            z[item, i] = real[Z, i]
+
+
+@interpreted_while_small
+def follow_all(  # type: ignore[no-untyped-def]
+    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, has_arrived, needs_path
+):
+    """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
+    n = M.shape[1]
+    for item in range(first, end):
+        if not needs_path[item]:
+            continue
+        k, least, most = item if M.shape[0] > 1 else 0, 1.0, 1.0
+        is_zero = _take(q, lower, upper, item, real, n)
+        nonzeros, _, _, is_symmetric = look_at(M, k, real)
+        if tolerance >= 0.0:
+            least, most = _ends(M, k, real, is_zero, _is_dense(nonzeros, n))
+        pivots = follow_path(M, k, real, whole, room, PIVOTS * (n + 10))
+        if pivots < 0:
+            continue
+        size = moved(M, k, real, FOUND)
+        for i in range(n):
+            real[KEPT, i] = real[Z, i]
+        if solve_free(M, k, real, whole, room, is_symmetric) >= 0:  # once more on the problem's own data
+            after = moved(M, k, real, FOUND)
+            size = after if after <= size else moved(M, k, real, KEPT)
+        made[item, PIVOT] += 1
+        passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
+        work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
+        has_arrived[item] = _judged(M, k, real, size, least, most, _is_dense(nonzeros, n), tolerance, residual, item)
+        for i in range(n):
+            z[item, i] = real[Z, i]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from .compilation import compiled, compiled_into_others
+from .compilation import compiled, compiled_part, compiled_into_others
 from .desk import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
 
 
-@compiled
+@compiled_part
 def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_any_order, compiled_into_others
+from .compilation import compiled, compiled_part, compiled_in_any_order, compiled_into_others
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -42,7 +42,7 @@ TIE = 1e-12
 OWN_BOUND, NOTHING = -1, -2
 
 
-@compiled
+@compiled_part
 def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
     """Follow w = M z + q + t r from t = ∞ to t = 0; return the pivots made, or −1 where that was not reached.
 
@@ -225,7 +225,7 @@ def _share(whole, room, n, column, direction, c, j):  # type: ignore[no-untyped-
     return (room[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * room[row, column])
 
 
-@compiled
+@compiled_part
 def _first_in_order(whole, room, n, column, direction, count):  # type: ignore[no-untyped-def]
     """Return the candidate that blocks first for q + (ε, ε², …)."""
     for j in range(n):

@@ -11,7 +11,7 @@ import numpy as np
 from ..algorithms import Algorithm
 from ..algorithms.base import Plan
 from ..algorithms.rehearsal import rehearse
-from ..algorithms.short_road import Answers
+from ..algorithms.short_road import Answers, run
 from ..certificates.residuals import Certificate
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..kernels.threads import in_chunks
@@ -100,15 +100,13 @@ class BatchRun:
         return plan
 
     def _run_compiled(self, group: Group, plan: Plan) -> Answers:
-        from ..kernels.small_problems import run_all
-
         answers = Answers(group.items.size, group.M.shape[1])
         arrays = group.M, group.q, group.lower, group.upper, group.starts
         limits = self.settings.tolerance, self.settings.max_iterations
 
         def solve_chunk(first: int, end: int) -> None:
             if self.clock.read() < self.limit:
-                run_all(*arrays, *plan, *limits, first, end, *answers.arrays)
+                run(arrays, plan, *limits, first, end, answers)
 
         try:
             in_chunks(solve_chunk, group.items.size, self.threads)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..algorithms.base import Plan
-from ..algorithms.short_road import Answers
+from ..algorithms.short_road import Answers, run
 from ..certificates.quotients import largest_ratio
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
@@ -73,15 +73,13 @@ class GroupInCommonUnits:
 
     def run(self, plan: Plan, settings: Settings) -> Answers:
         """Return the answers of the compiled loop in the caller's units."""
-        from ..kernels.small_problems import run_all
-
         answers, group = Answers(*self.shape), self.group
         arrays = group.M, group.q, group.lower, group.upper, group.starts
         least, most = self.units.references
         for k in range(self.shape[0]):
             own = slice(self._ends[k], self._ends[k + 1])
             tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
-            run_all(*arrays, *plan, tolerance, settings.max_iterations, k, k + 1, *answers.arrays)
+            run(arrays, plan, tolerance, settings.max_iterations, k, k + 1, answers)
         self._judge(answers, settings.tolerance)
         return answers
 

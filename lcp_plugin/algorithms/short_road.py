@@ -67,7 +67,7 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     from ..kernels import small_problems as kernels
     from ..kernels.desk import STATE
 
-    n, desk, answers = problem.n, new_desk(problem.n), Answers(1, problem.n)
+    desk, answers = new_desk(problem.n), Answers(1, problem.n)
     arrays: tuple[Any, ...] = as_dense(problem.matrix), *map(as_batch, (problem.q, problem.lower, problem.upper, z0))
     limits, state = (-1.0, 1, 0, 1), desk[1][STATE]
     kernels.run_all(*arrays, *plan, *limits, kernels.NONE_YET, *desk, *answers.arrays)
@@ -108,10 +108,7 @@ def sprint_of_arrays(
 
 def new_desk(n: int) -> tuple[Any, Any, Any]:
     """Return the work arrays of one problem at a time, as :mod:`~lcp_plugin.kernels.desk` has them."""
-    from ..kernels.desk import sizes
-
-    real, whole, room = sizes.py_func(n)
-    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
+    return np.empty((16, n + 1)), np.empty((7, 2 * n + 6), np.int64), np.empty((n + 4, n + 1))
 
 
 def run(
@@ -122,8 +119,7 @@ def run(
     from ..kernels.small_problems import follow_all, run_all
 
     desk = desk or new_desk(arrays[0].shape[1])
-    run_all(*arrays, *plan, tolerance, max_iterations, first, end, steps, *desk, *answers.arrays)
-    if answers.needs_path[first:end].any():
+    if run_all(*arrays, *plan, tolerance, max_iterations, first, end, steps, *desk, *answers.arrays):
         follow_all(*arrays[:4], tolerance, first, end, *desk, *answers.arrays)
 
 

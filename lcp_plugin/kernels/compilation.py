@@ -94,18 +94,18 @@ def compiled_in_place(function: Any) -> Any:
     return _part(function, inline="always")
 
 
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _PartLibrary(JITCodeLibrary):
     """The code of a part: optimised where it is used, and no machine code of its own."""
 
     def _optimize_final_module(self) -> None:
         pass
 
     def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        self._ensure_finalized()
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
         return 0
 
     @property
@@ -116,9 +116,10 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         """Leave out what numba does for functions that Python calls."""
 
 
-class _PartCompiler(Compiler):  # type: ignore[misc]
+class _PartCompiler(Compiler):
     def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
-        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
+        library = library or _PartLibrary(target.codegen(), "part")  # type: ignore[no-untyped-call]
+        super().__init__(typing, target, library, *others)  # type: ignore[no-untyped-call]
 
 
 def _part(function: Any, **options: Any) -> Any:
@@ -183,7 +184,7 @@ def _as_one_type(dispatcher: Any) -> Any:
         return template(tuple(map(_plain, arguments)), {name: _plain(kind) for name, kind in named.items()})
 
     def compile_once(signature: Any) -> Any:
-        arguments, _ = normalize_signature(signature)
+        arguments, _ = normalize_signature(signature)  # type: ignore[no-untyped-call]
         plain = tuple(map(_plain, arguments))
         entry = compile_for(plain)
         if plain != arguments:

@@ -38,12 +38,12 @@ def fused(a: Any, b: Any, c: Any) -> Any:
     return c if math.isfinite(a) and math.isfinite(b) else a * b + c
 
 
-@type_callable(fused)  # type: ignore[untyped-decorator]
+@type_callable(fused)
 def _fused_type(context):  # type: ignore[no-untyped-def]
     return lambda a, b, c: float64
 
 
-@lower_builtin(fused, float64, float64, float64)  # type: ignore[untyped-decorator]
+@lower_builtin(fused, float64, float64, float64)  # type: ignore[no-untyped-call]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     """One instruction, or a function of the C library."""
     return builder.fma(*arguments)

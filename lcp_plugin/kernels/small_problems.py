@@ -15,7 +15,7 @@ import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
 from ..crossovers import PIVOTED_AT_ONCE_UP_TO
-from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import FEW, compiled_in_any_order, compiled_into_others, compiled_part, interpreted_while_small
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -49,6 +49,7 @@ ROUNDS = 12  # these cost about as much as the pivots of a whole path
 IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
+LONGEST_IN_ORDER = int(FEW**0.5)  # what belongs to a larger M is never interpreted
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 
@@ -74,9 +75,20 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
     return max(nonzeros, 1), most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
 
 
+@compiled_in_any_order
+def _long_row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
+    """Return Σ m_ij x_j over j < end, x that row of `real`."""
+    total = 0.0
+    for j in range(end):
+        total += M[k, i, j] * real[point, j]
+    return total
+
+
 @compiled_into_others
 def _row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
-    """Return Σ m_ij x_j over j < end, x that row of `real`: four sums side by side, the same on every machine."""
+    """Return the same as four sums side by side, which a row that may be interpreted adds up in one order."""
+    if end > LONGEST_IN_ORDER:
+        return _long_row_times(M, k, i, end, real, point)
     a = b = c = d = 0.0
     fours = end - end % 4
     for j in range(0, fours, 4):
@@ -114,15 +126,17 @@ def classify(real, whole, n, point):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def moved(M, k, real, point):  # type: ignore[no-untyped-def]
-    """Put Z at the point of the box nearest to that row of `real`, and W with it; return its residual.
+def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
+    """Put Z at the point of the box nearest to that row x of `real`, and W with it; return its residual.
 
-    That is max_i |mid(z_i − u_i, z_i − l_i, w_i / d_i)|, as double precision gives it.
+    That is max_i |mid(z_i − u_i, z_i − l_i, w_i / d_i)|, as double precision gives it. W may be that of x already.
     """
-    n, largest = M.shape[1], 0.0
+    n, largest, is_same = M.shape[1], 0.0, has_slack
     for i in range(n):
         real[Z, i] = min(max(real[point, i], real[LOWER, i]), real[UPPER, i])
-    slack(M, k, real, Z)
+        is_same &= real[Z, i] == real[point, i]
+    if not is_same:
+        slack(M, k, real, Z)
     for i in range(n):
         above, below = real[Z, i] - real[LOWER, i], real[Z, i] - real[UPPER, i]
         r = abs(min(max(real[W, i] / real[SCALE, i], below), above))
@@ -157,7 +171,9 @@ def _take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n):  # type: ignore[no-untyped-def]
+def _begin(  # type: ignore[no-untyped-def]
+    starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n
+):
     """Write the start to FOUND, and which of the phases that the caller wants comes first."""
     is_cold = True
     for i in range(n):
@@ -195,10 +211,10 @@ def _step(M, k, real, whole, room):  # type: ignore[no-untyped-def]
         whole[STATE, MADE] += 1
         if whole[STATE, MADE] >= SWEEPS:
             whole[STATE, PHASE], whole[STATE, MADE] = ROUND, 0
-    if phase == PIVOT or phase == OVER:
+    if phase in (PIVOT, OVER):
         whole[STATE, PHASE] = OVER
         return phase, np.inf, 0.0
-    size = moved(M, k, real, FOUND)
+    size = moved(M, k, real, FOUND, phase == ROUND)
     if phase != ROUND:
         classify(real, whole, n, Z)
     return phase, size, touched
@@ -268,11 +284,11 @@ def run_all(  # type: ignore[no-untyped-def]
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
     Written are z, shape (B, n), `residual` (B,), the relative one; `made` (B, 3): steps of each phase, `work` (B, 4):
-    passes of each phase and of all; `has_arrived` (B,), and `needs_path` (B,) where pivots are to follow. Where one
-    problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is judged, and `residual` is
-    the absolute one; no column of `starts` stands for z°.
+    passes of each phase and of all; `has_arrived` (B,), and `needs_path` (B,) where pivots are to follow; their number
+    is returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is
+    judged, and `residual` is the absolute one. No column of `starts` stands for z°.
     """
-    n, is_judged = M.shape[1], tolerance >= 0.0
+    n, is_judged, paths = M.shape[1], tolerance >= 0.0, 0
     for item in range(first, end):
         k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
         has_arrived[item] = needs_path[item] = False
@@ -303,7 +319,8 @@ def run_all(  # type: ignore[no-untyped-def]
             before = whole[STATE, PHASE]
             phase, size, touched = _step(M, k, real, whole, room)
             needs_path[item] = phase == PIVOT
-            if phase == PIVOT or phase == OVER:
+            if phase in (PIVOT, OVER):
+                paths += needs_path[item]
                 break
             if before == BEGINNING:
                 whole[STATE, PHASE] = after
@@ -317,6 +334,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
+    return paths
 
 
 @interpreted_while_small
@@ -336,12 +354,12 @@ def follow_all(  # type: ignore[no-untyped-def]
         pivots = follow_path(M, k, real, whole, room, PIVOTS * (n + 10))
         if pivots < 0:
             continue
-        size = moved(M, k, real, FOUND)
+        size = moved(M, k, real, FOUND, False)
         for i in range(n):
             real[KEPT, i] = real[Z, i]
         if solve_free(M, k, real, whole, room, is_symmetric) >= 0:  # once more on the problem's own data
-            after = moved(M, k, real, FOUND)
-            size = after if after <= size else moved(M, k, real, KEPT)
+            after = moved(M, k, real, FOUND, False)
+            size = after if after <= size else moved(M, k, real, KEPT, False)
         made[item, PIVOT] += 1
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes

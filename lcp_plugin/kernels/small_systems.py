@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .compilation import compiled, compiled_part, compiled_into_others
+from .compilation import compiled_into_others, compiled_part
 from .desk import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_part, compiled_in_any_order, compiled_into_others
+from .compilation import compiled_in_any_order, compiled_into_others, compiled_part
 from .desk import (
     AT_LOWER,
     AT_UPPER,

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numba import njit, uintp
 from numpy.typing import NDArray
 
@@ -32,46 +33,9 @@ STEPS_SEEN = 1000  # rows either side of the middle
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
     """Return the transpose in CSR; its rows are sorted."""
-    # Allocated here and not in the kernels: numpy asks for large pages, which makes the first touch four times cheaper.
-    t_indptr = np.zeros(columns + 1, indptr.dtype)
-    t_indices, t_data = np.empty(indices.size, indices.dtype), np.empty(data.size)
-    _transpose(indptr, indices, data, t_indptr, t_indices, t_data)
-    return t_indptr, t_indices, t_data
-
-
-@compiled
-def _transpose(indptr, indices, data, t_indptr, t_indices, t_data):  # type: ignore[no-untyped-def]
-    one = uintp(1)
-    for k in range(uintp(indices.size)):
-        t_indptr[uintp(indices[k]) + one] += 1
-    for j in range(uintp(t_indptr.size - 1)):
-        t_indptr[j + one] += t_indptr[j]
-    place = t_indptr[:-1].copy()
-    for i in range(uintp(indptr.size - 1)):
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            j = uintp(indices[k])
-            p = uintp(place[j])
-            t_indices[p] = i
-            t_data[p] = data[k]
-            place[j] = p + one
-
-
-@compiled
-def transpose_pattern(begin, last, columns, first, rows):  # type: ignore[no-untyped-def]
-    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; `first` is zero before."""
-    one = uintp(1)
-    n = uintp(last.size)
-    for i in range(n):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            first[uintp(columns[k]) + one] += 1
-    for j in range(n):
-        first[j + one] += first[j]
-    place = first[:-1].copy()
-    for i in range(n):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            j = uintp(columns[k])
-            rows[uintp(place[j])] = i
-            place[j] += 1
+    transpose = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, columns)).tocsc()
+    narrow = indptr.dtype  # scipy takes the narrowest indices
+    return transpose.indptr.astype(narrow, copy=False), transpose.indices.astype(narrow, copy=False), transpose.data
 
 
 @njit(inline="always")
@@ -89,22 +53,9 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
-    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
-
-
-@compiled
-def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
-    one = uintp(1)
-    total = 0.0  # an integer, which more than 64 bits may take
-    for i in range(uintp(first), uintp(end)):
-        own = p_indptr[i + one] - p_indptr[i]
-        if own > 0:
-            met = 0  # a sum of integers need not wait for the one before
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                j = uintp(indices[k])
-                met += p_indptr[j + one] - p_indptr[j]
-            total += own * met
-    return total
+    own = np.diff(p_indptr)[: indptr.size - 1]
+    met = np.diff(p_indptr)[indices[: indptr[-1]]]
+    return float(np.add.reduceat(met, indptr[:-1], dtype=np.float64) @ own) if own.size else 0.0
 
 
 def galerkin_product(
@@ -308,10 +259,11 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
     The operands are the arrays that `_update_rows` names first.
     """
-    indices, is_free, r_indptr = operands[1], operands[3], operands[8]
+    indices, is_free, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        counts: tuple[float, int] = _update_rows(*operands, *_row_space(is_free.size, indices.dtype), first, end)
+        space = *_row_space(is_free.size, indices.dtype), np.empty(c_is_free.size)
+        counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
         return counts
 
     products, changed = zip(*share(piece, r_indptr.size - 1, SMALLEST_PIECE), strict=True)
@@ -322,14 +274,13 @@ def update_product(*operands: Any) -> tuple[float, int]:
 def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
-    fine_place, fine, fine_sums, first, end,
+    fine_place, fine, fine_sums, sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
     one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
-    sums = np.empty(c_is_free.size)
     products = 0.0
     changed_rows = 0
     for row in range(uintp(first), uintp(end)):

@@ -12,7 +12,7 @@ from numba import uintp
 
 from ...checks import BoolVector, FloatVector, read_only
 from ...kernels.compilation import compiled
-from .sweeps import _plus_products, shared
+from .sweeps import NO_BOUNDS, _plus_products, shared
 
 if TYPE_CHECKING:
     from .grids import Transfer
@@ -35,8 +35,8 @@ def prolong(
 
 def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, inverse: FloatVector, x: FloatVector) -> None:
     """Add unit P coarse to x on the free rows."""
-    operands = *transfer.prolongation.arrays, coarse, unit, inverse, x
-    shared(partial(_add_prolonged, *operands), inverse.size)
+    operands = *transfer.prolongation.arrays, coarse, unit, inverse != 0.0, *NO_BOUNDS[x.dtype], x
+    shared(partial(_prolong, *operands), inverse.size)
 
 
 @compiled
@@ -50,27 +50,19 @@ def _restrict(r_indptr, r_indices, r_data, fine, factor, coarse, first, end):  #
 @compiled
 def _prolong(p_indptr, p_indices, p_data, coarse, unit, is_free, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
     one, zero = uintp(1), p_data.dtype.type(0.0)
-    cut = 0
+    cut, has_bounds = 0, lower.size > 0
     for i in range(uintp(first), uintp(end)):
         if is_free[i]:
             change = _plus_products(zero, uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
             value = z[i] + unit * change
-            if value < lower[i]:
+            if has_bounds and value < lower[i]:
                 value = lower[i]
                 cut += 1
-            if value > upper[i]:
+            if has_bounds and value > upper[i]:
                 value = upper[i]
                 cut += 1
             z[i] = value
     return cut
-
-
-@compiled
-def _add_prolonged(p_indptr, p_indices, p_data, coarse, unit, inverse, x, first, end):  # type: ignore[no-untyped-def]
-    one, zero = uintp(1), p_data.dtype.type(0.0)
-    for i in range(uintp(first), uintp(end)):
-        if inverse[i] != 0.0:
-            x[i] += unit * _plus_products(zero, uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
 
 
 @compiled

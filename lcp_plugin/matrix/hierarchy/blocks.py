@@ -39,7 +39,7 @@ def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut
     """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
-        own, begins, ends = np.arange(rows), indptr[:rows], indptr[1 : rows + 1]
+        own, begins, ends = np.arange(rows, dtype=indices.dtype), indptr[:rows], indptr[1 : rows + 1]
         reach = int(max((own - indices[begins]).max(), (indices[ends - 1] - own).max()))
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numba import njit, uintp
 from numpy.typing import NDArray
 
@@ -22,8 +21,9 @@ from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
+from .grids import NO_WEIGHT
 from .pieces import SMALLEST_PIECE, joined
-from .stretches import Stretches, stretch_at
+from .stretches import Stretches, mark_equal, stretch_at
 
 Indices = NDArray[Any]
 
@@ -33,9 +33,44 @@ STEPS_SEEN = 1000  # rows either side of the middle
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
     """Return the transpose in CSR; its rows are sorted."""
-    transpose = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, columns)).tocsc()
-    narrow = indptr.dtype  # scipy takes the narrowest indices
-    return transpose.indptr.astype(narrow, copy=False), transpose.indices.astype(narrow, copy=False), transpose.data
+    first, rows, t_data = _transposed(columns, indptr[:-1], indptr[1:], indices, data, indices.size)
+    return first, rows, t_data
+
+
+def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple[Indices, Indices]:
+    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; return first and rows."""
+    first, rows, _ = _transposed(last.size, begin, last, columns, NO_WEIGHT, int((last - begin).sum()))
+    return first, rows
+
+
+def _transposed(
+    width: int, begin: Indices, last: Indices, columns: Indices, data: FloatVector, entries: int
+) -> Arrays:
+    # Allocated here and not in the kernel: numpy asks for large pages, which makes the first touch four times cheaper.
+    first, place = np.zeros(width + 1, begin.dtype), np.empty(width, begin.dtype)
+    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size)
+    _transpose(begin, last, columns, data, first, place, rows, t_data)
+    return first, rows, t_data
+
+
+@compiled
+def _transpose(begin, last, columns, data, first, place, rows, t_data):  # type: ignore[no-untyped-def]
+    """Write the transpose in CSR; `first` is zero before, and `data` may be empty."""
+    one, has_data = uintp(1), data.size > 0
+    for i in range(uintp(last.size)):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            first[uintp(columns[k]) + one] += 1
+    for j in range(uintp(place.size)):
+        place[j] = first[j]
+        first[j + one] += first[j]
+    for i in range(uintp(last.size)):
+        for k in range(uintp(begin[i]), uintp(last[i])):
+            j = uintp(columns[k])
+            p = uintp(place[j])
+            rows[p] = i
+            if has_data:
+                t_data[p] = data[k]
+            place[j] += 1
 
 
 @njit(inline="always")
@@ -53,9 +88,22 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
-    own = np.diff(p_indptr)[: indptr.size - 1]
-    met = np.diff(p_indptr)[indices[: indptr[-1]]]
-    return float(np.add.reduceat(met, indptr[:-1], dtype=np.float64) @ own) if own.size else 0.0
+    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
+
+
+@compiled
+def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
+    one = uintp(1)
+    total = 0.0  # an integer, which more than 64 bits may take
+    for i in range(uintp(first), uintp(end)):
+        own = p_indptr[i + one] - p_indptr[i]
+        if own > 0:
+            met = 0  # a sum of integers need not wait for the one before
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                met += p_indptr[j + one] - p_indptr[j]
+            total += own * met
+    return total
 
 
 def galerkin_product(
@@ -72,7 +120,8 @@ def galerkin_product(
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
             is_same = np.zeros(prolongation[0].size - 1, np.uint8)
-            _mark_repeats(step, stretches, indptr, indices, *prolongation, is_same, repeats)
+            mark_equal(step, *prolongation, is_same)
+            _mark_repeats(step, stretches, indptr, indices, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, step, repeats, longest
     return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
@@ -113,23 +162,12 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
 
 
 @compiled
-def _mark_repeats(  # type: ignore[no-untyped-def]
-    step, stretches, indptr, indices, p_indptr, p_indices, p_data, is_same, repeats
-):
-    """Mark the rows i of M P that are those of i − step with each column one further, and such rows of P.
+def _mark_repeats(step, stretches, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
+    """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
 
     Both flags are bytes.
     """
     one = uintp(1)
-    for i in range(uintp(step), uintp(is_same.size)):
-        k, before = uintp(p_indptr[i]), uintp(p_indptr[i - uintp(step)])
-        end = uintp(p_indptr[i + one])
-        same = p_indptr[i + one] - p_indptr[i] == p_indptr[i - uintp(step) + one] - p_indptr[i - uintp(step)]
-        while same and k < end:
-            same = p_data[k] == p_data[before] and p_indices[k] == p_indices[before] + 1
-            k += one
-            before += one
-        is_same[i] = same
     for s in range(stretches.shape[0]):
         first, end = uintp(stretches[s, 0]), uintp(stretches[s, 1])
         begin = first + uintp(step)

@@ -183,8 +183,7 @@ def chosen_kinds(
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
     dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
     if not is_mutual:
-        begins = np.append(0, np.cumsum(last - indptr[:-1])).astype(indptr.dtype)
-        first, rows, _ = galerkin.transposed(n, begins, indices[is_strong], np.ones(begins[-1], np.int8))
+        first, rows = galerkin.transposed_pattern(*depends)
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
     kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)

@@ -23,7 +23,8 @@ from .stretches import LONGEST_REACH, Stretches, stretch_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
-NO_FLAGS, NO_ROOM = (np.zeros(1, np.bool_),) * 2, (np.zeros(1), np.zeros(1, np.int64))
+NO_FLAGS = (np.zeros(0, np.bool_),) * 2
+NO_BITS = {np.dtype(np.float64): np.zeros(0, np.int64), np.dtype(np.float32): np.zeros(0, np.int32)}
 
 
 def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
@@ -64,9 +65,10 @@ def _product_of(
     x: FloatVector, product: FloatVector,
 ) -> Callable[[int, int], Any]:
     indptr, _, *rest = rows
-    unused = False, False, *NO_BOUNDS[x.dtype], *NO_FLAGS, *NO_ROOM
-    operands = *rest, read_only(inverse), sign, read_only(b), adds, x, product, *unused
-    return partial(_products, indptr, begins, further, *operands)
+    unused = False, False, *NO_BOUNDS[x.dtype], *NO_FLAGS
+    operands = indptr, begins, further, *rest, read_only(inverse), sign, read_only(b), adds, x, product, *unused
+    bits = NO_BITS[x.dtype]
+    return lambda first, end: _products(*operands, np.empty(LONGEST_REACH, x.dtype), bits, first, end)
 
 
 def sweep(
@@ -98,14 +100,14 @@ def free_rows(
     residual of the problem, and how many rows changed.
     """
     indptr, _, *rest = rows
-    inverse, q, *bounds = vectors
+    inverse, q, lower, upper = vectors
     operands = (
-        indptr, indptr, 0, *rest, inverse, 1.0, q, False, z, residual, True, snaps, *bounds, is_free, is_changed
+        indptr, indptr, 0, *rest, inverse, 1.0, q, False, z, residual, True, snaps, lower, upper, is_free, is_changed
     )
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        room = np.empty(2 * LONGEST_REACH)
-        found: tuple[float, int] = _products(*operands, room, room.view(np.int64), first, end)
+        room = np.empty(2 * LONGEST_REACH, z.dtype)
+        found: tuple[float, int] = _products(*operands, room, room.view(NO_BITS[z.dtype].dtype), first, end)
         return found
 
     # With `snaps` the next rows meet what is put at a bound.
@@ -123,26 +125,27 @@ def _swept(
     rows: Matrix, ends: Any, blocks: Blocks, vectors: tuple[FloatVector, ...], sign: float, relaxation: float,
     is_first: bool, backward: bool, x: FloatVector,
 ) -> None:
-    """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i].
-
-    In the first sweep the rows from which an odd block meets the even one behind it need all their entries.
-    """
+    """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i]."""
     indptr, *rest = rows
-    operands = *rest, *vectors, sign, relaxation, is_first, backward, x
-    edges, reach = blocks
-
-    def piece(first: int, last: int) -> None:
-        sums, end = np.empty(LONGEST_REACH, x.dtype), edges[1:]
-        if not (is_first and colour == 1):
-            _sweep(indptr, ends, *operands, sums, edges, end, colour, first, last)
-            return
-        seam = read_only(end - reach)
-        _sweep(indptr, ends, *operands, sums, edges, seam, colour, first, last)
-        _sweep(indptr, indptr[1:], *operands, sums, seam, end, colour, first, last)
-
+    operands, edges = (*rest, *vectors, sign, relaxation, is_first, backward, x), blocks.edges
     for colour in (1, 0) if backward else (0, 1):
         if count := blocks.count(colour):
-            share(piece, count, blocks.smallest_share)
+            reach = blocks.reach if is_first and colour == 1 else 0
+            share(partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour), count, blocks.smallest_share)
+
+
+def _swept_piece(
+    indptr: Any, ends: Any, operands: tuple[Any, ...], x: FloatVector, edges: Any, reach: int, colour: int,
+    first: int, last: int,
+) -> None:
+    """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
+    sums, block_ends = np.empty(LONGEST_REACH, x.dtype), edges[1:]
+    if reach == 0:
+        _sweep(indptr, ends, *operands, sums, colour, edges, block_ends, first, last)
+        return
+    seams = read_only(block_ends - reach)
+    _sweep(indptr, ends, *operands, sums, colour, edges, seams, first, last)
+    _sweep(indptr, indptr[1:], *operands, sums, colour, seams, block_ends, first, last)
 
 
 @njit(inline="always")
@@ -154,22 +157,12 @@ def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-unt
 
 
 @njit(inline="always")
-def _plus_products_backward(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
-    """Return the same, summed from the last entry to the first."""
-    k = last
-    while k > first:
-        k -= uintp(1)
-        total += data[k] * x[uintp(indices[k])]
-    return total
-
-
-@njit(inline="always")
-def _add_products(first, last, but, shift, indices, data, x, begin, size, sums):  # type: ignore[no-untyped-def]
-    """Add Σ data_k x_j, j = p + shift + the column of k, to sums[begin + p], p < size; first ≤ k < last, k ≠ but.
+def _add_products(first, last, but, shift, indices, data, x, size, sums):  # type: ignore[no-untyped-def]
+    """Add Σ data_k x_j, j = p + shift + the column of k, to sums[p], p < size; first ≤ k < last, k ≠ but.
 
     Two entries at a time: half the passes over the sums.
     """
-    one, begin, size = uintp(1), uintp(begin), uintp(size)
+    one, size = uintp(1), uintp(size)
     k = uintp(first)
     while k < last:
         after = k + one
@@ -179,11 +172,11 @@ def _add_products(first, last, but, shift, indices, data, x, begin, size, sums):
             if after < last:
                 at_too = uintp(shift + indices[after])
                 for p in range(size):
-                    sums[begin + p] += data[k] * x[at + p] + data[after] * x[at_too + p]
+                    sums[p] += data[k] * x[at + p] + data[after] * x[at_too + p]
                 after += one
             else:
                 for p in range(size):
-                    sums[begin + p] += data[k] * x[at + p]
+                    sums[p] += data[k] * x[at + p]
         k = after
 
 
@@ -199,7 +192,7 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
 @compiled
 def _sweep(  # type: ignore[no-untyped-def]
     indptr, ends, split, indices, data, stretches, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
-    sums, begins, block_ends, colour, first_block, last_block,
+    sums, colour, begins, block_ends, first_block, last_block,
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
@@ -234,7 +227,7 @@ def _sweep(  # type: ignore[no-untyped-def]
                 start = uintp(i)
                 for p in range(uintp(size)):
                     sums[p] = sign * b[start + p]
-                _add_products(from_entry, to_entry, near, i - first, indices, data, x, 0, size, sums)
+                _add_products(from_entry, to_entry, near, i - first, indices, data, x, size, sums)
                 for p in range(uintp(size)):
                     before = zero if is_first else x[start + p]
                     sums[p] = before - sums[p] * (relaxation * inverse[start + p])
@@ -249,12 +242,14 @@ def _sweep(  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + (M x)_i, the neighbour that was swept last added last: the sum has waited for nothing else."""
-    first, diagonal, end = uintp(first), uintp(diagonal), uintp(end)
-    if backward:
-        total = _plus_products(total, first, diagonal + uintp(1), indices, data, x)
-        return _plus_products_backward(total, diagonal + uintp(1), end, indices, data, x)
-    total = _plus_products(total, diagonal, end, indices, data, x)
-    return _plus_products(total, first, diagonal, indices, data, x)
+    first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
+    behind = diagonal + one
+    total = _plus_products(total, first if backward else diagonal, behind if backward else end, indices, data, x)
+    k, step = end - one if backward else first, uintp(-1) if backward else one
+    for _ in range(end - behind if backward else diagonal - first):
+        total += data[k] * x[uintp(indices[k])]
+        k += step
+    return total
 
 
 @njit(inline="always")
@@ -262,21 +257,6 @@ def _clamped(value, lower, upper):  # type: ignore[no-untyped-def]
     """mid(lower, upper, value), a NaN kept."""
     value = lower if lower > value else value
     return upper if upper < value else value
-
-
-@njit(inline="always")
-def _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, sums):  # type: ignore[no-untyped-def]
-    """Add M x to sums on `size` rows from i on, which belong to the stretch that begins with `first`.
-
-    The entries of row i begin at begins[i] + further.
-    """
-    one, further = uintp(1), uintp(further)
-    if reach > 0:
-        last = uintp(indptr[first + 1])
-        _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, i, size, sums)
-    else:
-        for p in range(uintp(i), uintp(i + size)):
-            sums[p] = _plus_products(sums[p], uintp(begins[p]) + further, uintp(indptr[p + one]), indices, data, x)
 
 
 @njit(inline="always")
@@ -301,29 +281,43 @@ def _products(  # type: ignore[no-untyped-def]
     (2 LONGEST_REACH,), and `bits` the same memory as integers: of numbers ≥ 0 they have the same order, and NaN is the
     largest.
     """
-    sign, zero = x.dtype.type(sign), x.dtype.type(0.0)
+    one, further, zero, sign = uintp(1), uintp(further), x.dtype.type(0.0), x.dtype.type(sign)
     largest, changed, done = np.int64(0), 0, first_row
     i, s = first_row, stretch_at(first_row, stretches)
     while i < last_row:
         first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
         while i < end:
-            size = min(reach if reach > 0 else LONGEST_REACH, end - i)
-            for row in range(uintp(i), uintp(i + size)):
-                product[row] = b[row] if looks else zero
-            _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, product)
+            size, start = min(reach if reach > 0 else LONGEST_REACH, end - i), uintp(i)
+            if looks:
+                for p in range(uintp(size)):
+                    room[p] = b[start + p]
+            else:
+                for p in range(uintp(size)):
+                    room[p] = zero
+            if reach > 0:
+                last = uintp(indptr[first + 1])
+                _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, size, room)
+            else:
+                for p in range(uintp(size)):
+                    row = start + p
+                    begin = uintp(begins[row]) + further
+                    room[p] = _plus_products(room[p], begin, uintp(indptr[row + one]), indices, data, x)
             i += size
-            if i - done < LONGEST_REACH and i < last_row:
-                continue  # short stretches are looked at together
-            begin, size, done = uintp(done), uintp(i - done), i
             if not looks:
-                for row in range(begin, begin + size):
-                    total = sign * product[row] + b[row] if adds else sign * product[row]
+                for p in range(uintp(size)):
+                    row = start + p
+                    total = sign * room[p] + b[row] if adds else sign * room[p]
                     product[row] = total if inverse[row] != 0.0 else zero
                 continue
+            for p in range(uintp(size)):
+                product[start + p] = room[p]
+            if i - done < LONGEST_REACH and i < last_row:
+                continue  # short stretches are looked at together
+            start, size, done = uintp(done), uintp(i - done), i
             if snaps:
-                _snap(begin, begin + size, product, inverse, lower, upper, x)
+                _snap(start, start + size, product, inverse, lower, upper, x)
             for k in range(size):
-                row = begin + k
+                row = start + k
                 w, above, below = product[row], x[row] - lower[row], x[row] - upper[row]
                 room[k] = abs(_clamped(w * inverse[row], below, above))
                 is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
@@ -331,8 +325,9 @@ def _products(  # type: ignore[no-untyped-def]
                 is_free[row] = is_off
                 product[row] = -w if is_off else zero
             for k in range(size):
-                changed += is_changed[begin + k]
-                largest = max(largest, bits[k])
+                changed += is_changed[start + k]
+                largest = max(largest, np.int64(bits[k]))
         s += 1
-    bits[0] = largest
+    if looks:
+        bits[0] = largest
     return room[0], changed

@@ -24,7 +24,9 @@ from .stretches import LONGEST_REACH, Stretches, stretch_at
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
 NO_FLAGS = (np.zeros(0, np.bool_),) * 2
-NO_BITS = {np.dtype(np.float64): np.zeros(0, np.int64), np.dtype(np.float32): np.zeros(0, np.int32)}
+NO_BITS: dict[Any, NDArray[Any]] = {
+    np.dtype(np.float64): np.zeros(0, np.int64), np.dtype(np.float32): np.zeros(0, np.int32),
+}
 
 
 def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:

@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
+from ...crossovers import SINGLE_FROM
 from ...kernels import splitting_sweeps as kernels
 from ...kernels.threads import share
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
@@ -146,12 +147,12 @@ def build_hierarchy(
 
 @fact
 def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarchy:
-    """Return the hierarchy of M, which its solves share: in single precision below M itself, if that can carry it.
+    """Return the hierarchy of M, which its solves share: in single precision below a large M, if that can carry it.
 
     Ranks exchange doubles.
     """
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and matrix.peers.is_alone
+    single = single and matrix.peers.is_alone and matrix.n >= SINGLE_FROM
     return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers, single=single)
 
 

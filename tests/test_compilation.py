@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ import pytest
 from numba import njit
 from typer.testing import CliRunner
 
+import lcp_plugin
 from lcp_plugin.commands.cli import app
 from lcp_plugin.deadline import compilation
 from lcp_plugin.kernels.compilation import cache_folder, compiled
@@ -40,9 +42,10 @@ print(len(kernels) > 20, sum(sum(kernel.stats.cache_misses.values()) for kernel 
 """
 
 
-def in_a_new_process(code: str, **environment: str) -> str:
+def in_a_new_process(code: str, folder: Path | None = None, **environment: str) -> str:
     run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ | environment
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=folder,
+        env=os.environ | environment,
     )
     return run.stdout.strip()
 
@@ -111,15 +114,47 @@ def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
         assert found.split() == offered.split()
 
 
-def test_a_kernel_is_compiled_anew_when_another_file_of_kernels_changes() -> None:
-    """What lies on disk carries the dates of all files: a kernel may have been compiled into one of another file."""
-    from lcp_plugin.kernels import compilation, enclosures, small_problems
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("matrix/hierarchy/stretches.py", "    return low\n", "    return stretches.shape[0]\n"),
+    ("matrix/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
+])
+def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
+    file: str, old: str, new: str, tmp_path: Path
+) -> None:
+    """Its own or one whose functions were compiled into it; code on disk from before is not run."""
+    package = Path(lcp_plugin.__file__).parent
+    shutil.copytree(package, tmp_path / "lcp_plugin", ignore=shutil.ignore_patterns("__pycache__"))
+    code = (
+        "import numpy as np\nfrom lcp_plugin.matrix.hierarchy import galerkin\n"
+        "flag, touched = np.ones(1, np.uint8), np.zeros(1, np.uint8)\n"
+        "operands = np.array([0, 0]), np.zeros(0, np.int64), np.array([[0, 1, 0]]), flag, flag, touched\n"
+        "galerkin.mark_rows(*operands)\n"
+        "print(galerkin.__file__, touched[0], sum(galerkin._mark_rows.stats.cache_hits.values()))"
+    )
+    at = str(tmp_path / "lcp_plugin" / "matrix" / "hierarchy" / "galerkin.py")
+    cache = str(tmp_path / "cache")
+    for hits in "01":
+        assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 1 {hits}"
+    changed = tmp_path / "lcp_plugin" / file
+    text = changed.read_text()
+    assert text.count(old) == 1
+    changed.write_text(text.replace(old, new))
+    assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 0 0"
 
-    files = sorted(Path(compilation.__file__).parent.glob("*.py"))
-    dates = tuple((file.stat().st_mtime_ns, file.stat().st_size) for file in files)
-    for kernel in (small_problems.run_all, enclosures.residual_ends):
-        _, others = kernel._cache._cache_file._source_stamp  # the first is numba's, of its own file
-        assert others == dates
+
+def test_constants_of_other_files_are_part_of_kernels() -> None:
+    """The stamp of what lies on disk covers every file where functions are compiled, and what these import."""
+    from lcp_plugin import crossovers
+    from lcp_plugin.exact import upward
+    from lcp_plugin.kernels import compilation, small_problems
+    from lcp_plugin.matrix.hierarchy import stretches
+
+    stamps = compilation._sources()
+    for module in (crossovers, upward, small_problems, stretches):
+        stat = Path(str(module.__file__)).stat()
+        assert (stat.st_mtime_ns, stat.st_size) in stamps
+    _, others = stretches.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
+    assert others == stamps
 
 
 def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:

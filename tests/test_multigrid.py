@@ -501,6 +501,7 @@ def test_a_run_that_single_precision_fails_goes_on_in_double(nested: bool, monke
         return replace(way, prolongation=replace(way.prolongation, data=data))
 
     monkeypatch.setattr(grids.Transfer, "single", astray)
+    monkeypatch.setattr(levels, "SINGLE_FROM", 0)
     result = solve(problem, Multigrid(nested=nested))
     assert result.is_solved
     assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest, False)

@@ -375,7 +375,7 @@ class MultigridRun:
 
 
 def rehearse(algorithm: Multigrid) -> None:
-    """Run the kernels that most problems need once, on a chain of 16 unknowns in which one coupling stands out."""
+    """Run the kernels that every run needs once, on a chain of 16 unknowns in which one coupling stands out."""
     couplings = np.where(np.arange(15) == 7, 10.0, 1.0)
     diagonal = np.append(couplings, 1.0) + np.append(1.0, couplings)
     M = diags_array([-couplings, diagonal, -couplings], offsets=[-1, 0, 1], format="csr")
@@ -386,7 +386,3 @@ def rehearse(algorithm: Multigrid) -> None:
     top = run.truncation.grids[0]
     top.is_free[0], top.free_changed[0] = False, True
     run.truncation.update()
-    correction = KrylovCorrection(run.truncation, run.problems[0].residual, run.is_symmetric)
-    correction.step()
-    correction.apply_within(np.zeros(16), run.problems[0].lower, run.problems[0].upper, np.zeros(16))
-    run.problems[0].gauss_seidel(np.zeros(16))

@@ -14,6 +14,7 @@ import numpy as np
 from ..algorithms import REGISTRY, create
 from ..algorithms.rehearsal import rehearse
 from ..certificates.error_bounds import error_bound
+from ..crossovers import SINGLE_FROM
 from ..evidence import gallery
 from ..kernels.compilation import cache_folder
 from ..problem.lcp import LCP
@@ -24,6 +25,7 @@ from ..solving.driver import solve
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
+LARGE_GRID = round(SINGLE_FROM**0.5)
 MOST_PROCESSES = 4  # each takes 0.3 GB
 
 
@@ -54,6 +56,8 @@ def compile_part(part: str) -> None:
     if part != "banded":
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
+    if part == "multigrid":
+        solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
 

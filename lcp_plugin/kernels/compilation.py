@@ -11,6 +11,7 @@ Where no folder can be written to, numba keeps the result beside the package or 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
@@ -227,8 +228,20 @@ def _kept_in(folder: Path) -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _sources() -> tuple[tuple[int, int], ...]:
-    """Return the date and size of every file of kernels."""
-    stats = (path.stat() for path in sorted(Path(__file__).parent.glob("*.py")))
+    """Return the date and size of every file that kernels are made of.
+
+    These are the files of the package that import this one, as functions are compiled there, and the files from which
+    they import: the constants of those are compiled, too.
+    """
+    package = Path(__file__).parents[1]
+    found: set[Path] = set()
+    for path in package.rglob("*.py"):
+        text = path.read_bytes()
+        if b"compilation import" in text:
+            found.add(path)
+            for dots, module in re.findall(rb"^from (\.+)([\w.]*) import", text, re.MULTILINE):
+                found.add(path.parents[len(dots) - 1].joinpath(*module.decode().split(".")).with_suffix(".py"))
+    stats = (path.stat() for path in sorted(found) if path.is_file())
     return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
 
 

@@ -9,13 +9,13 @@ from .compilation import compiled
 
 
 @compiled
-def is_mirrored(indptr, indices, data, tolerance):  # type: ignore[no-untyped-def]
+def is_mirrored(indptr, indices, data, tolerance, place):  # type: ignore[no-untyped-def]
     """Return whether a CSR array is its transpose up to a relative tolerance in each entry; rows sorted. One pass.
 
     Row by row, the entries right of the diagonal meet the entries below it in the order in which those are stored.
+    `place` says where rows begin, and is overwritten.
     """
     one = uintp(1)
-    place = indptr[:-1].copy()
     for i in range(uintp(indptr.size - 1)):
         k = uintp(place[i])
         end = uintp(indptr[i + one])

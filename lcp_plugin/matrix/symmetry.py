@@ -54,7 +54,7 @@ def is_symmetric_entrywise(M: Any) -> bool:
     """
     from ..kernels.rows import is_mirrored
 
-    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED))
+    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED, M.indptr[:-1].copy()))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one

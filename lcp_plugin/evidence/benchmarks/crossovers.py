@@ -17,6 +17,8 @@ from ...certificates.infeasibility import decide_feasibility
 from ...kernels.threads import share, threads_for
 from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ...matrix.factors import factorise, positive_factor, solver_of
+from ...matrix.hierarchy.levels import build_hierarchy
+from ...matrix.hierarchy.truncation import Truncation
 from ...policy.stages import Stage
 from ...problem.lcp import LCP
 from ...solving.driver import solve
@@ -282,6 +284,21 @@ def _hand_over(repeats: int) -> str:
     return f"a hand-over takes {over:.0f} µs, a product with a five-point M of {problem.n} rows {product:.0f} µs"
 
 
+def _single(repeats: int) -> str:
+    """Return what V-cycles in single precision take of those in double, where those begin."""
+    found = []
+    for dimensions in (2, 3):
+        problem = build(f"obstacle_{dimensions}d", size=round(crossovers.SINGLE_FROM ** (1.0 / dimensions))).problem
+        cycles = {}
+        for name, single in (("double", False), ("single", True)):
+            truncation = Truncation(build_hierarchy(problem.csr, single=single))
+            truncation.grids[0].b[:] = problem.q
+            cycles[name] = partial(truncation.correct, 0)
+        seconds = medians(cycles, 10 * repeats)
+        found.append(f"{seconds['single'] / seconds['double']:.2f} of one in double in {dimensions} dimensions")
+    return "a V-cycle takes " + ", ".join(found)
+
+
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small,
     "SWEEP_ENTRIES": _calls_of_a_sweep, "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
@@ -297,4 +314,5 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),
     "FULL_CHOLESKY_FROM": partial(_cholesky, 500, crossovers.FULL_CHOLESKY_FROM),
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
+    "SINGLE_FROM": _single,
 }

@@ -6,16 +6,12 @@ other way round: a Gauss–Seidel sweep in an order that the matrix alone decide
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import uintp
 from numpy.typing import NDArray
 
 from ...crossovers import SHARED_FROM
-from ...kernels.compilation import compiled
-from ...kernels.threads import share
 
 MOST_BLOCKS = 16
 SMALLEST_BLOCK = 8192  # rows
@@ -43,21 +39,11 @@ def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut
     """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
-        reach = max(share(partial(_reach, indptr, indices), rows, SHARED_FROM))
+        own, begins, ends = np.arange(rows, dtype=indices.dtype), indptr[:rows], indptr[1 : rows + 1]
+        reach = int(max((own - indices[begins]).max(), (indices[ends - 1] - own).max()))
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0
     edges = np.linspace(0, rows, count + 1).astype(np.int64)
     edges.flags.writeable = False
     return Blocks(edges, reach)
-
-
-@compiled
-def _reach(indptr, indices, first, end):  # type: ignore[no-untyped-def]
-    """Return how far from the diagonal an entry of these rows stands at most; the rows are sorted."""
-    one, reach = uintp(1), 0
-    for i in range(uintp(first), uintp(end)):
-        if indptr[i] < indptr[i + one]:
-            before, behind = indices[uintp(indptr[i])], indices[uintp(indptr[i + one]) - one]
-            reach = max(reach, np.int64(i) - before, behind - np.int64(i))
-    return reach

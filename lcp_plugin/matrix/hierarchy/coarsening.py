@@ -76,7 +76,7 @@ def are_mutual(last, columns, place):  # type: ignore[no-untyped-def]
 
 @compiled
 def choose_coarse(  # type: ignore[no-untyped-def]
-    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after
+    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
 ):
     """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
 
@@ -86,7 +86,8 @@ def choose_coarse(  # type: ignore[no-untyped-def]
     The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
     once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
     unknown has lost weight since goes to the list where it belongs when its turn comes. `weight`, shape (n,), `entry`
-    and `after`, each of shape (n + number of columns,), are work space.
+    and `after`, each of shape (n + number of columns,), are work space; `head`, full of −1, has two entries more than
+    twice the largest number of dependents.
     """
     one = uintp(1)
     n = uintp(last.size)
@@ -94,7 +95,6 @@ def choose_coarse(  # type: ignore[no-untyped-def]
     for i in range(n):
         weight[i] = t_last[i] - t_begin[i]
         heaviest = max(heaviest, weight[i])
-    head = np.full(2 * heaviest + 2, -1, begin.dtype)
     size = uintp(0)
     for back in range(n):
         i = n - one - back
@@ -154,7 +154,6 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
     """
     one = uintp(1)
     size, lonely = uintp(0), 0
-    near = np.empty(number.size, indptr.dtype)  # where the strong coarse ones of the row stand
     for i in range(uintp(first_row), uintp(end_row)):
         p_indptr[i - uintp(first_row)] = size
         if kind[i] == COARSE:
@@ -162,7 +161,7 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        count = 0
+        count = uintp(0)
         diagonal, all_negative, interpolating = 0.0, 0.0, 0.0
         for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
             j = uintp(indices[k])
@@ -172,14 +171,14 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
                 all_negative += data[k]
                 if is_strong[k] and kind[j] == COARSE:
                     interpolating += data[k]
-                    near[count] = k
-                    count += 1
+                    p_indices[size + count] = k  # until it is known how much there is
+                    count += one
         if not (interpolating < 0.0 and diagonal > 0.0):
             lonely += all_negative < 0.0
             continue
         factor = all_negative / interpolating
-        for c in range(count):
-            k = uintp(near[c])
+        for _ in range(count):
+            k = uintp(p_indices[size])
             p_indices[size] = number[uintp(indices[k])]
             p_data[size] = factor * (-data[k] / diagonal)
             size += one

@@ -21,8 +21,9 @@ from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
+from .grids import NO_WEIGHT
 from .pieces import SMALLEST_PIECE, joined
-from .stretches import Stretches, stretch_at
+from .stretches import Stretches, mark_equal, stretch_at
 
 Indices = NDArray[Any]
 
@@ -32,45 +33,43 @@ STEPS_SEEN = 1000  # rows either side of the middle
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
     """Return the transpose in CSR; its rows are sorted."""
-    # Allocated here and not in the kernels: numpy asks for large pages, which makes the first touch four times cheaper.
-    t_indptr = np.zeros(columns + 1, indptr.dtype)
-    t_indices, t_data = np.empty(indices.size, indices.dtype), np.empty(data.size)
-    _transpose(indptr, indices, data, t_indptr, t_indices, t_data)
-    return t_indptr, t_indices, t_data
+    first, rows, t_data = _transposed(columns, indptr[:-1], indptr[1:], indices, data, indices.size)
+    return first, rows, t_data
+
+
+def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple[Indices, Indices]:
+    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; return first and rows."""
+    first, rows, _ = _transposed(last.size, begin, last, columns, NO_WEIGHT, int((last - begin).sum()))
+    return first, rows
+
+
+def _transposed(
+    width: int, begin: Indices, last: Indices, columns: Indices, data: FloatVector, entries: int
+) -> Arrays:
+    # Allocated here and not in the kernel: numpy asks for large pages, which makes the first touch four times cheaper.
+    first, place = np.zeros(width + 1, begin.dtype), np.empty(width, begin.dtype)
+    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size)
+    _transpose(begin, last, columns, data, first, place, rows, t_data)
+    return first, rows, t_data
 
 
 @compiled
-def _transpose(indptr, indices, data, t_indptr, t_indices, t_data):  # type: ignore[no-untyped-def]
-    one = uintp(1)
-    for k in range(uintp(indices.size)):
-        t_indptr[uintp(indices[k]) + one] += 1
-    for j in range(uintp(t_indptr.size - 1)):
-        t_indptr[j + one] += t_indptr[j]
-    place = t_indptr[:-1].copy()
-    for i in range(uintp(indptr.size - 1)):
-        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-            j = uintp(indices[k])
-            p = uintp(place[j])
-            t_indices[p] = i
-            t_data[p] = data[k]
-            place[j] = p + one
-
-
-@compiled
-def transpose_pattern(begin, last, columns, first, rows):  # type: ignore[no-untyped-def]
-    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; `first` is zero before."""
-    one = uintp(1)
-    n = uintp(last.size)
-    for i in range(n):
+def _transpose(begin, last, columns, data, first, place, rows, t_data):  # type: ignore[no-untyped-def]
+    """Write the transpose in CSR; `first` is zero before, and `data` may be empty."""
+    one, has_data = uintp(1), data.size > 0
+    for i in range(uintp(last.size)):
         for k in range(uintp(begin[i]), uintp(last[i])):
             first[uintp(columns[k]) + one] += 1
-    for j in range(n):
+    for j in range(uintp(place.size)):
+        place[j] = first[j]
         first[j + one] += first[j]
-    place = first[:-1].copy()
-    for i in range(n):
+    for i in range(uintp(last.size)):
         for k in range(uintp(begin[i]), uintp(last[i])):
             j = uintp(columns[k])
-            rows[uintp(place[j])] = i
+            p = uintp(place[j])
+            rows[p] = i
+            if has_data:
+                t_data[p] = data[k]
             place[j] += 1
 
 
@@ -121,7 +120,8 @@ def galerkin_product(
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
             is_same = np.zeros(prolongation[0].size - 1, np.uint8)
-            _mark_repeats(step, stretches, indptr, indices, *prolongation, is_same, repeats)
+            mark_equal(step, *prolongation, is_same)
+            _mark_repeats(step, stretches, indptr, indices, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, step, repeats, longest
     return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
@@ -162,23 +162,12 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
 
 
 @compiled
-def _mark_repeats(  # type: ignore[no-untyped-def]
-    step, stretches, indptr, indices, p_indptr, p_indices, p_data, is_same, repeats
-):
-    """Mark the rows i of M P that are those of i − step with each column one further, and such rows of P.
+def _mark_repeats(step, stretches, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
+    """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
 
     Both flags are bytes.
     """
     one = uintp(1)
-    for i in range(uintp(step), uintp(is_same.size)):
-        k, before = uintp(p_indptr[i]), uintp(p_indptr[i - uintp(step)])
-        end = uintp(p_indptr[i + one])
-        same = p_indptr[i + one] - p_indptr[i] == p_indptr[i - uintp(step) + one] - p_indptr[i - uintp(step)]
-        while same and k < end:
-            same = p_data[k] == p_data[before] and p_indices[k] == p_indices[before] + 1
-            k += one
-            before += one
-        is_same[i] = same
     for s in range(stretches.shape[0]):
         first, end = uintp(stretches[s, 0]), uintp(stretches[s, 1])
         begin = first + uintp(step)
@@ -308,10 +297,11 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
     The operands are the arrays that `_update_rows` names first.
     """
-    indices, is_free, r_indptr = operands[1], operands[3], operands[8]
+    indices, is_free, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        counts: tuple[float, int] = _update_rows(*operands, *_row_space(is_free.size, indices.dtype), first, end)
+        space = *_row_space(is_free.size, indices.dtype), np.empty(c_is_free.size)
+        counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
         return counts
 
     products, changed = zip(*share(piece, r_indptr.size - 1, SMALLEST_PIECE), strict=True)
@@ -322,14 +312,13 @@ def update_product(*operands: Any) -> tuple[float, int]:
 def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
-    fine_place, fine, fine_sums, first, end,
+    fine_place, fine, fine_sums, sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
     """
     one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
-    sums = np.empty(c_is_free.size)
     products = 0.0
     changed_rows = 0
     for row in range(uintp(first), uintp(end)):

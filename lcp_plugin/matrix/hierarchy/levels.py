@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
+from ...crossovers import SINGLE_FROM
 from ...kernels import splitting_sweeps as kernels
 from ...kernels.threads import share
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
@@ -146,12 +147,12 @@ def build_hierarchy(
 
 @fact
 def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarchy:
-    """Return the hierarchy of M, which its solves share: in single precision below M itself, if that can carry it.
+    """Return the hierarchy of M, which its solves share: in single precision below a large M, if that can carry it.
 
     Ranks exchange doubles.
     """
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and matrix.peers.is_alone
+    single = single and matrix.peers.is_alone and matrix.n >= SINGLE_FROM
     return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers, single=single)
 
 
@@ -175,7 +176,7 @@ def chosen_kinds(
     indptr: NDArray[Any], indices: NDArray[Any], data: FloatVector, strength: float, is_strong: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Return who is COARSE and who FINE, decided among the unknowns that have rows; fill `is_strong`."""
-    # Allocated here and not in the kernels, see galerkin.transposed.
+    # Allocated here and not in the kernels: numpy asks for large pages, which makes the first touch four times cheaper.
     n = indptr.size - 1
     columns, last = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
     operands = indptr, indices, data, strength, n, is_strong, columns, last
@@ -183,12 +184,12 @@ def chosen_kinds(
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
     dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
     if not is_mutual:
-        first, rows = np.zeros(n + 1, indptr.dtype), np.empty(int((last - indptr[:-1]).sum()), indices.dtype)
-        galerkin.transpose_pattern(*depends, first, rows)
+        first, rows = galerkin.transposed_pattern(*depends)
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
     kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
-    coarsening.choose_coarse(*depends, *dependents, is_mutual, kind, weight, entry, after)
+    head = np.full(2 * int((dependents[1] - dependents[0]).max(initial=0)) + 2, -1, indptr.dtype)
+    coarsening.choose_coarse(*depends, *dependents, is_mutual, kind, weight, entry, after, head)
     return kind
 
 

@@ -29,19 +29,48 @@ def stretches_of(inverse: FloatVector, matrix: Arrays) -> Stretches:
     Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a
     sweep may take at once, 0 where they are unlike and taken one by one.
     """
-    return _noted(inverse.size, lambda found: _find(*matrix, inverse, found))
+    indptr, indices, _ = matrix
+    rows = inverse.size
+    is_same = np.zeros(rows, np.uint8)
+    mark_equal(1, *matrix, is_same)
+    is_same[1:] &= inverse[1:] == inverse[:-1]
+    begins = np.append(np.flatnonzero(is_same == 0), rows)
+    is_long = begins[1:] - begins[:-1] >= SHORTEST
+    first, end = begins[:-1][is_long], begins[1:][is_long]
+    if first.size == 0:
+        return _with_gaps(rows, first, end, end)
+    reach = _reaches(indptr, indices, first)
+    return _with_gaps(rows, *(column[reach >= SHORTEST] for column in (first, end, reach)))
+
+
+def _reaches(indptr: NDArray[Any], indices: NDArray[Any], first: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how near to the diagonal the nearest entry of these rows stands that is no neighbour's."""
+    size = indptr[first + 1] - indptr[first]
+    begin = np.cumsum(size) - size
+    entries = np.arange(size.sum()) + np.repeat(indptr[first] - begin, size)
+    distance = np.abs(indices[entries].astype(np.int64) - np.repeat(first, size))
+    distance[(distance <= 1) | (distance > LONGEST_REACH)] = LONGEST_REACH
+    return np.minimum.reduceat(distance, begin)
+
+
+def _with_gaps(
+    rows: int, first: NDArray[np.int64], end: NDArray[np.int64], reach: NDArray[np.int64]
+) -> Stretches:
+    """Return the stretches with one of unlike rows wherever rows are left before, between and behind them."""
+    found = np.zeros((2 * first.size + 1, 3), np.int64)
+    found[1::2, 0], found[1::2, 1], found[1::2, 2] = first, end, reach
+    found[2::2, 0], found[:-1:2, 1], found[-1, 1] = end, first, rows
+    found = found[found[:, 0] < found[:, 1]]
+    found.flags.writeable = False
+    return found
 
 
 def without(stretches: Stretches, changed: BoolVector) -> Stretches:
     """Return the stretches that are left when the rows marked in `changed`, shape (rows,), are like no other."""
-    return _noted(changed.size, lambda found: _cut(stretches, changed, found))
-
-
-def _noted(rows: int, note: Any) -> Stretches:
-    found = np.empty((rows // (SHORTEST // 2) + 2, 3), np.int64)
-    noted = found[: note(found)].copy()
-    noted.flags.writeable = False
-    return noted
+    found = np.empty((changed.size // (SHORTEST // 2) + 2, 3), np.int64)
+    left = found[: _cut(stretches, changed, found)].copy()
+    left.flags.writeable = False
+    return left
 
 
 @njit(inline="always")
@@ -58,58 +87,37 @@ def stretch_at(row, stretches):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _append(found, count, first, end, reach):  # type: ignore[no-untyped-def]
-    """Write one more stretch; what is taken row by row goes on where the one before is."""
-    if end - first < SHORTEST or reach < SHORTEST:
-        reach = 0
-    if reach == 0 and count > 0 and found[count - 1, 2] == 0:
-        found[count - 1, 1] = end
-        return count
-    found[count, 0], found[count, 1], found[count, 2] = first, end, reach
-    return count + 1
-
-
-@compiled
-def _find(indptr, indices, data, inverse, found):  # type: ignore[no-untyped-def]
-    one, rows = uintp(1), inverse.size
-    count, first = 0, 0
-    for i in range(1, rows + 1):
-        is_same = False
-        if i < rows:
-            k, end = uintp(indptr[i]), uintp(indptr[i + 1])
-            before = uintp(indptr[i - 1])
-            is_same = k - before == end - k and inverse[i] == inverse[i - 1]
-            while is_same and k < end:
-                is_same = data[k] == data[before] and indices[k] == indices[before] + 1
-                k += one
-                before += one
-        if not is_same:
-            reach = LONGEST_REACH
-            for k in range(uintp(indptr[first]), uintp(indptr[first + 1])):
-                distance = abs(indices[k] - first)
-                if distance > 1 and distance < reach:
-                    reach = distance
-            count = _append(found, count, first, i, reach)
-            first = i
-    return count
+def mark_equal(step, indptr, indices, data, is_same):  # type: ignore[no-untyped-def]
+    """Mark the rows i that are those of i − step with each column one further; the flags are bytes."""
+    one, step = uintp(1), uintp(step)
+    for i in range(step, uintp(is_same.size)):
+        k, end = uintp(indptr[i]), uintp(indptr[i + one])
+        before = uintp(indptr[i - step])
+        same = end - k == uintp(indptr[i - step + one]) - before
+        while same and k < end:
+            same = data[k] == data[before] and indices[k] == indices[before] + 1
+            k += one
+            before += one
+        is_same[i] = same
 
 
 @compiled
 def _cut(stretches, changed, found):  # type: ignore[no-untyped-def]
+    """Write what is left of the stretches into `found`; return how many there are."""
     count = 0
     for s in range(stretches.shape[0]):
         first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
-        i = first
-        while reach > 0 and i < end:
-            if changed[uintp(i)]:
-                count = _append(found, count, first, i, reach) if i > first else count
-                first = i
-                while i < end and changed[uintp(i)]:
-                    i += 1
-                count = _append(found, count, first, i, 0)
-                first = i
+        while first < end:
+            is_changed, last = reach == 0 or changed[uintp(first)], first + 1
+            if reach == 0:
+                last = end
+            while last < end and changed[uintp(last)] == is_changed:
+                last += 1
+            is_unlike = is_changed or last - first < SHORTEST
+            if is_unlike and count > 0 and found[count - 1, 2] == 0:
+                found[count - 1, 1] = last
             else:
-                i += 1
-        if first < end:
-            count = _append(found, count, first, end, reach)
+                found[count, 0], found[count, 1], found[count, 2] = first, last, 0 if is_unlike else reach
+                count += 1
+            first = last
     return count

@@ -23,6 +23,10 @@ from .stretches import LONGEST_REACH, Stretches, stretch_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
+NO_FLAGS = (np.zeros(0, np.bool_),) * 2
+NO_BITS: dict[Any, NDArray[Any]] = {
+    np.dtype(np.float64): np.zeros(0, np.int64), np.dtype(np.float32): np.zeros(0, np.int32),
+}
 
 
 def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
@@ -30,9 +34,10 @@ def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVect
 
     A pass over the lower triangle, and over all of the rows from which an odd block meets the even one behind it.
     """
-    _clear_seams(blocks.edges, blocks.reach, x)
+    for edge in blocks.edges[2::2].tolist():
+        x[edge - blocks.reach : edge] = 0.0
     vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
-    _swept(rows[0], rows[1], rows[0][1:], *rows[1:], blocks, vectors, -1.0, 1.0, True, False, x)
+    _swept(rows, rows[1], blocks, vectors, -1.0, 1.0, True, False, x)
 
 
 def residual_after_first_sweep(
@@ -43,32 +48,37 @@ def residual_after_first_sweep(
 
     It held with the pivot m_ii + weight_i, where there are weights.
     """
-    indptr, split, *rest = rows
-    operands = *rest, read_only(inverse), -1.0, read_only(b), False, x, residual
-    shared(partial(_free_product, indptr, split, 1, *operands), inverse.size)
-    reach = blocks.reach
-    operands = *rest, read_only(inverse), -1.0, read_only(b), True, x, residual
+    split, reach = rows[1], blocks.reach
+    shared(_product_of(rows, split, 1, inverse, -1.0, b, False, x, residual), inverse.size)
+    whole = _product_of(rows, rows[0], 0, inverse, -1.0, b, True, x, residual)
     for edge in blocks.edges[2:-1:2].tolist():  # here others had changed before
-        _free_product(indptr, indptr, 0, *operands, edge - reach, edge + reach)
+        whole(edge - reach, edge + reach)
     if weight.size:
         residual += np.where(inverse != 0.0, weight * x[: weight.size], 0.0)
 
 
 def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
+    shared(_product_of(rows, rows[0], 0, inverse, 1.0, inverse, False, x, product), inverse.size)
+
+
+def _product_of(
+    rows: Matrix, begins: Any, further: int, inverse: FloatVector, sign: float, b: FloatVector, adds: bool,
+    x: FloatVector, product: FloatVector,
+) -> Callable[[int, int], Any]:
     indptr, _, *rest = rows
-    inverse = read_only(inverse)
-    operands = *rest, inverse, 1.0, inverse, False, x, product
-    shared(partial(_free_product, indptr, indptr, 0, *operands), inverse.size)
+    unused = False, False, *NO_BOUNDS[x.dtype], *NO_FLAGS
+    operands = indptr, begins, further, *rest, read_only(inverse), sign, read_only(b), adds, x, product, *unused
+    bits = NO_BITS[x.dtype]
+    return lambda first, end: _products(*operands, np.empty(LONGEST_REACH, x.dtype), bits, first, end)
 
 
 def sweep(
     rows: Matrix, blocks: Blocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
 ) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
-    ends = rows[0][1:]
     vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
-    _swept(rows[0], ends, ends, *rows[1:], blocks, vectors, -1.0, 1.0, False, backward, x)
+    _swept(rows, rows[0][1:], blocks, vectors, -1.0, 1.0, False, backward, x)
 
 
 def projected_sweep(
@@ -78,8 +88,7 @@ def projected_sweep(
 
     `vectors` are the inverse pivots, q, lower and upper, read-only.
     """
-    ends = rows[0][1:]
-    _swept(rows[0], ends, ends, *rows[1:], blocks, vectors, 1.0, relaxation, False, backward, z)
+    _swept(rows, rows[0][1:], blocks, vectors, 1.0, relaxation, False, backward, z)
 
 
 def free_rows(
@@ -92,11 +101,19 @@ def free_rows(
     a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
-    operands = *rows, *vectors, z, snaps, is_free, is_changed, residual
-    if snaps:  # the next rows meet what is put at a bound
-        found = [_free_rows(*operands, 0, residual.size)]
-    else:
-        found = shared(partial(_free_rows, *operands), residual.size)
+    indptr, _, *rest = rows
+    inverse, q, lower, upper = vectors
+    operands = (
+        indptr, indptr, 0, *rest, inverse, 1.0, q, False, z, residual, True, snaps, lower, upper, is_free, is_changed
+    )
+
+    def piece(first: int, end: int) -> tuple[float, int]:
+        room = np.empty(2 * LONGEST_REACH, z.dtype)
+        found: tuple[float, int] = _products(*operands, room, room.view(NO_BITS[z.dtype].dtype), first, end)
+        return found
+
+    # With `snaps` the next rows meet what is put at a bound.
+    found = [piece(0, residual.size)] if snaps else shared(piece, residual.size)
     largest = np.max([one for one, _ in found])  # a NaN kept
     return float(largest), int(sum(changed for _, changed in found))
 
@@ -107,16 +124,30 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 
 
 def _swept(
-    indptr: Any, ends: Any, full_ends: Any, split: Any, indices: Any, data: Any, stretches: Any, blocks: Blocks,
-    vectors: tuple[FloatVector, ...], sign: float, relaxation: float, is_first: bool, backward: bool, x: FloatVector,
+    rows: Matrix, ends: Any, blocks: Blocks, vectors: tuple[FloatVector, ...], sign: float, relaxation: float,
+    is_first: bool, backward: bool, x: FloatVector,
 ) -> None:
-    operands = (
-        indptr, ends, full_ends, split, indices, data, stretches, *vectors, sign, relaxation, is_first, backward, x,
-        *blocks,
-    )
+    """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i]."""
+    indptr, *rest = rows
+    operands, edges = (*rest, *vectors, sign, relaxation, is_first, backward, x), blocks.edges
     for colour in (1, 0) if backward else (0, 1):
         if count := blocks.count(colour):
-            share(partial(_sweep, *operands, colour), count, blocks.smallest_share)
+            reach = blocks.reach if is_first and colour == 1 else 0
+            share(partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour), count, blocks.smallest_share)
+
+
+def _swept_piece(
+    indptr: Any, ends: Any, operands: tuple[Any, ...], x: FloatVector, edges: Any, reach: int, colour: int,
+    first: int, last: int,
+) -> None:
+    """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
+    sums, block_ends = np.empty(LONGEST_REACH, x.dtype), edges[1:]
+    if reach == 0:
+        _sweep(indptr, ends, *operands, sums, colour, edges, block_ends, first, last)
+        return
+    seams = read_only(block_ends - reach)
+    _sweep(indptr, ends, *operands, sums, colour, edges, seams, first, last)
+    _sweep(indptr, indptr[1:], *operands, sums, colour, seams, block_ends, first, last)
 
 
 @njit(inline="always")
@@ -128,22 +159,12 @@ def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-unt
 
 
 @njit(inline="always")
-def _plus_products_backward(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
-    """Return the same, summed from the last entry to the first."""
-    k = last
-    while k > first:
-        k -= uintp(1)
-        total += data[k] * x[uintp(indices[k])]
-    return total
-
-
-@compiled
-def _add_products(first, last, but, shift, indices, data, x, begin, size, sums):  # type: ignore[no-untyped-def]
-    """Add Σ data_k x_j, j = p + shift + the column of k, to sums[begin + p], p < size; first ≤ k < last, k ≠ but.
+def _add_products(first, last, but, shift, indices, data, x, size, sums):  # type: ignore[no-untyped-def]
+    """Add Σ data_k x_j, j = p + shift + the column of k, to sums[p], p < size; first ≤ k < last, k ≠ but.
 
     Two entries at a time: half the passes over the sums.
     """
-    one, begin, size = uintp(1), uintp(begin), uintp(size)
+    one, size = uintp(1), uintp(size)
     k = uintp(first)
     while k < last:
         after = k + one
@@ -153,11 +174,11 @@ def _add_products(first, last, but, shift, indices, data, x, begin, size, sums):
             if after < last:
                 at_too = uintp(shift + indices[after])
                 for p in range(size):
-                    sums[begin + p] += data[k] * x[at + p] + data[after] * x[at_too + p]
+                    sums[p] += data[k] * x[at + p] + data[after] * x[at_too + p]
                 after += one
             else:
                 for p in range(size):
-                    sums[begin + p] += data[k] * x[at + p]
+                    sums[p] += data[k] * x[at + p]
         k = after
 
 
@@ -171,90 +192,66 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _clear_seams(edges, reach, x):  # type: ignore[no-untyped-def]
-    """Zero the rows from which an odd block meets the next even one."""
-    for at in range(2, edges.size, 2):
-        for i in range(uintp(edges[at] - reach), uintp(edges[at])):
-            x[i] = 0.0
-
-
-@compiled
 def _sweep(  # type: ignore[no-untyped-def]
-    indptr, ends, full_ends, split, indices, data, stretches, inverse, b, lower, upper, sign, relaxation, is_first,
-    backward, x, edges, reach, colour, first_block, last_block,
+    indptr, ends, split, indices, data, stretches, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
+    sums, colour, begins, block_ends, first_block, last_block,
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
     It does so in the blocks of one colour with these numbers. Where `lower` is empty there are no bounds. The entries
-    of row i end before ends[i]. The first sweep takes x for 0, and needs all entries where the other colour was met.
+    of row i end before ends[i]. The first sweep takes x for 0. `sums` is work space, shape (LONGEST_REACH,).
     """
-    sums = np.empty(LONGEST_REACH, x.dtype)
+    has_bounds, zero = lower.size > 0, x.dtype.type(0.0)
     sign, relaxation = x.dtype.type(sign), x.dtype.type(relaxation)
-    for step in range(last_block - first_block):
-        block = 2 * (last_block - 1 - step if backward else first_block + step) + colour
-        begin, end = edges[block], edges[block + 1]
+    for counted in range(last_block - first_block):
+        block = 2 * (last_block - 1 - counted if backward else first_block + counted) + colour
+        begin, end = begins[block], block_ends[block]
         if begin == end:  # a rank may have no rows
             continue
-        seam = end - reach if is_first and colour == 1 else end
-        _sweep_rows(
-            begin, seam, indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation,
-            is_first, backward, sums, x,
-        )
-        if seam < end:
-            _sweep_rows(
-                seam, end, indptr, full_ends, split, indices, data, stretches, inverse, sign, b, lower, upper,
-                relaxation, is_first, backward, sums, x,
-            )
-
-
-@compiled
-def _sweep_rows(  # type: ignore[no-untyped-def]
-    begin, end, indptr, ends, split, indices, data, stretches, inverse, sign, b, lower, upper, relaxation, is_first,
-    backward, sums, x,
-):
-    has_bounds, zero = lower.size > 0, x.dtype.type(0.0)
-    lowest, highest = stretch_at(begin, stretches), stretch_at(end - 1, stretches)
-    for s in range(highest + 1 - lowest):
-        at = highest - s if backward else lowest + s
-        first, last, reach = max(begin, stretches[at, 0]), min(end, stretches[at, 1]), stretches[at, 2]
-        if reach == 0:
-            for step in range(last - first):
-                i = uintp(last - 1 - step if backward else first + step)
-                value, pivot = zero if is_first else x[i], relaxation * inverse[i]
-                if pivot != 0.0:
-                    value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
-                x[i] = _clamped(value, lower[i], upper[i]) if has_bounds else value
-            continue
-        from_entry, to_entry = uintp(indptr[first]), uintp(ends[first])
-        near = _place(from_entry, to_entry, first + 1 if backward else first - 1, indices)
-        weight = relaxation * data[near] if near < to_entry else zero
-        for done in range(0, last - first, reach):
-            size = min(reach, last - first - done)
-            i = last - done - size if backward else first + done
-            start = uintp(i)
-            for p in range(uintp(size)):
-                sums[p] = sign * b[start + p]
-            _add_products(from_entry, to_entry, near, i - first, indices, data, x, 0, size, sums)
-            for p in range(uintp(size)):
-                before = zero if is_first else x[start + p]
-                sums[p] = before - sums[p] * (relaxation * inverse[start + p])
-            before = (x[i + size] if backward else x[i - 1]) if near < to_entry else zero
-            for step in range(size):  # the only loop in which a row waits for the one before
-                place = uintp(size - 1 - step if backward else step)
-                p = start + place
-                before = sums[place] - weight * inverse[p] * before
-                x[p] = before = _clamped(before, lower[p], upper[p]) if has_bounds else before
+        lowest, highest = stretch_at(begin, stretches), stretch_at(end - 1, stretches)
+        for s in range(highest + 1 - lowest):
+            at = highest - s if backward else lowest + s
+            first, last, reach = max(begin, stretches[at, 0]), min(end, stretches[at, 1]), stretches[at, 2]
+            if reach == 0:
+                for step in range(last - first):
+                    i = uintp(last - 1 - step if backward else first + step)
+                    value, pivot = zero if is_first else x[i], relaxation * inverse[i]
+                    if pivot != 0.0:
+                        value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
+                    x[i] = _clamped(value, lower[i], upper[i]) if has_bounds else value
+                continue
+            from_entry, to_entry = uintp(indptr[first]), uintp(ends[first])
+            near = _place(from_entry, to_entry, first + 1 if backward else first - 1, indices)
+            weight = relaxation * data[near] if near < to_entry else zero
+            for done in range(0, last - first, reach):
+                size = min(reach, last - first - done)
+                i = last - done - size if backward else first + done
+                start = uintp(i)
+                for p in range(uintp(size)):
+                    sums[p] = sign * b[start + p]
+                _add_products(from_entry, to_entry, near, i - first, indices, data, x, size, sums)
+                for p in range(uintp(size)):
+                    before = zero if is_first else x[start + p]
+                    sums[p] = before - sums[p] * (relaxation * inverse[start + p])
+                before = (x[i + size] if backward else x[i - 1]) if near < to_entry else zero
+                for step in range(size):  # the only loop in which a row waits for the one before
+                    place = uintp(size - 1 - step if backward else step)
+                    p = start + place
+                    before = sums[place] - weight * inverse[p] * before
+                    x[p] = before = _clamped(before, lower[p], upper[p]) if has_bounds else before
 
 
 @njit(inline="always")
 def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + (M x)_i, the neighbour that was swept last added last: the sum has waited for nothing else."""
-    first, diagonal, end = uintp(first), uintp(diagonal), uintp(end)
-    if backward:
-        total = _plus_products(total, first, diagonal + uintp(1), indices, data, x)
-        return _plus_products_backward(total, diagonal + uintp(1), end, indices, data, x)
-    total = _plus_products(total, diagonal, end, indices, data, x)
-    return _plus_products(total, first, diagonal, indices, data, x)
+    first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
+    behind = diagonal + one
+    total = _plus_products(total, first if backward else diagonal, behind if backward else end, indices, data, x)
+    k, step = end - one if backward else first, uintp(-1) if backward else one
+    for _ in range(end - behind if backward else diagonal - first):
+        total += data[k] * x[uintp(indices[k])]
+        k += step
+    return total
 
 
 @njit(inline="always")
@@ -262,59 +259,6 @@ def _clamped(value, lower, upper):  # type: ignore[no-untyped-def]
     """mid(lower, upper, value), a NaN kept."""
     value = lower if lower > value else value
     return upper if upper < value else value
-
-
-@compiled
-def _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, sums):  # type: ignore[no-untyped-def]
-    """Add M x to sums on `size` rows from i on, which belong to the stretch that begins with `first`.
-
-    The entries of row i begin at begins[i] + further.
-    """
-    one, further = uintp(1), uintp(further)
-    if reach > 0:
-        last = uintp(indptr[first + 1])
-        _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, i, size, sums)
-    else:
-        for p in range(uintp(i), uintp(i + size)):
-            sums[p] = _plus_products(sums[p], uintp(begins[p]) + further, uintp(indptr[p + one]), indices, data, x)
-
-
-@compiled
-def _free_rows(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, stretches, inverse, q, lower, upper, z, snaps, is_free, is_changed, residual,
-    first_row, last_row,
-):
-    room = np.empty(2 * LONGEST_REACH)
-    bits = room.view(np.int64)  # of numbers ≥ 0 they have the same order, and NaN is the largest
-    largest, changed, done = np.int64(0), 0, first_row
-    i, s = first_row, stretch_at(first_row, stretches)
-    while i < last_row:
-        first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
-        while i < end:
-            size = min(reach if reach > 0 else LONGEST_REACH, end - i)
-            for p in range(uintp(i), uintp(i + size)):
-                residual[p] = q[p]
-            _add_rows(indptr, indptr, 0, indices, data, first, reach, i, size, z, residual)
-            i += size
-            if i - done < LONGEST_REACH and i < last_row:
-                continue  # short stretches are looked at together
-            begin, size, done = uintp(done), uintp(i - done), i
-            if snaps:
-                _snap(begin, begin + size, residual, inverse, lower, upper, z)
-            for k in range(size):
-                row = begin + k
-                w, above, below = residual[row], z[row] - lower[row], z[row] - upper[row]
-                room[k] = abs(_clamped(w * inverse[row], below, above))
-                is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
-                is_changed[row] = is_off != is_free[row]
-                is_free[row] = is_off
-                residual[row] = -w if is_off else 0.0
-            for k in range(size):
-                changed += is_changed[begin + k]
-                largest = max(largest, bits[k])
-        s += 1
-    bits[0] = largest
-    return room[0], changed
 
 
 @njit(inline="always")
@@ -328,24 +272,64 @@ def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _free_product(  # type: ignore[no-untyped-def]
-    indptr, begins, further, indices, data, stretches, inverse, sign, b, adds, x, product, first_row, last_row
+def _products(  # type: ignore[no-untyped-def]
+    indptr, begins, further, indices, data, stretches, inverse, sign, b, adds, x, product,
+    looks, snaps, lower, upper, is_free, is_changed, room, bits, first_row, last_row,
 ):
     """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further.
 
-    Where it `adds`, b is added; only these rows are looked at.
+    Where it `adds`, b is added; only these rows are looked at. Where it `looks`, w = M x + b says which rows are free,
+    and product ← −w there: return the largest scaled residual, and how many rows changed. `room` is work space, shape
+    (2 LONGEST_REACH,), and `bits` the same memory as integers: of numbers ≥ 0 they have the same order, and NaN is the
+    largest.
     """
-    sign = x.dtype.type(sign)
+    one, further, zero, sign = uintp(1), uintp(further), x.dtype.type(0.0), x.dtype.type(sign)
+    largest, changed, done = np.int64(0), 0, first_row
     i, s = first_row, stretch_at(first_row, stretches)
     while i < last_row:
         first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
         while i < end:
-            size = min(reach if reach > 0 else LONGEST_REACH, end - i)
-            for row in range(uintp(i), uintp(i + size)):
-                product[row] = 0.0
-            _add_rows(indptr, begins, further, indices, data, first, reach, i, size, x, product)
-            for row in range(uintp(i), uintp(i + size)):
-                total = sign * product[row] + b[row] if adds else sign * product[row]
-                product[row] = total if inverse[row] != 0.0 else 0.0
+            size, start = min(reach if reach > 0 else LONGEST_REACH, end - i), uintp(i)
+            if looks:
+                for p in range(uintp(size)):
+                    room[p] = b[start + p]
+            else:
+                for p in range(uintp(size)):
+                    room[p] = zero
+            if reach > 0:
+                last = uintp(indptr[first + 1])
+                _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, size, room)
+            else:
+                for p in range(uintp(size)):
+                    row = start + p
+                    begin = uintp(begins[row]) + further
+                    room[p] = _plus_products(room[p], begin, uintp(indptr[row + one]), indices, data, x)
             i += size
+            if not looks:
+                for p in range(uintp(size)):
+                    row = start + p
+                    total = sign * room[p] + b[row] if adds else sign * room[p]
+                    product[row] = total if inverse[row] != 0.0 else zero
+                continue
+            for p in range(uintp(size)):
+                product[start + p] = room[p]
+            if i - done < LONGEST_REACH and i < last_row:
+                continue  # short stretches are looked at together
+            start, size, done = uintp(done), uintp(i - done), i
+            if snaps:
+                _snap(start, start + size, product, inverse, lower, upper, x)
+            for k in range(size):
+                row = start + k
+                w, above, below = product[row], x[row] - lower[row], x[row] - upper[row]
+                room[k] = abs(_clamped(w * inverse[row], below, above))
+                is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
+                is_changed[row] = is_off != is_free[row]
+                is_free[row] = is_off
+                product[row] = -w if is_off else zero
+            for k in range(size):
+                changed += is_changed[start + k]
+                largest = max(largest, np.int64(bits[k]))
         s += 1
+    if looks:
+        bits[0] = largest
+    return room[0], changed

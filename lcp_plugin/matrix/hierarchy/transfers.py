@@ -8,20 +8,24 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numba import uintp
 
-from ...checks import BoolVector, FloatVector, read_only
+from ...checks import BoolVector, FloatVector
 from ...kernels.compilation import compiled
-from .sweeps import _plus_products, shared
+from .sweeps import NO_BOUNDS, _plus_products, shared
 
 if TYPE_CHECKING:
     from .grids import Transfer
 
+NO_FLAGS = np.zeros(0, np.bool_)
+
 
 def restrict(transfer: Transfer, fine: FloatVector, unit: float, coarse: FloatVector) -> None:
     """Coarse ← R fine ÷ unit, a power of two."""
-    operands = *transfer.restriction.arrays, read_only(fine), transfer.factor / unit, coarse
-    shared(partial(_restrict, *operands), coarse.size)
+    matrix, factor = transfer.restriction.arrays, transfer.factor / unit
+    unused = NO_FLAGS, *NO_BOUNDS[coarse.dtype]
+    shared(partial(_interpolate, *matrix, fine, factor, False, *unused, coarse), coarse.size)
 
 
 def prolong(
@@ -29,48 +33,42 @@ def prolong(
     z: FloatVector,
 ) -> int:
     """Overwrite z by mid(lower, upper, z + unit P coarse) on the free rows; return how many were cut at a bound."""
-    operands = *transfer.prolongation.arrays, coarse, unit, is_free, lower, upper, z
-    return sum(shared(partial(_prolong, *operands), lower.size))
+    operands = *transfer.prolongation.arrays, coarse, unit, True, is_free, lower, upper, z
+    return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
 def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, inverse: FloatVector, x: FloatVector) -> None:
     """Add unit P coarse to x on the free rows."""
-    operands = *transfer.prolongation.arrays, coarse, unit, inverse, x
-    shared(partial(_add_prolonged, *operands), inverse.size)
+    operands = *transfer.prolongation.arrays, coarse, unit, True, inverse != 0.0, *NO_BOUNDS[x.dtype], x
+    shared(partial(_interpolate, *operands), inverse.size)
 
 
 @compiled
-def _restrict(r_indptr, r_indices, r_data, fine, factor, coarse, first, end):  # type: ignore[no-untyped-def]
-    one, zero = uintp(1), r_data.dtype.type(0.0)
-    for row in range(uintp(first), uintp(end)):
-        total = _plus_products(zero, uintp(r_indptr[row]), uintp(r_indptr[row + one]), r_indices, r_data, fine)
-        coarse[row] = factor * total
+def _interpolate(  # type: ignore[no-untyped-def]
+    indptr, indices, data, source, factor, adds, is_free, lower, upper, to, first, end
+):
+    """To ← factor · A source; or, where it `adds`, add that on the free rows, cut off at the bounds if there are any.
 
-
-@compiled
-def _prolong(p_indptr, p_indices, p_data, coarse, unit, is_free, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
-    one, zero = uintp(1), p_data.dtype.type(0.0)
-    cut = 0
+    Return how many were cut.
+    """
+    one, zero = uintp(1), data.dtype.type(0.0)
+    cut, has_bounds = 0, lower.size > 0
     for i in range(uintp(first), uintp(end)):
-        if is_free[i]:
-            change = _plus_products(zero, uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
-            value = z[i] + unit * change
-            if value < lower[i]:
-                value = lower[i]
-                cut += 1
-            if value > upper[i]:
-                value = upper[i]
-                cut += 1
-            z[i] = value
+        if adds and not is_free[i]:
+            continue
+        change = factor * _plus_products(zero, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
+        if not adds:
+            to[i] = change
+            continue
+        value = to[i] + change
+        if has_bounds and value < lower[i]:
+            value = lower[i]
+            cut += 1
+        if has_bounds and value > upper[i]:
+            value = upper[i]
+            cut += 1
+        to[i] = value
     return cut
-
-
-@compiled
-def _add_prolonged(p_indptr, p_indices, p_data, coarse, unit, inverse, x, first, end):  # type: ignore[no-untyped-def]
-    one, zero = uintp(1), p_data.dtype.type(0.0)
-    for i in range(uintp(first), uintp(end)):
-        if inverse[i] != 0.0:
-            x[i] += unit * _plus_products(zero, uintp(p_indptr[i]), uintp(p_indptr[i + one]), p_indices, p_data, coarse)
 
 
 @compiled

@@ -14,6 +14,7 @@ import numpy as np
 from ..algorithms import REGISTRY, create
 from ..algorithms.rehearsal import rehearse
 from ..certificates.error_bounds import error_bound
+from ..deadline import NEW_KERNELS
 from ..evidence import gallery
 from ..kernels.compilation import cache_folder
 from ..problem.lcp import LCP
@@ -33,7 +34,10 @@ def compile_everything() -> str:
     processes = min(checked_threads(None), MOST_PROCESSES)
     if processes > 1:
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads that it leaves behind
-        with suppress(BrokenProcessPool, OSError), ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool:
+        with (
+            suppress(BrokenProcessPool, OSError), NEW_KERNELS.compiling(),
+            ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool,
+        ):
             list(pool.map(compile_part, PARTS))
     for part in PARTS:  # here, too, for what the others could not; code that is there is only loaded
         compile_part(part)

@@ -19,7 +19,7 @@ from numba import config, njit, types, vectorize
 from numba.core import event
 from platformdirs import user_cache_path
 
-from ..deadline import compiling
+from ..deadline import NEW_KERNELS
 from ..locks import Lock
 
 _lock = Lock()
@@ -33,7 +33,7 @@ class _StoppedClocks(event.Listener):
 
     def on_start(self, event: Any) -> None:
         stack = self._under_way.__dict__.setdefault("stack", [])
-        stack.append(compiling())
+        stack.append(NEW_KERNELS.compiling())
         stack[-1].__enter__()
 
     def on_end(self, event: Any) -> None:

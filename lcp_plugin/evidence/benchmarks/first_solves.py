@@ -142,7 +142,7 @@ def first(name: str) -> dict[str, float]:
     """Run one of the first solves; return how much was compiled, and the processor seconds since the process began."""
     from numba.core import event
 
-    with event.install_recorder("numba:compile") as recorder:  # type: ignore[no-untyped-call]
+    with event.install_recorder("numba:compile") as recorder:
         SOLVES[name]()
     compilations = sum(each.is_start for _, each in recorder.buffer)
     return {"compilations": compilations, "processor": sum(os.times()[:4])}  # its own children included

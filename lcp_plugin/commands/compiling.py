@@ -54,7 +54,9 @@ def compile_part(part: str) -> None:
         found.jvp(dq=np.ones(9))
         return
     for name in REGISTRY if part == "others" else (part,):
-        rehearse(create(name, {}), sparse)
+        for in_one_call in (True, False):
+            rehearse(create(name, {}), dense, in_one_call=in_one_call)
+    rehearse(None, sparse)
     if part != "banded":
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)

@@ -62,6 +62,11 @@ def compiled_in_any_order(function: Any) -> Any:
     return _compiled(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
+def compiled_part(function: Any) -> Any:
+    """Compile a part of kernels."""
+    return _compiled(function)
+
+
 def compiled_into_others(function: Any) -> Any:
     """Compile a short function that other kernels call: on a few unknowns a call costs more than what it does."""
     return _compiled(function, forceinline=True)

@@ -148,7 +148,6 @@ def solve(
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
             units = CommonUnits(problem, problem)
             try:
-                rehearse(None, problem)  # the judge
                 warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
                 if settings.measure == "relative":
                     units = CommonUnits.of(problem, settings.least_reference)
@@ -156,6 +155,7 @@ def solve(
                 arrived = None if callers is not None else sprinted(units, policy, first, settings, start, clock)
                 if arrived is not None:
                     return arrived
+                rehearse(None, problem)  # the judge
                 run = Run(units, policy, settings, callers, clock)
                 if settings.is_on_error:
                     run.judge.require_rigorous_bounds()

@@ -12,6 +12,7 @@ from contextlib import suppress
 import numpy as np
 
 from ..algorithms import REGISTRY, create
+from ..algorithms.interior_points import primal_active_set, quasidefinite
 from ..algorithms.rehearsal import rehearse
 from ..certificates.error_bounds import error_bound
 from ..deadline import NEW_KERNELS
@@ -61,6 +62,8 @@ def compile_part(part: str) -> None:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
     if part == "others":
+        primal_active_set.rehearse()
+        quasidefinite.rehearse()
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
 
 

@@ -86,7 +86,8 @@ def _aim(desk, facts, phase, length):  # type: ignore[no-untyped-def]
     """Choose the direction on trial, of that length, or not; fill the products that the next one aims at."""
     if phase == PREDICTED:
         gap = facts[GAP]
-        centring = (_gap_after(desk, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap) ** 3 if gap > 0.0 else 0.0
+        share = _gap_after(desk, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap if gap > 0.0 else 0.0
+        centring = share * (share * share)
         for i in range(desk.shape[1]):
             desk[SECOND_LOWER, i] = desk[TRIAL + 1, i] * desk[TRIAL + 3, i]
             desk[SECOND_UPPER, i] = desk[TRIAL + 2, i] * desk[TRIAL + 4, i]

@@ -232,7 +232,7 @@ def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untype
         units[j] = power_above(units[j])
     _add_squares(squares, A, root, units, room[1])
     for j in range(units.size):
-        units[j] = power_above(math.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
+        units[j] = power_above(np.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
 
 
 @compiled_part
@@ -352,7 +352,7 @@ def _leave(work, right, x, free, p, count):  # type: ignore[no-untyped-def]
     for q in range(p, count - 1):
         free[q] = free[q + 1]
         column = work[free[q]]
-        length = math.hypot(column[q], column[q + 1])
+        length = np.hypot(column[q], column[q + 1])
         c, s = column[q] / length, column[q + 1] / length
         for i in range(n):
             above, below = work[i, q], work[i, q + 1]

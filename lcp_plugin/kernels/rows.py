@@ -54,9 +54,11 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
 def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
     """Fill c with factors such that c_i m_ij c_j has rows and columns whose largest entry is about 1 (Ruiz)."""
     size = np.empty(c.size)
-    c[:] = 1.0
+    for i in range(c.size):
+        c[i] = 1.0
     for _ in range(passes):
-        size[:] = 0.0
+        for i in range(c.size):
+            size[i] = 0.0
         for i in range(c.size):
             for k in range(indptr[i], indptr[i + 1]):
                 j = indices[k]
@@ -78,10 +80,12 @@ def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
     Return 1 where diag(signs) M is symmetric then, 0 where other signs may do, −1 where none can: an entry is neither
     its mirror image nor the opposite, to the relative tolerance `same`.
     """
-    signs[:] = 1.0
-    fits = 1
+    for i in range(signs.size):
+        signs[i] = 1.0
+    fits, place = 1, np.empty(signs.size, np.int64)
     for is_checked in (False, True):
-        place = indptr[:-1].copy()
+        for i in range(signs.size):
+            place[i] = indptr[i]
         for i in range(signs.size):
             k, end = place[i], indptr[i + 1]
             if k < end and indices[k] < i:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_place, compiled_part
+from .compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 from .enclosures import residual_ends
 from .tridiagonal import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
@@ -249,7 +249,7 @@ def _largest(values):  # type: ignore[no-untyped-def]
     return largest
 
 
-@compiled
+@interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
     Q, lower, upper, nearest, tolerance, most_rounds, Z, rounds, ends

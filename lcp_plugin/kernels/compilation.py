@@ -62,6 +62,11 @@ def compiled_in_any_order(function: Any) -> Any:
     return _compiled(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
+def interpreted_while_small(function: Any) -> Any:
+    """Compile on first use."""
+    return _compiled(function)
+
+
 def compiled_part(function: Any) -> Any:
     """Compile a part of kernels."""
     return _compiled(function)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_part
+from .compilation import compiled_part, interpreted_while_small
 from .floats import EPSILON
 
 SMALLEST_PIVOT = 1e-14  # of the diagonal entry, squared; below, a factor says nothing
@@ -65,7 +65,7 @@ def leave(L, order, size, at, cosines, sines):  # type: ignore[no-untyped-def]
         row[i] = size_of_both
 
 
-@compiled
+@interpreted_while_small
 def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     """Add the rows at the end; return the new size, or −1 where the block is singular to working precision."""
     for j in rows:
@@ -82,7 +82,7 @@ def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     return size
 
 
-@compiled
+@interpreted_while_small
 def minimise(L, order, size, lower, upper, z, w, is_free, limit):  # type: ignore[no-untyped-def]
     """Go towards w = 0 on the free rows; where a bound is met, fix that row and go on.
 

@@ -17,6 +17,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import Any, TypeVar
 
+from .locks import Lock
+
 T = TypeVar("T")
 AT_LEAST = 0.1  # seconds
 SLICE = 0.1  # seconds between two looks at the clock, and at Ctrl-C where that does not end a wait
@@ -56,6 +58,63 @@ def compiling() -> Iterator[None]:
         yield
     finally:
         own.seconds = before + time.perf_counter() - began
+
+
+class NewKernels:
+    """What this process compiles because no cache has it, for those who tell the user why there is a wait."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._under_way, self._began, self._before = 0, 0.0, 0.0
+        self.watchers: list[Callable[[], None]] = []  # called when compilation begins and when it has ended
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether a thread compiles."""
+        return self._under_way > 0
+
+    @property
+    def seconds(self) -> float:
+        """Those in which some thread has compiled, up to now."""
+        with self._lock.held():
+            return self._before + (time.perf_counter() - self._began if self._under_way else 0.0)
+
+    @contextmanager
+    def compiling(self) -> Iterator[None]:
+        """Compile inside a ``with`` statement, the clocks of all runs around stopped."""
+        with compiling():
+            self._count(1)
+            try:
+                if tell := _tell.get():
+                    tell()
+                yield
+            finally:
+                self._count(-1)
+
+    def _count(self, change: int) -> None:
+        with self._lock.held():
+            now = time.perf_counter()
+            if self._under_way == 0:
+                self._began = now
+            self._under_way += change
+            if self._under_way == 0:
+                self._before += now - self._began
+        for watcher in list(self.watchers):
+            watcher()
+
+
+NEW_KERNELS = NewKernels()
+_tell: ContextVar[Callable[[], None] | None] = ContextVar("tell", default=None)
+
+
+@contextmanager
+def told_of_compilation(tell: Callable[[], None]) -> Iterator[None]:
+    """Call this whenever a kernel begins to be compiled in the runs inside a ``with`` statement."""
+    token = _tell.set(tell)
+    try:
+        yield
+    finally:
+        _tell.reset(token)
 
 
 def _now() -> float:

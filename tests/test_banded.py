@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from exact import exact_solution
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
@@ -103,6 +104,13 @@ def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n:
     assert all(abs(Fraction(mine) - right) <= Fraction(1, 10**9) * size for mine, right in zip(z, exact, strict=True))
 
 
+@njit(error_model="numpy")
+def contacts(  # type: ignore[no-untyped-def]
+    M, q, sign, value, is_held, is_free, stops, slack, blocks
+):
+    return find_contacts(M, q, sign, value, is_held, is_free, stops, slack, blocks)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
     """Every row in contact, and no other, is found in one pass; rows that are held stay at their value."""
@@ -116,7 +124,8 @@ def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
         z = np.where(contact, value, np.where(value > -np.inf, value, 0.0) + rng.integers(1, 99, n))
         w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
         is_free = np.empty(n, dtype=np.bool_)
-        assert find_contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free)
+        room = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
+        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *room)
         np.testing.assert_array_equal(is_free, ~contact)
 
 
@@ -414,7 +423,9 @@ def test_many_offsets_of_one_matrix_in_one_loop() -> None:
 def test_a_rehearsal_compiles_all_there_is() -> None:
     """Single steps, all rounds at once and marches run what the 1 × 1 problem before the clock starts has compiled."""
     problem = gallery.build("american_put", size=40).problem
-    rehearse(Banded(), problem)
+    for in_one_call in (True, False):
+        rehearse(Banded(), problem, in_one_call=in_one_call)
+    rehearse(None, problem)
     compiled = [kernels.run_all, kernels.advance, kernels.measure, kernels.begin]
     before = [len(kernel.signatures) for kernel in compiled]
     Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 10)

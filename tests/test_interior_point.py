@@ -187,7 +187,7 @@ def test_updated_factor_is_that_of_the_present_rows() -> None:
         j = int(rng.integers(n))
         place = np.flatnonzero(order[:size] == j)
         if place.size:
-            triangles.leave(L, order, size, int(place[0]))
+            triangles.leave(L, order, size, int(place[0]), np.empty(size), np.empty(size))
             size -= 1
         else:
             size = triangles.join(M, 0.0, L, order, size, np.array([j]))

@@ -16,6 +16,7 @@ import typer
 from .. import __version__
 from ..errors import InvalidOption, LCPError, did_you_mean
 from .target import algorithm_names, benchmark_names, scene_names
+from .terminal import CompilationLine
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -77,7 +78,8 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         @functools.wraps(command)
         def wrapped(*args: Any, **kwargs: Any) -> None:
             try:
-                is_done = command(*args, **kwargs) is not False
+                with CompilationLine():
+                    is_done = command(*args, **kwargs) is not False
                 sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
                 if not is_done:
                     raise typer.Exit(EXIT_UNSOLVED)

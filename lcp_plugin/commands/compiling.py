@@ -12,9 +12,11 @@ from contextlib import suppress
 import numpy as np
 
 from ..algorithms import REGISTRY, create
+from ..algorithms.interior_points import primal_active_set, quasidefinite
 from ..algorithms.rehearsal import rehearse
 from ..certificates.error_bounds import error_bound
 from ..crossovers import SINGLE_FROM
+from ..deadline import NEW_KERNELS
 from ..evidence import gallery
 from ..kernels.compilation import cache_folder
 from ..problem.lcp import LCP
@@ -35,7 +37,10 @@ def compile_everything() -> str:
     processes = min(checked_threads(None), MOST_PROCESSES)
     if processes > 1:
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads that it leaves behind
-        with suppress(BrokenProcessPool, OSError), ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool:
+        with (
+            suppress(BrokenProcessPool, OSError), NEW_KERNELS.compiling(),
+            ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool,
+        ):
             list(pool.map(compile_part, PARTS))
     for part in PARTS:  # here, too, for what the others could not; code that is there is only loaded
         compile_part(part)
@@ -52,13 +57,17 @@ def compile_part(part: str) -> None:
         found.jvp(dq=np.ones(9))
         return
     for name in REGISTRY if part == "others" else (part,):
-        rehearse(create(name, {}), sparse)
+        for in_one_call in (True, False):
+            rehearse(create(name, {}), dense, in_one_call=in_one_call)
+    rehearse(None, sparse)
     if part != "banded":
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
     if part == "multigrid":
         solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
+        primal_active_set.rehearse()
+        quasidefinite.rehearse()
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
 
 

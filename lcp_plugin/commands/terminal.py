@@ -2,15 +2,85 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
-from typing import Any
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import cycle
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any
 
-from ..checks import FloatVector
-from ..solving.result import Sample
+from ..deadline import NEW_KERNELS
+
+if TYPE_CHECKING:
+    from ..checks import FloatVector
+    from ..solving.result import Sample
 
 QUIET_SECONDS = 1.0
 REFRESH_SECONDS = 0.2
+
+# Of the line that is on the terminal already, if there is one: shows a text in its place; its own again for None.
+_present: list[Callable[[str | None], None]] = []
+
+
+class CompilationLine:
+    """A moving line on the terminal while kernels are compiled, from the second second on; silence otherwise.
+
+    Where another line is there already, that one says it.
+    """
+
+    def __init__(self) -> None:
+        self._ended, self._writing = Event(), Lock()
+        self._mark, self._wipe = cycle("|/-\\"), ""
+        self._speaker: Callable[[str | None], None] | None = None
+        self._thread: Thread | None = None
+
+    def __enter__(self) -> CompilationLine:
+        if sys.stderr is not None and sys.stderr.isatty():
+            self._thread = Thread(target=self._move, name="compilation line", daemon=True)
+            NEW_KERNELS.watchers.append(self._draw)
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._thread is not None:
+            self._ended.set()
+            NEW_KERNELS.watchers.remove(self._draw)
+            self._thread.join()
+            self._draw()
+
+    def _move(self) -> None:
+        while not self._ended.wait(REFRESH_SECONDS):
+            self._draw()
+
+    def _draw(self) -> None:
+        """Show the line as it is now, or wipe it."""
+        with self._writing:
+            is_due = NEW_KERNELS.is_under_way and NEW_KERNELS.seconds > QUIET_SECONDS and not self._ended.is_set()
+            text = f"compiling, once an installation: {NEW_KERNELS.seconds:.0f} s so far"
+            if is_due and _present:
+                self._clear()
+                self._speaker = _present[-1]
+                self._speaker(text)
+            elif is_due:
+                width = shutil.get_terminal_size().columns - 1
+                self._wipe = "\r" + " " * width + "\r"  # what Ctrl-C leaves behind the text as well
+                self._write("\r" + f"{next(self._mark)} {text}"[:width])
+            else:
+                self._clear()
+
+    def _clear(self) -> None:
+        if self._wipe:
+            self._write(self._wipe)
+        if self._speaker in _present:
+            self._speaker(None)
+        self._wipe, self._speaker = "", None
+
+    def _write(self, text: str) -> None:
+        with suppress(OSError, ValueError):  # the terminal has gone
+            sys.stderr.write(text)
+            sys.stderr.flush()
 
 
 class RunLine:
@@ -19,7 +89,7 @@ class RunLine:
     def __init__(self) -> None:
         self._began = self._shown = time.perf_counter()
         self._status: Any = None
-        self._residual = float("nan")
+        self._residual, self._text = float("nan"), ""
         self._wanted = sys.stderr.isatty()
 
     def __enter__(self) -> RunLine:
@@ -27,6 +97,7 @@ class RunLine:
 
     def __exit__(self, *_: object) -> None:
         if self._status is not None:
+            _present.remove(self._interrupt)
             self._status.stop()
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
@@ -46,7 +117,12 @@ class RunLine:
 
             self._status = Console(stderr=True).status(text)
             self._status.start()
-        self._status.update(text + "  (Ctrl-C stops and keeps the best)")
+            _present.append(self._interrupt)
+        self._text = text + "  (Ctrl-C stops and keeps the best)"
+        self._status.update(self._text)
+
+    def _interrupt(self, text: str | None) -> None:
+        self._status.update(text or self._text)
 
 
 class PartsBar:
@@ -56,7 +132,7 @@ class PartsBar:
         self._total = total
         self._progress: Any = None
         self._task: Any = None
-        self._said = -1
+        self._said, self._label = -1, ""
 
     def __enter__(self) -> PartsBar:
         if sys.stderr.isatty():
@@ -69,14 +145,20 @@ class PartsBar:
             )
             self._progress.start()
             self._task = self._progress.add_task("", total=self._total)
+            _present.append(self._interrupt)
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._progress is not None:
+            _present.remove(self._interrupt)
             self._progress.stop()
+
+    def _interrupt(self, text: str | None) -> None:
+        self._progress.update(self._task, description=text or self._label)
 
     def __call__(self, done: int, total: int, label: str) -> None:
         """Show how many parts are done and what is under way."""
+        self._label = label
         if self._progress is not None:
             self._progress.update(self._task, completed=done, description=label)
         elif done > self._said and done < total:

@@ -6,9 +6,8 @@ The bands are rows of an array: bands[k, i] = m_{i, i+k−below}, 0 outside of M
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from .compilation import compiled
+from .compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 from .enclosures import residual_ends
 from .tridiagonal import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
@@ -24,8 +23,14 @@ HALVES = 200  # changes of every other wrong row, by lot, before the end; what a
 @compiled
 def measure(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore[no-untyped-def]
     """Fill w = M z + q and, in target, the bounds that z − w/d reaches (−1, 0, 1); return ‖r(z)‖∞."""
+    return _measured(bands, below, q, lower, upper, scale, z, w, target)
+
+
+@compiled_part
+def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore[no-untyped-def]
     width, n = bands.shape
-    w[:] = 0.0
+    for i in range(n):
+        w[i] = 0.0
     for k in range(width):
         shift = k - below
         for i in range(max(0, -shift), min(n, n - shift)):
@@ -40,13 +45,14 @@ def measure(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore
     return largest if is_finite else np.inf
 
 
-@njit
+@compiled_part
 def _load(bands, below, weights, q, value, state, rows, right):  # type: ignore[no-untyped-def]
     """Fill the rows of the free block, each from its first column on, and what is right of them."""
     width, n = bands.shape
     for i in range(n):
         first = max(0, below - i)
-        rows[i] = 0.0
+        for k in range(width):
+            rows[i, k] = 0.0
         if state[i] != 0:
             rows[i, below - first], right[i] = 1.0, value[i]
             continue
@@ -60,7 +66,7 @@ def _load(bands, below, weights, q, value, state, rows, right):  # type: ignore[
         right[i] = total * weights[i]
 
 
-@compiled
+@compiled_part
 def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: ignore[no-untyped-def]
     """Fill z with value where state is not 0 and the solution of w = 0 elsewhere, by pivots from the column.
 
@@ -93,17 +99,17 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
         z[k] = total / rows[k, 0]
 
 
-@njit
-def _choose(n, bands, q, lower, upper, value, state, target, memory):  # type: ignore[no-untyped-def]
+@compiled_part
+def _choose(n, bands, q, lower, upper, value, state, target, memory, room):  # type: ignore[no-untyped-def]
     """Fill state with the bounds that are to hold, and value with the z there."""
     if memory[WAY] == DIRECT:
         side, sign = memory[SIDE], float(memory[SIDE])
-        is_held, is_free = np.empty(n, np.bool_), np.empty(n, np.bool_)
+        is_held, is_free, stops, slack, blocks = room
         for i in range(n):
             near, far = (lower[i], upper[i]) if side > 0 else (upper[i], lower[i])
             is_held[i] = lower[i] == upper[i] or target[i] == side
             value[i] = sign * (far if is_held[i] else near)
-        if not find_contacts(bands, q, sign, value, is_held, is_free):
+        if not find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):
             memory[WAY] = BLOCKS
         for i in range(n):
             value[i] *= sign
@@ -114,7 +120,7 @@ def _choose(n, bands, q, lower, upper, value, state, target, memory):  # type: i
             value[i] = lower[i] if state[i] < 0 else upper[i]
 
 
-@njit
+@compiled_part
 def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
     """Return whether another round may help; where changing all wrong rows leads nowhere, half of them."""
     wrong = far = held = 0
@@ -160,13 +166,23 @@ def advance(  # type: ignore[no-untyped-def]
     On the direct way the contacts on one side are found for the given ones on the other. An active set that comes
     out again has its z refined once.
     """
+    return _advanced(
+        bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, _room_for_contacts(z.size)
+    )
+
+
+@compiled_part
+def _advanced(  # type: ignore[no-untyped-def]
+    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
+):
     n, state, target = z.size, sets[0], sets[1]
     w, value, slope, step = vectors[0], vectors[1], vectors[2], vectors[3]
     is_refined = memory[IS_SETTLED] == 1
     if is_refined:
-        value[:] = 0.0
+        for i in range(n):
+            value[i] = 0.0
     else:
-        _choose(n, bands, q, lower, upper, value, state, target, memory)
+        _choose(n, bands, q, lower, upper, value, state, target, memory, room)
     memory[LAST_WAY] = memory[WAY]
     right = w if is_refined else q
     if memory[WAY] == DIRECT:
@@ -175,7 +191,7 @@ def advance(  # type: ignore[no-untyped-def]
         eliminate(bands, below, weights, right, value, state, step, rows, slope)
     for i in range(n):
         z[i] = z[i] + step[i] if is_refined else step[i]
-    now = measure(bands, below, q, lower, upper, scale, z, w, target)
+    now = _measured(bands, below, q, lower, upper, scale, z, w, target)
     goes_on = _goes_on(state, target, memory)
     is_outside = False
     for i in range(n):
@@ -183,13 +199,25 @@ def advance(  # type: ignore[no-untyped-def]
         is_outside |= inside != z[i]
         z[i] = inside
     if is_outside:
-        now = measure(bands, below, q, lower, upper, scale, z, w, state)
+        now = _measured(bands, below, q, lower, upper, scale, z, w, state)
     return now, goes_on and not (is_refined and memory[IS_SETTLED] == 1)
+
+
+@compiled_in_place
+def _room_for_contacts(n):  # type: ignore[no-untyped-def]
+    """Return what `_choose` works in."""
+    is_held, is_free, stops = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n + 1, np.int64)
+    return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
 
 
 @compiled
 def begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
     """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
+    _begin(is_direct, lower, upper, memory)
+
+
+@compiled_part
+def _begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
     n = lower.size
     lowers = uppers = 0
     for i in range(n):
@@ -201,7 +229,7 @@ def begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
     memory[PATIENCE], memory[HALVES_LEFT], memory[IS_SETTLED] = TRIES, HALVES, 0
 
 
-@njit
+@compiled_part
 def _add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
     """Add A x to y."""
     for i in range(y.size):
@@ -211,7 +239,17 @@ def _add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
         y[i] += total
 
 
-@compiled
+@compiled_part
+def _largest(values):  # type: ignore[no-untyped-def]
+    """Return the largest of some values, NaN where one of them is."""
+    largest = values[0]
+    for i in range(1, values.size):
+        if values[i] > largest or values[i] != values[i]:
+            largest = values[i]
+    return largest
+
+
+@interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
     Q, lower, upper, nearest, tolerance, most_rounds, Z, rounds, ends
@@ -239,29 +277,32 @@ def run_all(  # type: ignore[no-untyped-def]
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
     rows, origin = np.empty((n, bands.shape[0])), np.empty(n)
-    smallest, largest = np.empty(n), np.empty(n)
-    rounds[:] = -1
+    smallest, largest, room = np.empty(n), np.empty(n), _room_for_contacts(n)
+    for k in range(Q.shape[0]):
+        rounds[k, 0] = rounds[k, 1] = -1
     for k in range(Q.shape[0]):
         q, z, bound = Q[k], Z[k], min(k, lower.shape[0] - 1)
         low, high, direct, blocks = lower[bound], upper[bound], 0, 0
         if carry_indptr.size > 0 and k > 0:
-            z[:] = Z[k - 1]
+            for i in range(n):
+                z[i] = Z[k - 1, i]
             _add_product(carry_indptr, carry_indices, carry_data, z, q)
             for i in range(n):
                 z[i] = min(max(z[i], low[i]), high[i])
-        origin[:] = nearest[bound]
+        for i in range(n):
+            origin[i] = nearest[bound, i]
         residual_ends(indptr, indices, data, 0, origin, q, origin, low, high, scale, smallest, largest)
-        least, most = smallest.max(), largest.max()
-        begin(is_direct, low, high, memory)
-        residual, goes_on = measure(bands, below, q, low, high, scale, z, vectors[0], sets[1]), least > 0.0
+        least, most = _largest(smallest), _largest(largest)
+        _begin(is_direct, low, high, memory)
+        residual, goes_on = _measured(bands, below, q, low, high, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
-            residual, goes_on = advance(
-                bands, below, weights, scale, q, low, high, z, vectors, sets, memory, rows
+            residual, goes_on = _advanced(
+                bands, below, weights, scale, q, low, high, z, vectors, sets, memory, rows, room
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, low, high, scale, smallest, largest)
-            ends[k, 0], ends[k, 1] = largest.max(), least
+            ends[k, 0], ends[k, 1] = _largest(largest), least
             if ends[k, 0] / least < tolerance:
                 rounds[k, 0], rounds[k, 1] = direct, blocks
         if carry_indptr.size > 0 and rounds[k, 0] < 0:

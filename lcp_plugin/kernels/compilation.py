@@ -29,7 +29,7 @@ from numba.core.compiler import Compiler
 from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
 
-from ..deadline import compiling
+from ..deadline import NEW_KERNELS
 from ..locks import Lock
 
 _lock = Lock()
@@ -43,7 +43,7 @@ class _StoppedClocks(event.Listener):
 
     def on_start(self, event: Any) -> None:
         stack = self._under_way.__dict__.setdefault("stack", [])
-        stack.append(compiling())
+        stack.append(NEW_KERNELS.compiling())
         stack[-1].__enter__()
 
     def on_end(self, event: Any) -> None:
@@ -83,6 +83,16 @@ def interpreted_while_small(function: Any) -> Any:
 def compiled_part(function: Any) -> Any:
     """Compile a part of kernels."""
     return _part(function)
+
+
+def interpreted_while_small(function: Any) -> Any:
+    """Compile on first use."""
+    return _compiled(function)
+
+
+def compiled_part(function: Any) -> Any:
+    """Compile a part of kernels."""
+    return _compiled(function)
 
 
 def compiled_into_others(function: Any) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_place
+from .compilation import compiled_in_place, interpreted_while_small
 
 TO_THE_BOUNDARY = 0.995
 LEAST_CENTRAL, MOST_CENTRAL = 0.1, 10.0  # products outside this share of the target are corrected
@@ -35,7 +35,7 @@ FACTS = 9
 BEGUN, PREDICTED, AIMED, CORRECTED, DONE = range(5)
 
 
-@compiled
+@interpreted_while_small
 def begin(desk, facts):  # type: ignore[no-untyped-def]
     """Fill the residuals, M z given in desk[LEFT], and the diagonal, aim at 0; return whether all are finite."""
     largest, is_finite = 0.0, True
@@ -54,7 +54,7 @@ def begin(desk, facts):  # type: ignore[no-untyped-def]
     return is_finite
 
 
-@compiled
+@interpreted_while_small
 def move(desk, facts):  # type: ignore[no-untyped-def]
     """Follow the chosen direction; return whether z is finite."""
     length, is_finite, total = facts[LENGTH], True, 0.0
@@ -69,7 +69,7 @@ def move(desk, facts):  # type: ignore[no-untyped-def]
     return is_finite
 
 
-@compiled
+@interpreted_while_small
 def advance(desk, facts, phase):  # type: ignore[no-untyped-def]
     """Take the solution of what `phase` asked for; return what is asked for now, DONE where the step was made."""
     phase = PREDICTED if phase == BEGUN else _aim(desk, facts, phase, _turn(desk))
@@ -86,7 +86,8 @@ def _aim(desk, facts, phase, length):  # type: ignore[no-untyped-def]
     """Choose the direction on trial, of that length, or not; fill the products that the next one aims at."""
     if phase == PREDICTED:
         gap = facts[GAP]
-        centring = (_gap_after(desk, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap) ** 3 if gap > 0.0 else 0.0
+        share = _gap_after(desk, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap if gap > 0.0 else 0.0
+        centring = share * (share * share)
         for i in range(desk.shape[1]):
             desk[SECOND_LOWER, i] = desk[TRIAL + 1, i] * desk[TRIAL + 3, i]
             desk[SECOND_UPPER, i] = desk[TRIAL + 2, i] * desk[TRIAL + 4, i]

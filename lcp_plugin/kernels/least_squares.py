@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_any_order, compiled_into_others
+from .compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
 from .floats import EPSILON, TINY, UNIT
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
@@ -28,7 +28,14 @@ DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free on
 @compiled
 def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
     """Return the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
-    (m, n), sums = A.shape, np.zeros((4, A.shape[0]))
+    sums = np.empty((4, A.shape[0]))
+    _sum_along_rows(A, v, slip, sums)
+    return sums
+
+
+@compiled_part
+def _sum_along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    m, n = A.shape
     last = n - n % 4
     for i in range(m):
         a = b = c = d = p = q = r = s = 0.0
@@ -39,18 +46,27 @@ def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
         for j in range(last, n):
             e = A[i, j] * v[j]
             a, p = a + e, p + abs(e)
+        sums[2, i] = 0.0
         for j in range(slip.size):
             sums[2, i] += abs(A[i, j]) * slip[j]
         sums[0, i], sums[1, i] = (a + b) + (c + d), (p + q) + (r + s)
         sums[3, i] = sums[1, i] > 0.0 or _has_term(A[i], v, slip)
-    return sums
 
 
 @compiled
 def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
     """Return the same for Aᵀ, A by rows."""
-    (m, n), sums = A.shape, np.zeros((4, A.shape[1]))
+    sums = np.empty((4, A.shape[1]))
+    _sum_down_columns(A, v, slip, sums)
+    return sums
+
+
+@compiled_part
+def _sum_down_columns(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    m, n = A.shape
     value, size, spread = sums[0], sums[1], sums[2]
+    for j in range(n):
+        value[j] = size[j] = spread[j] = 0.0
     for i in range(m):
         for j in range(n):
             term = A[i, j] * v[i]
@@ -61,7 +77,6 @@ def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
             spread[j] += abs(A[i, j]) * slip[i]
     for j in range(n):
         sums[3, j] = size[j] > 0.0 or _has_term(A[:, j], v, slip)
-    return sums
 
 
 @compiled_into_others
@@ -78,6 +93,11 @@ def largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  #
 
     They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
     """
+    return _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed)
+
+
+@compiled_part
+def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
     plain = scaled = 0.0
     is_at_floor = True
     for j in range(x.size):
@@ -103,6 +123,11 @@ def power_above(size):  # type: ignore[no-untyped-def]
 @compiled
 def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
     """Raise `largest` to the largest entries of the columns of diag(root) A, A by rows."""
+    _raise_to_largest(largest, A, root)
+
+
+@compiled_part
+def _raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             largest[j] = max(largest[j], abs(A[i, j] * root[i]))
@@ -111,7 +136,13 @@ def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
 @compiled
 def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
     """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows."""
-    inverse = 1.0 / units
+    _add_squares(squares, A, root, units, np.empty(units.size))
+
+
+@compiled_part
+def _add_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
+    for j in range(units.size):
+        inverse[j] = 1.0 / units[j]
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             part = A[i, j] * root[i] * inverse[j]
@@ -121,24 +152,27 @@ def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
 @compiled
 def radii(sums, terms):  # type: ignore[no-untyped-def]
     """Return by how much rounding, and slip, may have moved such sums of so many terms."""
-    radius, k = np.empty(sums.shape[1]), (2 * terms + 8) * UNIT
-    for j in range(radius.size):
-        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
-        radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
+    radius = np.empty(sums.shape[1])
+    _write_radii(sums, terms, radius)
     return radius
 
 
-@compiled
-def residual_ball(A, x, b):  # type: ignore[no-untyped-def]
-    """Return A x − b and its radius, A by rows."""
-    sums = along_rows(A, x, np.empty(0))
-    sums[1] += np.abs(b)
-    return sums[0] - b, radii(sums, A.shape[1])
+@compiled_part
+def _write_radii(sums, terms, radius):  # type: ignore[no-untyped-def]
+    k = (2 * terms + 8) * UNIT
+    for j in range(radius.size):
+        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
+        radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
 
 
 @compiled
 def with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
     """Add ridge x to a value, and what that rounds to its radius."""
+    _add_ridge(value, radius, ridge, x)
+
+
+@compiled_part
+def _add_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
     if ridge > 0.0:
         for j in range(x.size):
             value[j] += ridge * x[j]
@@ -152,39 +186,62 @@ def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-un
 
     How optimal is as in `certificates.least_squares`, or ∞ where AᵀWb = 0.
     """
-    (m, n), nothing = A.shape, np.empty(0)
-    units = np.zeros(n)
-    root = np.sqrt(weights)
-    raise_to_largest(units, A, root)
-    squares = np.zeros(n)
-    for j in range(n):
-        units[j] = power_above(units[j])
-    add_squares(squares, A, root, units)
-    for j in range(n):
-        units[j] = power_above(math.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
-    x, rounds = _minimum(A, b, root, ridge, lower, upper, units, most)
-    residual, slip = residual_ball(A, x, b)
-    sums = down_columns(A, weights * b, nothing)
-    radius = radii(sums, m)
+    m, n = A.shape
+    x, residual, of_rows, of_columns = np.empty(n), np.empty(m), np.empty((7, m)), np.empty((9, n))
+    work, sets = np.empty((n + 2, m + n if ridge > 0.0 else m)), np.empty((3, n), np.int64)
+    root, units = of_rows[4], of_columns[4]
+    _find_units(A, weights, ridge, root, units, of_columns)
+    rounds = _minimum(A, b, root, ridge, lower, upper, units, most, x, work, of_columns, sets)
+    nothing = x[:0]
+    _sum_along_rows(A, x, nothing, of_rows[:4])
+    for i in range(m):
+        of_rows[1, i] += abs(b[i])
+        residual[i] = of_rows[0, i] - b[i]
+    slip, right = of_rows[5], of_rows[6]
+    _write_radii(of_rows[:4], n, slip)
+    for i in range(m):
+        slip[i], right[i] = weights[i] * slip[i], weights[i] * b[i]
+    sums, radius = of_columns[:4], of_columns[5]
+    _sum_down_columns(A, right, nothing, sums)
+    _write_radii(sums, m, radius)
     plain = scaled = 0.0
     for j in range(n):
         plain = max(plain, abs(sums[0, j]) - radius[j])
         scaled = max(scaled, (abs(sums[0, j]) - radius[j]) / units[j])
     if rounds < 0 or not (plain > 0.0 and scaled > 0.0):
         return x, residual, np.inf, rounds
-    sums = down_columns(A, weights * residual, weights * slip)
-    radius = radii(sums, m)
-    with_ridge(sums[0], radius, ridge, x)
-    of_plain, of_scaled, _ = largest_residuals(sums[0], radius, x, lower, upper, units, True)
+    for i in range(m):
+        right[i] = weights[i] * residual[i]
+    _sum_down_columns(A, right, slip, sums)
+    _write_radii(sums, m, radius)
+    _add_ridge(sums[0], radius, ridge, x)
+    of_plain, of_scaled, _ = _largest_residuals(sums[0], radius, x, lower, upper, units, True)
     return x, residual, OUTWARD * max(of_plain / plain, of_scaled / scaled), rounds
 
 
-@compiled
-def _minimum(A, b, root, ridge, lower, upper, units, most):  # type: ignore[no-untyped-def]
-    """Return x, each column free or exactly at its bound, and the faces solved."""
+@compiled_part
+def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untyped-def]
+    """Write the roots of the weights, and the powers of two just above the lengths of the columns."""
+    squares = room[0]
+    for i in range(weights.size):
+        root[i] = math.sqrt(weights[i])
+    for j in range(units.size):
+        units[j] = squares[j] = 0.0
+    _raise_to_largest(units, A, root)
+    for j in range(units.size):
+        units[j] = power_above(units[j])
+    _add_squares(squares, A, root, units, room[1])
+    for j in range(units.size):
+        units[j] = power_above(np.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
+
+
+@compiled_part
+def _minimum(  # type: ignore[no-untyped-def]
+    A, b, root, ridge, lower, upper, units, most, x, work, room, sets
+):
+    """Write x, each column free or exactly at its bound; return the faces solved."""
     m, n = A.shape
-    rows = m + n if ridge > 0.0 else m
-    work, right, x = np.zeros((n, rows)), np.zeros(rows), np.empty(n)
+    rows, right, low, high = work.shape[1], work[n], room[6], room[7]
     size = 0.0
     for i in range(m):
         size = max(size, abs(root[i] * b[i]))
@@ -196,36 +253,41 @@ def _minimum(A, b, root, ridge, lower, upper, units, most):  # type: ignore[no-u
         right[i] = root[i] * b[i] / size
         for j in range(n):
             work[j, i] = A[i, j] * root[i] / units[j]
-    low, high = lower * (units / size), upper * (units / size)
+    for i in range(m, rows):
+        right[i] = 0.0
+        for j in range(n):
+            work[j, i] = 0.0
     for j in range(n):
+        low[j], high[j] = lower[j] * (units[j] / size), upper[j] * (units[j] / size)
         x[j] = min(max(x[j] * (units[j] / size), low[j]), high[j])
         if ridge > 0.0:
             work[j, m + j] = math.sqrt(ridge) / units[j]
-    rounds = _exchange(work, right, low, high, x, most)
+    rounds = _exchange(work, right, low, high, x, most, work[n + 1], room[8], sets)
     for j in range(n):
         there = min(max(x[j] * (size / units[j]), lower[j]), upper[j])
         x[j] = lower[j] if x[j] <= low[j] else upper[j] if x[j] >= high[j] else there
-    return x, rounds
+    return rounds
 
 
-@compiled
-def _exchange(work, right, low, high, x, most):  # type: ignore[no-untyped-def]
+@compiled_part
+def _exchange(work, right, low, high, x, most, mirror, z, sets):  # type: ignore[no-untyped-def]
     """Move x to the minimum, a column at a time; return the faces solved, −1 − those where that takes too many."""
     n = x.size
-    free, is_free, is_rejected = np.empty(n, np.int64), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    free, is_free, is_rejected = sets[0], sets[1], sets[2]
     count = rounds = 0
-    noise, z = PULL * (1.0 + math.sqrt(_dot(right, right, 0))), np.empty(n)
+    noise = PULL * (1.0 + math.sqrt(_dot(right, right, 0)))
     for j in range(n):
+        is_free[j] = is_rejected[j] = 0
         if x[j] != 0.0:
             _add(right, work[j], -x[j], 0)
     while rounds < most:
         j = _hardest_pulled(work, right, low, high, x, is_free, is_rejected, count, noise)
         if j < 0:
             return rounds
-        if not _enter(work, right, x, is_free, j, count):
-            is_rejected[j] = True
+        if not _enter(work, right, x, is_free, j, count, mirror):
+            is_rejected[j] = 1
             continue
-        free[count], is_free[j] = j, True
+        free[count], is_free[j] = j, 1
         count += 1
         while count > 0:
             rounds += 1
@@ -240,9 +302,10 @@ def _exchange(work, right, low, high, x, most):  # type: ignore[no-untyped-def]
                 i = free[p]
                 if x[i] == low[i] or x[i] == high[i]:
                     _leave(work, right, x, free, p, count)
-                    is_free[i] = False
+                    is_free[i] = 0
                     count -= 1
-        is_rejected[:] = False
+        for i in range(n):
+            is_rejected[i] = 0
         is_rejected[j] = not is_free[j]
     return -1 - rounds
 
@@ -260,7 +323,7 @@ def _hardest_pulled(work, right, low, high, x, is_free, is_rejected, first, nois
 
 
 @compiled_into_others
-def _enter(work, right, x, is_free, j, p):  # type: ignore[no-untyped-def]
+def _enter(work, right, x, is_free, j, p, mirror):  # type: ignore[no-untyped-def]
     """Reflect so that column j ends at row p; return False where it depends on the free ones."""
     column, rows = work[j], right.size
     length = math.sqrt(_dot(column, column, p))
@@ -268,7 +331,8 @@ def _enter(work, right, x, is_free, j, p):  # type: ignore[no-untyped-def]
         return False
     _add(right, column, x[j], 0)
     end = -length if column[p] > 0.0 else length
-    mirror = column.copy()
+    for i in range(rows):
+        mirror[i] = column[i]
     mirror[p] -= end
     factor = -1.0 / (length * (length + abs(column[p])))
     _add(right, mirror, factor * _dot(mirror, right, p), p)
@@ -276,7 +340,8 @@ def _enter(work, right, x, is_free, j, p):  # type: ignore[no-untyped-def]
         if not is_free[i] and i != j:
             _add(work[i], mirror, factor * _dot(mirror, work[i], p), p)
     column[p] = end
-    column[p + 1 :] = 0.0
+    for i in range(p + 1, rows):
+        column[i] = 0.0
     return True
 
 
@@ -287,7 +352,7 @@ def _leave(work, right, x, free, p, count):  # type: ignore[no-untyped-def]
     for q in range(p, count - 1):
         free[q] = free[q + 1]
         column = work[free[q]]
-        length = math.hypot(column[q], column[q + 1])
+        length = np.hypot(column[q], column[q + 1])
         c, s = column[q] / length, column[q + 1] / length
         for i in range(n):
             above, below = work[i, q], work[i, q + 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import uintp
 
-from .compilation import compiled
+from .compilation import compiled, interpreted_while_small
 
 
 @compiled
@@ -50,13 +50,15 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
         upper[i] = above
 
 
-@compiled
+@interpreted_while_small
 def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
     """Fill c with factors such that c_i m_ij c_j has rows and columns whose largest entry is about 1 (Ruiz)."""
     size = np.empty(c.size)
-    c[:] = 1.0
+    for i in range(c.size):
+        c[i] = 1.0
     for _ in range(passes):
-        size[:] = 0.0
+        for i in range(c.size):
+            size[i] = 0.0
         for i in range(c.size):
             for k in range(indptr[i], indptr[i + 1]):
                 j = indices[k]
@@ -71,17 +73,19 @@ def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
             break
 
 
-@compiled
+@interpreted_while_small
 def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
     """Fill signs with −1 where a row before is the opposite of a column, else 1; rows sorted.
 
     Return 1 where diag(signs) M is symmetric then, 0 where other signs may do, −1 where none can: an entry is neither
     its mirror image nor the opposite, to the relative tolerance `same`.
     """
-    signs[:] = 1.0
-    fits = 1
+    for i in range(signs.size):
+        signs[i] = 1.0
+    fits, place = 1, np.empty(signs.size, np.int64)
     for is_checked in (False, True):
-        place = indptr[:-1].copy()
+        for i in range(signs.size):
+            place[i] = indptr[i]
         for i in range(signs.size):
             k, end = place[i], indptr[i + 1]
             if k < end and indices[k] < i:
@@ -107,7 +111,7 @@ def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
     return fits
 
 
-@compiled
+@interpreted_while_small
 def box_residual(z, w, lower, upper, scale):  # type: ignore[no-untyped-def]
     """Return max |z − mid(lower, upper, z − w/scale)|, and the largest product of |w| and the finite distance it holds.
 
@@ -126,7 +130,7 @@ def box_residual(z, w, lower, upper, scale):  # type: ignore[no-untyped-def]
     return largest, product
 
 
-@compiled
+@interpreted_while_small
 def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-untyped-def]
     """Return whether z within the bounds miss the sign that w has to have in one of the rows, to rounding."""
     for i in rows:

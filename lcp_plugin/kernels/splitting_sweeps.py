@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numba import njit, uintp
 
-from .compilation import compiled
+from .compilation import compiled, interpreted_while_small
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
@@ -218,7 +218,7 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
     return largest, squares
 
 
-@compiled
+@interpreted_while_small
 def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
     """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
 

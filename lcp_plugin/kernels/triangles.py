@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled
+from .compilation import compiled_part, interpreted_while_small
 from .floats import EPSILON
 
 SMALLEST_PIVOT = 1e-14  # of the diagonal entry, squared; below, a factor says nothing
 MET_A_BOUND, FREE, SINGULAR = 0, 1, 2
 
 
-@compiled
+@compiled_part
 def product(row, x, size):  # type: ignore[no-untyped-def]
     """Return the product of the first entries of two vectors; four sums, so that none waits for the other."""
     first = second = third = fourth = 0.0
@@ -29,14 +29,14 @@ def product(row, x, size):  # type: ignore[no-untyped-def]
     return (first + second) + (third + fourth)
 
 
-@compiled
+@compiled_part
 def forward(L, size, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L⁻¹ x."""
     for i in range(size):
         x[i] = (x[i] - product(L[i], x, i)) / L[i, i]
 
 
-@compiled
+@compiled_part
 def backward(L, size, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L⁻ᵀ x."""
     for i in range(size - 1, -1, -1):
@@ -46,10 +46,9 @@ def backward(L, size, x):  # type: ignore[no-untyped-def]
             x[j] -= value * row[j]
 
 
-@compiled
-def leave(L, order, size, at):  # type: ignore[no-untyped-def]
-    """Take the row in that place out of the factor; rotations make the rest triangular again."""
-    cosines, sines = np.empty(size), np.empty(size)
+@compiled_part
+def leave(L, order, size, at, cosines, sines):  # type: ignore[no-untyped-def]
+    """Take the row in that place out of the factor; rotations, `size` numbers each, make the rest triangular again."""
     for i in range(at, size - 1):
         order[i] = order[i + 1]
         row, below = L[i], L[i + 1]
@@ -66,7 +65,7 @@ def leave(L, order, size, at):  # type: ignore[no-untyped-def]
         row[i] = size_of_both
 
 
-@compiled
+@interpreted_while_small
 def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     """Add the rows at the end; return the new size, or −1 where the block is singular to working precision."""
     for j in rows:
@@ -83,14 +82,14 @@ def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     return size
 
 
-@compiled
+@interpreted_while_small
 def minimise(L, order, size, lower, upper, z, w, is_free, limit):  # type: ignore[no-untyped-def]
     """Go towards w = 0 on the free rows; where a bound is met, fix that row and go on.
 
     Return (outcome, size, rows fixed): FREE after a whole step, z moved and w no longer that of z; MET_A_BOUND where
     `limit` rows were fixed before; SINGULAR where the direction is not finite.
     """
-    x = np.empty(order.size)
+    x, cosines, sines = np.empty(order.size), np.empty(order.size), np.empty(order.size)
     for fixed in range(limit):
         for a in range(size):
             x[a] = -w[order[a]]
@@ -117,6 +116,6 @@ def minimise(L, order, size, lower, upper, z, w, is_free, limit):  # type: ignor
         row = order[first]
         z[row] = upper[row] if x[first] > 0.0 else lower[row]
         is_free[row] = False
-        leave(L, order, size, first)
+        leave(L, order, size, first, cosines, sines)
         size -= 1
     return MET_A_BOUND, size, limit

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .compilation import compiled
+from .compilation import compiled_part
 
 
 @njit(inline="always")
@@ -33,8 +33,8 @@ NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular 
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
-@compiled
-def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-untyped-def]
+@compiled_part
+def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):  # type: ignore[no-untyped-def]
     """Fill is_free with the rows that are not at their bound in the least z ≥ value with w ≥ 0, complementary.
 
     Parameters
@@ -49,6 +49,8 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
     is_held : array of bool, shape (n,)
         The rows that stay at their value whatever their w is.
     is_free : array of bool, shape (n,)
+    stops, slack, blocks : arrays, shapes (n + 1,) of int64, (n + 1,) and (n + 1, 6)
+        Room: the rows at their bounds so far, their w, and the free rows before each.
 
     Returns
     -------
@@ -56,7 +58,6 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
         False where a pivot is not positive, or negligible: M is no M-matrix, or singular.
     """
     n = is_free.size
-    stops, slack, blocks = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
     top, left, block = 0, 0.0, EMPTY  # rows at their bounds, the z of the last one, and the free rows behind it
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
@@ -89,7 +90,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free):  # type: ignore[no-u
     return True
 
 
-@compiled
+@compiled_part
 def substitute(bands, q, value, state, z, slope):  # type: ignore[no-untyped-def]
     """Fill z with value where state is not 0 and the solution of w = 0 elsewhere; no pivot is looked for.
 

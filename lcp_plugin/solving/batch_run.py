@@ -96,7 +96,7 @@ class BatchRun:
         plan = self.first.algorithm.short_plan()
         if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
             return None
-        rehearse(self.first.algorithm, tiny)
+        rehearse(self.first.algorithm, tiny, in_one_call=True)
         return plan
 
     def _run_compiled(self, group: Group, plan: Plan) -> Answers:

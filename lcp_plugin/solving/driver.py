@@ -101,7 +101,7 @@ def solve(
         ranks. The answer is the same bit for bit for any number.
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
-        seconds) and the end; nothing is printed otherwise.
+        seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
     **options
         Options of the named algorithm.
 
@@ -116,6 +116,11 @@ def solve(
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
         Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
+
+    Notes
+    -----
+    The first solve of its kind in an installation compiles kernels for 5 to 20 s, once; ``lcp-plugin warm-up`` compiles
+    all of them.
 
     Examples
     --------
@@ -143,7 +148,6 @@ def solve(
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
             units = CommonUnits(problem, problem)
             try:
-                rehearse(None, problem)  # the judge
                 warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
                 if settings.measure == "relative":
                     units = CommonUnits.of(problem, settings.least_reference)
@@ -151,6 +155,7 @@ def solve(
                 arrived = None if callers is not None else sprinted(units, policy, first, settings, start, clock)
                 if arrived is not None:
                     return arrived
+                rehearse(None, problem)  # the judge
                 run = Run(units, policy, settings, callers, clock)
                 if settings.is_on_error:
                     run.judge.require_rigorous_bounds()
@@ -203,14 +208,15 @@ class Run:
         if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
-            while following is not None:
-                if self.log is not None:
-                    self.log.begin(following)
-                rehearse(following.algorithm, self.problem)
-                from_start = following.from_start or self.incumbent.z is None
-                self.ledger.open(Stage(following.algorithm, following.because, from_start))
-                z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
-                reason, following = self._follow(following.iterates(self.problem, z))
+            with nullcontext() if self.log is None else self.log.telling_of_compilation():
+                while following is not None:
+                    if self.log is not None:
+                        self.log.begin(following)
+                    rehearse(following.algorithm, self.problem)
+                    from_start = following.from_start or self.incumbent.z is None
+                    self.ledger.open(Stage(following.algorithm, following.because, from_start))
+                    z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
+                    reason, following = self._follow(following.iterates(self.problem, z))
         except OutOfTimeError:
             return Status.MAX_SECONDS
         return reason

@@ -61,11 +61,11 @@ def solved(problem: LCP, policy: Policy, tolerance: float) -> Result:
     """
     left, clock, units = seconds_left(), Clock(problem.peers), CommonUnits.of(problem)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
-    rehearse(None, problem)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
     if (arrived := sprinted(units, policy, first, settings, start, clock)) is not None:
         return arrived
+    rehearse(None, problem)
     run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
     return run.judged(start, run.drive(start, first))
 

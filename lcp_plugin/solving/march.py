@@ -157,8 +157,7 @@ def _sprinted(
     first, clock = policy.first(problem), Clock(problem.peers)
     if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
         return
-    rehearse(None, problem)
-    rehearse(first.algorithm, problem)
+    rehearse(first.algorithm, problem, in_one_call=True)
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])

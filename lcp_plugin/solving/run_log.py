@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
-from ..deadline import compilation
+from ..deadline import NEW_KERNELS, compilation, told_of_compilation
 from ..matrix import verdicts
 from ..matrix.matrix import Matrix
 from ..matrix.structure import triangular_form
@@ -18,6 +19,7 @@ from .result import Result, Sample
 
 GROWTH = 1.5  # of a stage's iterations from one line to the next
 NOTICEABLE = 0.5  # seconds of compilation
+QUIET = 1.0  # seconds of it before a line says why nothing happens
 
 
 class RunLog:
@@ -33,10 +35,20 @@ class RunLog:
     def __init__(self, problem: Any, settings: Settings) -> None:
         self._is_silent = isinstance(problem, LCP) and problem.peers.rank > 0
         self._compilation, self._compiled = compilation(), compilation().seconds
+        self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
         classes = ", ".join(_classes(problem.matrix)) if isinstance(problem, LCP) else ""
         self._say(f"{problem!r}{classes and f'; M {classes}'}")
         self._say(f"{'iteration':>12} {'work':>10} {settings.measure + ' residual':>19} {'seconds':>9}")
+
+    def telling_of_compilation(self) -> AbstractContextManager[None]:
+        """Say it once where kernels are compiled inside a ``with`` statement, when that takes more than a second."""
+        return told_of_compilation(self._compiling)
+
+    def _compiling(self) -> None:
+        if NEW_KERNELS.seconds > self._silent_until:
+            self._silent_until = math.inf
+            self._write("(compiling, once an installation: some seconds more)")
 
     def begin(self, choice: Choice) -> None:
         """Print which algorithm begins, and why."""

@@ -28,7 +28,7 @@ def sprinted(
     algorithm, problem = first.algorithm, units.problem
     if type(algorithm).sprint is Algorithm.sprint or not is_unwatched(settings) or first.presolved is not None:
         return None
-    rehearse(algorithm, problem)
+    rehearse(algorithm, problem, in_one_call=True)
     clock.read()
     if clock.elapsed >= settings.max_seconds:
         return None

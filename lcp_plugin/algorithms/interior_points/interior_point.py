@@ -17,7 +17,6 @@ from ...crossovers import SWEEPS_FIRST_UP_TO
 from ...deadline import is_over
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
-from . import primal_active_set, quasidefinite
 from .interior_linear_algebra import newton_matrix
 from .outlook import Progress, Starts
 from .predictor_corrector import PredictorCorrector
@@ -91,12 +90,6 @@ class InteriorPoint(Algorithm):
         with np.errstate(all="ignore"):
             left = float(np.max(np.abs(scaled_residual(problem, z, problem.slack(z))), initial=0.0))
             return z if left <= FINISHED * reference_residual(problem) else _Search(problem).finished(z)
-
-    def rehearsal(self) -> InteriorPoint:
-        """Return the same algorithm, its kernels compiled: with one unknown, none joins a factor or has multipliers."""
-        primal_active_set.rehearse()
-        quasidefinite.rehearse()
-        return self
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
         yield from _Search(problem).steps(z)

@@ -29,7 +29,7 @@ from numba.core.compiler import Compiler
 from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
 
-from ..deadline import NEW_KERNELS
+from ..deadline import NEW_KERNELS, compiling
 from ..locks import Lock
 
 _lock = Lock()
@@ -85,16 +85,6 @@ def compiled_part(function: Any) -> Any:
     return _part(function)
 
 
-def interpreted_while_small(function: Any) -> Any:
-    """Compile on first use."""
-    return _compiled(function)
-
-
-def compiled_part(function: Any) -> Any:
-    """Compile a part of kernels."""
-    return _compiled(function)
-
-
 def compiled_into_others(function: Any) -> Any:
     """Compile a short part of kernels: on a few unknowns a call costs more than what it does."""
     return _part(function, forceinline=True)
@@ -143,7 +133,7 @@ def _part(function: Any, **options: Any) -> Any:
 
 
 def _compiled(function: Any, *, is_patient: bool = False) -> Any:
-    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy")(function))
+    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))
     if hasattr(dispatcher, "compile"):
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
         compile_for = dispatcher._compile_for_args

@@ -75,6 +75,7 @@ def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
 # --- Tridiagonal M-matrices -----------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("boxes", [False, True])
 def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
     """Many contact intervals, free rows, degenerate rows, boxes: z is the exact one, and one round without boxes."""
@@ -88,7 +89,7 @@ def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: boo
         assert boxes or result.iterations <= 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings.get_profile("many")
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
 def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n: int, boxes: bool) -> None:
     """Also where nobody chose the answer: it agrees with exact rational arithmetic."""

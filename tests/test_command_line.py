@@ -590,6 +590,7 @@ def test_exit_codes_reach_the_shell() -> None:
     assert re.match(rb"lcp-plugin: .*did you mean 'murty'\?", bad.stderr)
 
 
+@pytest.mark.full
 def test_terminal_without_unicode() -> None:
     """Where ≤ and ω cannot be shown, something else is; nothing fails for it."""
     solved = in_a_process("solve", "obstacle_2d:size=6", PYTHONIOENCODING="ascii")
@@ -605,6 +606,7 @@ def test_terminal_without_unicode() -> None:
 BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
     """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
@@ -640,7 +642,7 @@ def test_ctrl_c_prints_the_best_so_far() -> None:
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
     running = subprocess.Popen(
-        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=700", "-a", "npgs", "--tolerance", "1e-14",
+        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=300", "-a", "npgs", "--tolerance", "1e-14",
          "--out", "z.npz"],
         stdout=subprocess.PIPE, stderr=theirs,
     )

@@ -47,6 +47,7 @@ def in_a_new_process(code: str, **environment: str) -> str:
     return run.stdout.strip()
 
 
+@pytest.mark.full
 def test_nothing_is_compiled_after_a_warm_up() -> None:
     """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
     run = CliRunner().invoke(app, ["warm-up"])

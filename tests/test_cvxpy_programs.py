@@ -33,6 +33,7 @@ def hinge_loss() -> Any:
 # --- Nothing inferred is believed ------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("second_solve", [False, True], ids=["first solve", "after Clarabel"])
 def test_random_programs_agree_with_other_solvers(second_solve: bool) -> None:
     """Random DCP programs: no wrong value, no wrong status, at most one undecided (see the campaign)."""

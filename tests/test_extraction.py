@@ -438,6 +438,7 @@ def calls_of(work):
     return events["call"] + events["c_call"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("are_apart", [False, True], ids=["rows", "variables"])
 def test_each_of_many_scalar_expressions_costs_the_same(are_apart):
     """Twice as many scalar rows, or scalar variables, take twice as many calls; 400 of them give the right matrix."""

@@ -149,6 +149,7 @@ INTERRUPTIONS = """
 """
 
 
+@pytest.mark.full
 def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
     """SIGINT at random moments gives INTERRUPTED with a point of the box, or SOLVED; the next run has the same bits."""
     code = f"import sys\nsys.argv[1:] = {['npsor', 'psor', 'mgs', 'multigrid', 'newton', 'interior_point', 'auto']!r}\n"
@@ -278,6 +279,7 @@ MEMORY = """
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux")
 def test_where_memory_ends_it_is_said() -> None:
     """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
@@ -310,6 +312,7 @@ def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("cache", ["unwritable", "full disk"])
 def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Path, tmp_path: Path) -> None:
     """Where no folder takes compiled code, or the disk is full when it is written, the kernels work all the same."""
@@ -330,6 +333,7 @@ def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Pat
     assert z == (["[2.5 0. ]"] if cache == "full disk" else [])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("program", "printed"), [(COMPILE, "0 3"), (ELEMENTWISE, "3.0")], ids=["loop", "elementwise"])
 def test_damaged_compiled_code_is_compiled_again(program: str, printed: str, tmp_path: Path) -> None:
     """Files of the cache that were cut off, or hold anything else, cost time and nothing more."""

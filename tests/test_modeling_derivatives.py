@@ -15,7 +15,7 @@ import pytest
 import scipy.sparse as sp
 from exact import exact_solution
 from fresh_process import printed_by
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_extraction import FORMS, SPARSE, Unknowns, expression
 
@@ -175,7 +175,6 @@ def test_gradients_of_dual_values() -> None:
     np.testing.assert_allclose(pair.dual_variables[0].delta, [0.0, 5.0], atol=1e-13)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 6))
 def test_derivatives_are_the_formula_of_a_planted_solution(seed: int, n: int) -> None:
     """With z chosen first, dz_F = −M_FF⁻¹ (dM z + dq + M_FA db)_F, dz_A = db, to rounding, also of its adjoint."""

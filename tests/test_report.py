@@ -60,6 +60,7 @@ def folder(collected: Collected, tmp_path_factory: pytest.TempPathFactory) -> Pa
 # --- The page -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_page_needs_no_other_file(folder: Path) -> None:
     """No address, script or style sheet is fetched; every picture stands in the page, and no two share an id."""
     page = (folder / "index.html").read_text(encoding="utf-8")
@@ -164,6 +165,7 @@ def server(folder: Path) -> Iterator[tuple[str, list[str]]]:
         one.shutdown()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium installed: apt-get install chromium")
 def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> None:
     """In Chromium, 1280 and 390 pixels wide: a silent console, nothing fetched, plots there, nothing cut off."""
@@ -413,6 +415,7 @@ def test_interruption_keeps_what_is_finished(swallowed: bool, tmp_path: Path) ->
     assert rest.contents["scene", "b"] == {"is": "whole"}
 
 
+@pytest.mark.full
 def test_command_from_start_to_end(tmp_path: Path) -> None:
     """The command writes the page, exits with 0, and finds its parts again; a bad name or folder is exit code 2."""
     run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
@@ -430,6 +433,7 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
         assert words in refused.output
 
 
+@pytest.mark.full
 def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
     """A file and a folder get a section each, with a proved bound; another content of the file is computed again."""
     paths = [tmp_path / "own.npz", tmp_path / "folder"]
@@ -473,6 +477,7 @@ def test_interruption_between_two_parts_is_remembered(
     assert found.missing == (["scene a", "scene b"] if when == "say" else ["scene b"])
 
 
+@pytest.mark.full
 def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
     from lcp_plugin.evidence.report import page as module

@@ -275,6 +275,7 @@ def busy(seed: int) -> LCP:
     return LCP(M, q, lower=lower)
 
 
+@pytest.mark.full
 def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
     monkeypatch.setattr("lcp_plugin.algorithms.search.stages.MOST_PRODUCTS", 4 * QUANTUM)

@@ -34,7 +34,6 @@ from lcp_plugin.problem.exactly import is_exact_solution
 from lcp_plugin.solving.error_watch import BoundOrReason
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-FEW = settings(deadline=None, derandomize=True, max_examples=25, database=None)
 ALL = ["auto", *REGISTRY]
 EPSILON = 2.0**-52
 SCALE_INVARIANT = [name for name in REGISTRY if name not in ("newton", "interior_point", "lemke")]
@@ -44,7 +43,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True
 # --- exact answers ---------------------------------------------------------------------------------------------------
 
 
-@FEW
+@settings.get_profile("few")
 @given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True))
 def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
     """From the planted answer, and from z°, the exact answer is that of another exact method."""
@@ -54,6 +53,7 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
     assert exact_answer(problem, problem.nearest_to_zero.tolist()) == expected
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
 def test_every_case_has_a_verified_answer_or_none(family: str, case: Case) -> None:
     """The answers of all cases solve their problems without rounding, and each has a condition number of 1 or more."""

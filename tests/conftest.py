@@ -15,6 +15,7 @@ cheap one that needs rare draws ``"many"``; the numbers stand below. A number in
 
 from __future__ import annotations
 
+import signal
 from collections import defaultdict
 
 import pytest
@@ -30,7 +31,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Settle how many examples are drawn."""
+    """Settle how many examples are drawn, and that Ctrl-C arrives, which tests send to themselves."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for name, numbers in EXAMPLES.items():
         count = numbers[bool(config.getoption("--full"))]
         settings.register_profile(
@@ -61,7 +64,8 @@ def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
     if mark.args:
         count = min(mark.args[0], len(rows))
         return [rows[k * len(rows) // count] for k in range(count)]
-    values = {row: set(row.callspec.indices.items()) for row in rows}  # type: ignore[attr-defined]
+    # A value of one parameter is the same object in all rows.
+    values = {row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows}
     missing = set().union(*values.values())
     chosen = []
     while missing:

@@ -112,6 +112,7 @@ def test_large_sparse_problems_stop_at_it() -> None:
     assert loose.certificate.scaled_residual <= 1e-2 < 10.0 * loose.iterations < 10.0 * sharp.iterations
 
 
+@pytest.mark.full
 def test_what_doubles_exclude_beside_the_data_may_be_small_enough() -> None:
     """Without a search for proofs, too: no case has a small relative residual, and yet there is a z at rest."""
     M, q = AT_REST

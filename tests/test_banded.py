@@ -190,6 +190,7 @@ def test_one_side_alone_ends_too() -> None:
         assert len(held) <= 32
 
 
+@pytest.mark.full
 def test_without_an_m_matrix_nothing_false_is_said() -> None:
     """Where a pivot is not positive, rounds go on without the direct way, or the run ends unsolved."""
     rng = np.random.default_rng(5)
@@ -218,6 +219,7 @@ def test_a_string_without_hold_is_refuted_or_solved(name: str, right: float, sta
 # --- Other bands ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("make", [dominant, definite])
 @pytest.mark.parametrize(("below", "above"), [(1, 1), (2, 2), (4, 4), (0, 3), (3, 0), (1, 5)])
 @pytest.mark.parametrize("boxes", [False, True])

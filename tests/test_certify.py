@@ -323,6 +323,7 @@ def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
 def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str) -> None:
     """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""

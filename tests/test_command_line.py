@@ -271,6 +271,7 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 # --- pictures --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_every_scene_has_a_picture(scene: str) -> None:
     """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""
@@ -283,6 +284,7 @@ def test_every_scene_has_a_picture(scene: str) -> None:
     assert list(Path().iterdir()) == [Path("out.png")]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "problem",
     [BOX, LCP(np.zeros((0, 0)), []), LCP([[2.0]], [-1.0], lower=-np.inf), LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0)],
@@ -295,6 +297,7 @@ def test_a_file_has_a_picture(problem: LCP) -> None:
     assert Path("out.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)])
 def test_picture_formats(name: str, head: bytes) -> None:
     """The ending of the file chooses the format."""
@@ -302,6 +305,7 @@ def test_picture_formats(name: str, head: bytes) -> None:
     assert Path(name).read_bytes().startswith(head)
 
 
+@pytest.mark.full
 def test_an_unsolved_run_has_a_picture() -> None:
     """A run without success, and one with tolerance 0, are drawn too."""
     for arguments in (("--max-iterations", "0"), ("--tolerance", "0", "--max-iterations", "5")):
@@ -606,7 +610,7 @@ def test_terminal_without_unicode() -> None:
 BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
     """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
@@ -621,6 +625,7 @@ def test_reader_that_has_gone(arguments: str) -> None:
     assert done.returncode in {0, 1}
 
 
+@pytest.mark.full
 def test_full_device_is_told() -> None:
     """Where stdout cannot be written, exit code 2 and one line say so."""
     if not Path("/dev/full").exists():

@@ -56,6 +56,7 @@ def test_nothing_is_compiled_after_a_warm_up() -> None:
     assert in_a_new_process(COUNT_COMPILED) == "True 0"
 
 
+@pytest.mark.full
 def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
     """In a fresh process, too, most of the time of a small solve is loading compiled code, and not on the clock."""
     code = (
@@ -97,6 +98,7 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
     assert Path(path).is_relative_to(tmp_path / "named")
 
 
+@pytest.mark.full
 def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"

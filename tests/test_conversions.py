@@ -107,6 +107,7 @@ def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
     return solution.inequality, solution.equality, solution.lower, solution.upper
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_dual_form_solved_and_recovered(seed: int, sparse: bool) -> None:

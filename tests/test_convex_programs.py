@@ -175,6 +175,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
         assert result.iterations <= 80
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("n", "seeds"), [(60, 8), (240, 4)])
 def test_rows_over_eight_and_columns_over_six_orders_of_magnitude(n: int, seeds: int) -> None:
     """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
@@ -690,6 +691,7 @@ def test_models_declared_with_complements(model: str) -> None:
 ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("form", ["auto", "kkt"])
 @pytest.mark.parametrize("c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]])
 @pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])

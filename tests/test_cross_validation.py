@@ -66,6 +66,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 # --- Agreement ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
     """On random symmetric positive definite problems z agrees to 1e-7 of its size, and the active sets are equal."""
@@ -164,6 +165,7 @@ def test_degenerate_rows_are_left_open(seed: int) -> None:
     assert check.undecided == np.count_nonzero(kind == 2)
 
 
+@pytest.mark.full
 def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
     """Where M is nearly singular a clear difference of z condemns nobody, and the reason gives it."""
     n = 300
@@ -439,6 +441,7 @@ def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     assert str(check) == story(check)
 
 
+@pytest.mark.full
 def test_cvxpy_loads_when_a_reference_is_asked() -> None:
     """Importing the modules loads no cvxpy; a problem without a convex program never does."""
     code = (

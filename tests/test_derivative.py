@@ -87,6 +87,7 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     )
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", campaign.KINDS)
 @pytest.mark.parametrize("family", campaign.FAMILIES)
 def test_the_campaign_finds_nothing(family: str, kind: str) -> None:

@@ -251,6 +251,7 @@ print([name for name in {names!r} if name in sys.modules])
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("text", "absent"),
     [
@@ -282,6 +283,7 @@ def test_references_that_are_left_out_are_not_asked(monkeypatch: pytest.MonkeyPa
 # --- Telling --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
 def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) -> None:
     """PDF holds TrueType fonts, as journals ask for; nobody's own settings of matplotlib change, nor matter."""

@@ -370,7 +370,7 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("case", range(24))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:
     """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""

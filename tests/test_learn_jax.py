@@ -67,6 +67,7 @@ def test_gradients_are_those_of_each_problem() -> None:
         assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.full
 def test_axes_in_front_broadcast() -> None:
     """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
     M, q, _, _ = planted(4, 6, 4)
@@ -129,6 +130,7 @@ def test_forward_mode() -> None:
     assert np.allclose(several, [dz, -dz], rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.full
 def test_two_mapped_axes() -> None:
     """One over M and, inside of it, one over q and one bound, are those of a batch; so are the gradients of the sum."""
     M, q, lower, _ = planted(3, 5, 8)

@@ -196,6 +196,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
 }
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("upper", [INF, 0.5])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None:

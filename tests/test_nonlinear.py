@@ -239,6 +239,7 @@ def test_steps_that_are_far_too_long_are_shortened(start: float) -> None:
     assert solved(result)[0] == pytest.approx(np.log(1e10))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
@@ -334,7 +335,7 @@ def test_no_solution_is_said_honestly() -> None:
         result.require_solved()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("F", "lower"),
     [
@@ -350,7 +351,7 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
     assert "an affine F" in str(result.certificate)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
 def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:
     """−1 − x has no solution in x ≥ 0 and no linearisation of it has; few steps show that, for none climbs back."""
@@ -406,7 +407,7 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., 
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("lower", [0.0, 1e-9])
 def test_what_is_negative_everywhere_is_not_solved(lower: float) -> None:
     """−1 − 1/x has no solution in x ≥ 0."""
@@ -472,7 +473,7 @@ HOPELESS = {
 }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -521,6 +522,7 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
     np.testing.assert_allclose(result.w, 0.0, atol=1e-6)
 
 
+@pytest.mark.full
 def test_rounding_in_f_is_a_precision_limit() -> None:
     """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
     noisy = NonlinearProblem(

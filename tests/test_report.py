@@ -73,6 +73,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     assert {a or b for a, b in references} <= set(ids)
 
 
+@pytest.mark.full
 def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
@@ -88,6 +89,7 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
             assert f"{what}: {reason}" in page
 
 
+@pytest.mark.full
 def test_tables_lie_beside_the_page(folder: Path) -> None:
     """The figures are there as CSV and JSON too."""
     names = {path.name for path in folder.iterdir()}
@@ -284,6 +286,7 @@ def test_runs_without_any_work_break_no_sentence() -> None:
     assert "NPGS paper stays as it is" in said(*parts)
 
 
+@pytest.mark.full
 def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
     atlas = stability_atlas(["newton"], ["scaling"], quick=True)
@@ -299,6 +302,7 @@ def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     assert "hide an error" not in " ".join(one.text for one in claims(spotless))
 
 
+@pytest.mark.full
 def test_derivatives_are_beside_the_exact_ones(collected: Collected) -> None:
     """Scenes that know their answer show derivatives; without degenerate rows those are exact from 1e-6 on."""
     found = {content["scene"]: content["points"] for content in collected.of("derivative")}

@@ -19,6 +19,7 @@ from lcp_plugin.exact.simplex import QUANTUM
 from lcp_plugin.problem.exactly import is_exact_solution
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int) -> None:
     """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""

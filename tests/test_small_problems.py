@@ -49,6 +49,7 @@ def told(result: Result) -> tuple[Any, ...]:
 # --- One by one --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("algorithm", ON_THE_ROAD)
 def test_watching_a_run_changes_nothing(family: str, algorithm: str) -> None:

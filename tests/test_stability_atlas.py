@@ -198,6 +198,7 @@ def some() -> Atlas:
     return stability_atlas(SOME, QUICK_FAMILIES, quick=True)
 
 
+@pytest.mark.full
 def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
     """0 lies, no run that raised, and at least 90 % of the well-posed cells are SOLVED; the campaign runs them all."""
     assert some.lies == ()
@@ -206,6 +207,7 @@ def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
     assert len(some.well_posed) > 0.6 * len(some.cells)
 
 
+@pytest.mark.full
 def test_summary_lists_every_cell_that_is_not_solved(some: Atlas) -> None:
     """Counts first, then a line for every STALLED, PRECISION_LIMIT … cell, every hidden error, all that is left out."""
     lines = some.summary().splitlines()
@@ -309,6 +311,7 @@ def test_a_lie_is_a_lie_in_the_atlas(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.summary().splitlines()[3].startswith("LIE SOLVED")
 
 
+@pytest.mark.full
 def test_the_atlas_loads_nothing_it_does_not_need() -> None:
     """Sweeps under stress load neither cvxpy, matplotlib, jinja2 nor hypothesis."""
     code = (
@@ -350,6 +353,7 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
     yield "rows", in_powers_of_two(problem, rows, 0), 0
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.
@@ -380,6 +384,7 @@ def test_multigrid_tells_the_truth_about_rows_in_other_units(size: int) -> None:
         assert relative_error(result.z, exact, np.ones(problem.n)) < 1e-7
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", [name for name in ALL if name not in SCALE_INVARIANT])
 def test_elsewhere_powers_of_two_change_no_truth(name: str) -> None:
     """Methods that factorise: other bits in other units, but SOLVED, accurate, and the status is true."""

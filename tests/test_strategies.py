@@ -373,6 +373,7 @@ def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.nd
     return np.clip(-q / M.diagonal(), lower, upper)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("spoil", "complaint"),
     [
@@ -408,6 +409,7 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
 
 
+@pytest.mark.full
 def test_the_judge_shows_problems_without_solution() -> None:
     """A solver that claims to have solved a problem without solution is found, with the proof, where that is asked."""
     only_those = {"matrices": h_plus_matrices(1), "infeasible": True, "may_give_up": True}
@@ -416,6 +418,7 @@ def test_the_judge_shows_problems_without_solution() -> None:
     assert "contradict; proof: exact" in report
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("is_dense", [True, False])
 def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     """Arrays come as arrays though an LCP keeps nearly empty ones as CSR, and the other way round."""
@@ -429,6 +432,7 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     assert forms == {np.ndarray if is_dense else sp.csr_array}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
 def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
     """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""
@@ -474,6 +478,7 @@ def test_active_inactive_and_degenerate_rows_occur() -> None:
     assert min(counts.values()) > counts.total() / 6
 
 
+@pytest.mark.full
 def test_every_kind_of_bound_occurs() -> None:
     """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
     counts = counted(solved_lcps(bounds=True), 300)
@@ -533,6 +538,7 @@ def test_positive_definite_matrices_shrink_to_the_identity(name: str) -> None:
     assert exact_rows(simplest) == [[Fraction(1, 2**30) if name == "nearly singular" else 1]]
 
 
+@pytest.mark.full
 def test_counterexamples_are_small() -> None:
     """What is found for a claim that breaks at an off-diagonal entry or at a slack has only small integers."""
     matrix = find(
@@ -587,13 +593,14 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("exponent", [-400, 400])
 def test_scales_beyond_the_range_of_doubles_are_refused(exponent: int) -> None:
     """Scaled matrices scaled again are exact, or refused: what underflows would be a problem with another answer."""
     matrices = st.just(np.ldexp(np.array([[3.0, 1.0], [1.0, 3.0]]), exponent))
     outcomes = Counter()
 
-    @settings.get_profile("many")
+    @settings(max_examples=600)
     @given(st.data())
     def check(data: st.DataObject) -> None:
         try:

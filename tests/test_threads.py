@@ -160,7 +160,7 @@ def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
     go_on = threading.Event()
 
     def shared() -> bool:
-        together = threading.Barrier(3, timeout=10.0)
+        together = threading.Barrier(3, timeout=60.0)
         with threads_for(3):
             return sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]
 
@@ -314,6 +314,7 @@ SCENES = [("obstacle_2d", {"size": 400}, "multigrid"), ("convection_diffusion", 
           ("random_h_plus", {"n": 40_000}, "auto")]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "size", "algorithm"), SCENES)
 def test_the_number_of_threads_changes_no_bit(name: str, size: dict[str, int], algorithm: str) -> None:
     """“The number of threads changes no bit”: z, w, every residual and count, with 1 to 4 threads of one solve."""

@@ -67,6 +67,7 @@ def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) 
             assert abs(truth - Fraction(high[i]) - Fraction(low[i])) <= Fraction(small[i])
 
 
+@settings.get_profile("many")
 @given(products())
 def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     """The exact ⟨M⟩v lies between the two ends, which are the value itself where the radius is zero."""
@@ -81,6 +82,7 @@ def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np
         assert high[i] == np.inf or Fraction(high[i]) >= truth
 
 
+@settings.get_profile("many")
 @given(
     st.lists(st.integers(-(2**40), 2**40), min_size=16, max_size=16),
     st.lists(st.integers(-9, 9), min_size=4, max_size=4),

@@ -142,6 +142,7 @@ def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
     np.testing.assert_allclose(result.z, z, atol=1e-9)
 
 
+@pytest.mark.full
 def test_boxes_take_few_rounds_from_any_start() -> None:
     """The rows at the other side only leave it after the first round: seldom more than five rounds."""
     rng = np.random.default_rng(1)

@@ -14,7 +14,7 @@ from lcp_plugin.evidence.benchmarks.crossovers import MEASURED
 from lcp_plugin.evidence.benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
 from lcp_plugin.evidence.paper_tables import cells, published
 
-QUICK = ("sweeps", "paper-at-scale", "rivals", "programs", "certificates", "modeling")  # within a second each
+QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
 
 
 @pytest.mark.parametrize(

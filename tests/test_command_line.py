@@ -58,6 +58,7 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 # --- solve -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_scene_is_solved(scene: str) -> None:
     """Every scene is solved at the default settings: exit code 0, and the story names scene, size and status."""
@@ -83,6 +84,7 @@ def test_file_is_solved(path: str) -> None:
     assert "psor: " in done.stdout
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_algorithm_can_be_named(name: str) -> None:
     """Each registered algorithm runs from the command line and is named in the story."""
@@ -585,6 +587,7 @@ def test_installed_command_is_this_one() -> None:
     assert command.load() is run
 
 
+@pytest.mark.full
 def test_exit_codes_reach_the_shell() -> None:
     """The process itself ends with 1 where a run is not solved and with 2 on bad input, without a traceback."""
     unsolved = in_a_process("solve", "obstacle_2d:size=6", "--max-iterations", "0")
@@ -639,6 +642,7 @@ def test_full_device_is_told() -> None:
     assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)
 
 
+@pytest.mark.full
 def test_ctrl_c_prints_the_best_so_far() -> None:
     """Ctrl-C in a long run ends it with INTERRUPTED, the result of the best iterate, --out written, exit code 1.
 

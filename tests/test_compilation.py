@@ -81,6 +81,7 @@ def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
     assert clock.read() <= time.perf_counter() - began - stopped
 
 
+@pytest.mark.full
 def test_cache_is_the_user_s(tmp_path: Path) -> None:
     """The kernels lie in the user's cache folder or where NUMBA_CACHE_DIR says; other packages' lie where they did."""
     code = (

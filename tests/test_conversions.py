@@ -214,6 +214,7 @@ def test_contradictions_stay_rows(G: Any, h: Any) -> None:
     assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
 
 
+@pytest.mark.full
 def test_dual_form_is_sparse_where_p_is_diagonal_or_block() -> None:
     """Total variation on n points: M is tridiagonal for P = I and 2×2 blocks alike stay sparse."""
     n = 2000

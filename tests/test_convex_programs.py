@@ -161,6 +161,7 @@ def hard(kind: str, n: int, rng: np.random.Generator) -> tuple[QuadraticProgram,
 HARD = ("a chain of differences", "dependent rows", "free variables", "unstable dynamics", "badly scaled")
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("n", [60, 240])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
@@ -334,6 +335,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     assert not broken.verify()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
@@ -458,6 +460,7 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -
         LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("rank", [1, 3, 7])
 @pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
 @pytest.mark.parametrize("is_sparse", [False, True])

@@ -84,6 +84,7 @@ def test_random_spd_problems_agree(batch: int) -> None:
         assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
     """Where M is singular w agrees to 1e-7 although z need not."""
@@ -122,6 +123,7 @@ def test_scenes_agree(target: str, kind: str) -> None:
     assert check.difference_z < 1e-8
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
     """A nonsymmetric monotone problem agrees with its gap program, whatever its bounds."""
@@ -360,6 +362,7 @@ def test_symmetry_is_meant_up_to_rounding(noise: float) -> None:
     assert Formulation.of(LCP(M, [-1.0, -1.0])).kind == (PLAIN if noise < 1e-16 else GAP)
 
 
+@pytest.mark.full
 def test_the_check_for_convexity_stays_sparse() -> None:
     """Fifty thousand unknowns are factorised without a dense array, semidefinite ones told from definite ones."""
     n = 50_000

@@ -219,6 +219,7 @@ def test_the_bound_is_near_what_rounding_leaves() -> None:
         assert 0.99e-3 <= found.jvp_bound(1.001 * dz, **change) <= 1e-2 * condition
 
 
+@pytest.mark.full
 def test_rounding_and_the_error_of_z_count() -> None:
     """One unknown, dz = −(dm z + dq)/m with cancellation: no bound is below the error, none 8 times what may round."""
     rng = np.random.default_rng(1)
@@ -269,6 +270,7 @@ def test_a_bound_needs_a_proof() -> None:
 # --- Which rows are what ------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_uniqueness_is_proven_of_most() -> None:
     """is_unique is True on at least 90 % of 200 problems with H₊-matrices that are not degenerate."""
     rng, unique = np.random.default_rng(5), 0
@@ -365,6 +367,7 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
     check_against(piece_of(found), found, accuracy=1e-4)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:

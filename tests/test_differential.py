@@ -67,7 +67,7 @@ def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", small_lcps.KINDS)
 def test_no_algorithm_claims_anything_false_on_any_kind_of_problem(kind: str) -> None:
     """Solvable, infeasible, or feasible without solution: no claim of any algorithm contradicts the exact truth."""

@@ -408,6 +408,7 @@ def test_a_sparse_parameter_stays_sparse():
     np.testing.assert_array_equal(block.toarray(), p.value_sparse.toarray())
 
 
+@pytest.mark.full
 def test_deep_and_long_sums_do_not_recurse():
     """Thousands of terms, side by side or nested, stay within Python's recursion limit."""
     x = cp.Variable(2)

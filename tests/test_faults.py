@@ -76,6 +76,7 @@ def test_what_a_callback_raises_is_passed_on_and_corrupts_nothing(name: str) -> 
         assert bits(solve(problem, name).z) == expected
 
 
+@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("limit", [0.0, 1e-9, 1e-3])
 def test_a_time_limit_ends_in_an_honest_status(name: str, limit: float) -> None:
@@ -347,6 +348,7 @@ def test_damaged_compiled_code_is_compiled_again(program: str, printed: str, tmp
     assert done.stdout.splitlines()[-1] == printed
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
 def test_a_full_disk_is_told_and_the_problem_stays_whole(tmp_path: Path) -> None:
     """Where nothing can be written the error says so; the problem can be saved elsewhere and comes back the same."""
@@ -387,6 +389,7 @@ def scene() -> LCP:
     return gallery.build("random_h_plus", n=40).problem
 
 
+@pytest.mark.full
 def test_threads_that_share_one_problem_get_the_serial_answers() -> None:
     """Eight threads that ask everything about one problem, its cache empty, get the bits of one alone."""
     alone, shared = everything(scene()), scene()

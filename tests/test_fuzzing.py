@@ -66,6 +66,7 @@ def archive() -> bytes:
     return buffer.getvalue()
 
 
+@pytest.mark.sampled(1)
 @given(content=st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: b"PK\x03\x04" + tail))
 @pytest.mark.parametrize("name", ["p.npz", "M.mtx"])
 def test_random_bytes_are_refused(name: str, content: bytes, tmp_path: Path) -> None:
@@ -113,6 +114,7 @@ def any_array() -> st.SearchStrategy[Any]:
 KEYS = ("data", "indices", "indptr", "shape", "q", "lower", "upper")
 
 
+@pytest.mark.full
 @settings.get_profile("many")
 @given(changes=st.dictionaries(st.sampled_from((*KEYS, "P_data", "other")), any_array() | st.none(), max_size=3))
 def test_archives_of_other_arrays_are_refused_or_valid(changes: dict[str, Any], tmp_path: Path) -> None:

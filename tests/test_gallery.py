@@ -390,6 +390,7 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
         assert not scene.problem.slack(scene.exact).any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "text",
     ["paper_example_1:n=250000", "half_active:n=250000", "obstacle_2d:size=500", "obstacle_3d:size=63"],
@@ -467,6 +468,7 @@ def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
     assert contact < CONE_BEGINS
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))])
 def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int, ...]) -> None:
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""

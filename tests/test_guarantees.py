@@ -47,6 +47,7 @@ def with_matrix(M: Any) -> LCP:
 # --- Rates -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     """Rates, contraction bounds, arrivals and divergence hold in 40 random cases; the campaign runs thousands."""

@@ -114,6 +114,7 @@ def test_the_proof_does_not_depend_on_units() -> None:
         assert is_farkas(problem, list(proof.exact_y or ()))
 
 
+@pytest.mark.full
 def test_a_large_problem_is_proven_with_rounding_margins() -> None:
     """For n = 3000 a proof in floating point with margins is found, and fractions confirm its very doubles."""
     n = 3000
@@ -248,6 +249,7 @@ def test_signs_of_one_row_refute_a_large_problem() -> None:
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     """Every z within the bounds, the answers of all methods among them, has residuals of at least both margins."""
@@ -370,7 +372,7 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(24))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:
     """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""

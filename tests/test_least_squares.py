@@ -120,6 +120,7 @@ def test_chains_are_solved_by_factors(n: int) -> None:
         assert own_optimality(chain, b, result.x, lower, upper) <= 1e-8
 
 
+@pytest.mark.full
 def test_a_hundred_thousand_unknowns() -> None:
     """10⁵ unknowns, sparse: SOLVED, in less than 200 steps."""
     A = random_rows(150_000, 100_000, 6)

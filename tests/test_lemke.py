@@ -125,6 +125,7 @@ def test_games(name: str) -> None:
     assert problem.origin.recover(found.z).regret <= 1e-12
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("degenerate", [False, True])
 def test_random_games(degenerate: bool) -> None:
     """Games of 2 × 2 to 8 × 8 actions have an equilibrium, and the first label finds one."""

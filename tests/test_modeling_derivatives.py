@@ -382,6 +382,7 @@ def solved(problem: Any, **options: Any) -> None:
         problem.solve(method="LCP", tolerance=1e-12, **options)
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", [*MODELS, *PROGRAMS], ids=lambda make: make.__name__)
 def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Parts], seed: int) -> None:
@@ -656,6 +657,7 @@ def test_another_layout_of_the_compiled_program_is_refused(monkeypatch: pytest.M
         problem.backward()
 
 
+@pytest.mark.full
 def test_modeling_loads_no_kernels() -> None:
     """Stating models loads no numba: derivatives load when they are asked for."""
     assert printed_by("import sys, lcp_plugin; lcp_plugin.complements; print('numba' in sys.modules)") == "False"

@@ -294,7 +294,7 @@ print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)
 """
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("size", [(55, 60), (50, 70)])
 def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
     """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
@@ -305,6 +305,7 @@ def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -
     assert ended.stdout.strip().isdigit()
 
 
+@pytest.mark.full
 def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
     """Where full steps gain nothing, more than 3000 rows cost a few dozen factorisations, 3000 cost hundreds."""
     rng = np.random.default_rng(0)

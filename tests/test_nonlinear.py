@@ -335,7 +335,7 @@ def test_no_solution_is_said_honestly() -> None:
         result.require_solved()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("F", "lower"),
     [
@@ -460,6 +460,7 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
     np.testing.assert_allclose(x, [1.098159e-5, 9.106147], rtol=1e-4)
 
 
+@pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
     """A positive diagonal is what psor needs, and where a linearisation has none auto solves it."""
     problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0]))
@@ -473,7 +474,7 @@ HOPELESS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -501,6 +502,7 @@ UNSOLVABLE = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:

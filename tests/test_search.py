@@ -288,6 +288,7 @@ def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyP
     assert runs[0].stages == runs[1].stages
 
 
+@pytest.mark.full
 def test_a_search_yields_within_its_cases() -> None:
     """However long the numbers are, no more than a few quanta of products lie between two yields."""
     effort, longest, before = Effort(), 0, 0

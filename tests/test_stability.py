@@ -101,6 +101,7 @@ def test_rows_of_any_size(name: str) -> None:
         assert abs(result.z - scene.exact).max() < 1e-7
 
 
+@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("exponent", [-700, -30, 30, 700])
 def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> None:
@@ -275,6 +276,7 @@ def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
     assert_honest(result)
 
 
+@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("tolerance", [1e-300, 5e-324])
 def test_a_tolerance_out_of_reach_is_a_precision_limit(name: str, tolerance: float) -> None:

@@ -83,6 +83,7 @@ def test_errors_are_exact() -> None:
 # --- condition numbers -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_condition_bounds_what_an_ulp_can_do(seed: int) -> None:
     """No change of all entries by 1 ulp moves the exact answer by more than condition × 2⁻⁵², and some come near."""
@@ -254,6 +255,7 @@ def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) ->
     assert set(rows[0]) == set(Cell.__dataclass_fields__)
 
 
+@pytest.mark.full
 def test_a_second_run_gives_the_same_atlas() -> None:
     """Nothing depends on a clock: the same call gives the same cells; progress counts them."""
     calls: list[tuple[int, int, str]] = []
@@ -353,7 +355,7 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
     yield "rows", in_powers_of_two(problem, rows, 0), 0
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.

@@ -342,6 +342,7 @@ def test_complementarity_models_have_their_answers() -> None:
     check()
 
 
+@pytest.mark.full
 def test_shares_are_obeyed() -> None:
     """Shares of 0 and 1 are exact, others rough; without any, q is anything."""
     small = h_plus_matrices(st.integers(1, 4))
@@ -432,7 +433,7 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     assert forms == {np.ndarray if is_dense else sp.csr_array}
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
 def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
     """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""

@@ -229,6 +229,7 @@ def test_what_an_algorithm_cannot_take_is_left_out_with_its_reason() -> None:
     assert len(found.cells) == 5
 
 
+@pytest.mark.full
 def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> None:
     """An error beyond condition × residual is told in digits lost; where rows are alike there is none of size."""
     for cell in some.cells:
@@ -241,6 +242,7 @@ def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> 
     assert all(cell.condition > 1e12 for cell in stiff)
 
 
+@pytest.mark.full
 def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) -> None:
     """JSON text, pickle and the sum of parts give back every cell; CSV has one row for each."""
     text = json.dumps(some.to_content(), allow_nan=False)

@@ -16,10 +16,14 @@ cheap one that needs rare draws ``"many"``; the numbers stand below. A number in
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from collections import defaultdict
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from lcp_plugin.kernels.compilation import cache_folder
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (5, 30), "default": (15, 80), "many": (40, 150)}
@@ -42,6 +46,15 @@ def pytest_configure(config: pytest.Config) -> None:
             deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
         )  # fmt: skip
     settings.load_profile("default")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels before several workers begin where none is there: each would compile the same ones."""
+    has_workers = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
+    if has_workers and next(cache_folder().rglob("*.nbi"), None) is None:
+        print("compiling the kernels, once", flush=True)
+        subprocess.run([sys.executable, "-m", "lcp_plugin", "warm-up"], check=True, stdout=subprocess.DEVNULL)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

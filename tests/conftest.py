@@ -23,8 +23,6 @@ from collections import defaultdict
 import pytest
 from hypothesis import HealthCheck, settings
 
-from lcp_plugin.kernels.compilation import cache_folder
-
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (5, 30), "default": (15, 80), "many": (40, 150)}
 
@@ -50,11 +48,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels before several workers begin where none is there: each would compile the same ones."""
-    has_workers = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
-    if has_workers and next(cache_folder().rglob("*.nbi"), None) is None:
-        print("compiling the kernels, once", flush=True)
-        subprocess.run([sys.executable, "-m", "lcp_plugin", "warm-up"], check=True, stdout=subprocess.DEVNULL)
+    """Let the command compile what is not compiled yet before workers begin a whole suite: each would, by itself."""
+    config = session.config
+    has_workers = config.getoption("numprocesses", None) and not hasattr(config, "workerinput")
+    if has_workers and not config.getoption("file_or_dir"):
+        print("kernels are compiled where none are kept", flush=True)
+        subprocess.run([sys.executable, "-m", "lcp_plugin", "warm-up"], check=False, stdout=subprocess.DEVNULL)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

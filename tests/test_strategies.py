@@ -374,7 +374,7 @@ def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.nd
     return np.clip(-q / M.diagonal(), lower, upper)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("spoil", "complaint"),
     [
@@ -472,6 +472,7 @@ def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examp
     return counts
 
 
+@pytest.mark.full
 def test_active_inactive_and_degenerate_rows_occur() -> None:
     """Each of the three kinds makes up at least a sixth of the rows of plain problems."""
     counts = counted(solved_lcps(h_plus_matrices(FEW)))
@@ -594,7 +595,7 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("exponent", [-400, 400])
 def test_scales_beyond_the_range_of_doubles_are_refused(exponent: int) -> None:
     """Scaled matrices scaled again are exact, or refused: what underflows would be a problem with another answer."""

@@ -33,7 +33,7 @@ def run_on(version: str) -> bool:
         subprocess.run([python, "-m", "pip", "install", "-q", *wanted], check=True)
         tests = [str(ROOT / "tests" / name) for name in TESTS]
         # Outside the source tree, so that the installed package is tested; its own deprecations are not our errors.
-        command = [python, "-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider", "-W", "default", *tests]
+        command = [python, "-m", "pytest", "-q", "--full", "-n", "2", "-p", "no:cacheprovider", "-W", "default", *tests]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         found = subprocess.run([python, "-c", SHOW], capture_output=True, text=True, check=True)
     print(f"cvxpy, scipy, numpy {found.stdout.strip()}: {done.stdout.strip().splitlines()[-1]}", flush=True)

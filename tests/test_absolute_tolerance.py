@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, NonlinearProblem, Status, complements, march, solve, solve_batch, solve_nonlinear
@@ -42,7 +42,6 @@ def test_infeasible_beyond_the_tolerance_only() -> None:
     assert solve(problem, absolute_tolerance=2e-3).is_solved
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 10**6), st.integers(1, 12), st.floats(-9, 3), st.sampled_from(["auto", "psor", "newton", "lemke"]),
 )
@@ -113,6 +112,7 @@ def test_large_sparse_problems_stop_at_it() -> None:
     assert loose.certificate.scaled_residual <= 1e-2 < 10.0 * loose.iterations < 10.0 * sharp.iterations
 
 
+@pytest.mark.full
 def test_what_doubles_exclude_beside_the_data_may_be_small_enough() -> None:
     """Without a search for proofs, too: no case has a small relative residual, and yet there is a z at rest."""
     M, q = AT_REST
@@ -135,7 +135,6 @@ def test_a_part_at_rest_does_not_hide_another() -> None:
     assert solve(LCP([[-1.0, 0.0], [0.0, 2.0]], [-1e-3, -1.0]), absolute_tolerance=2e-3).is_solved
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6))
 def test_the_advised_number_is_enough(seed: int) -> None:
     """Where the advice names an absolute tolerance, the same call with it is SOLVED."""

@@ -171,6 +171,7 @@ def test_refute_is_true_or_false() -> None:
             call()
 
 
+@pytest.mark.full
 def test_beyond_the_exact_search_what_doubles_exclude_is_proved_or_left_open() -> None:
     """More than 24 rows with a choice: a tree of doubles that cannot be verified is no proof, and nothing is raised."""
     n, random = 40, np.random.default_rng(40)

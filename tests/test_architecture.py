@@ -162,6 +162,7 @@ def test_classes_are_had_where_readme_says(name: str) -> None:
         getattr(algorithms, f"{kind.__name__}s")
 
 
+@pytest.mark.full
 def test_star_import_needs_no_hypothesis() -> None:
     """``from lcp_plugin import *`` works without the extras; the strategies alone ask for hypothesis, in words."""
     code = (

@@ -76,6 +76,7 @@ def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
 # --- Tridiagonal M-matrices -----------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("boxes", [False, True])
 def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
     """Many contact intervals, free rows, degenerate rows, boxes: z is the exact one, and one round without boxes."""
@@ -89,7 +90,7 @@ def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: boo
         assert boxes or result.iterations <= 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings.get_profile("many")
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
 def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n: int, boxes: bool) -> None:
     """Also where nobody chose the answer: it agrees with exact rational arithmetic."""
@@ -150,6 +151,7 @@ def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
     np.testing.assert_allclose(result.z, z, atol=1e-9)
 
 
+@pytest.mark.full
 def test_boxes_take_few_rounds_from_any_start() -> None:
     """The rows at the other side only leave it after the first round: seldom more than five rounds."""
     rng = np.random.default_rng(1)
@@ -198,6 +200,7 @@ def test_one_side_alone_ends_too() -> None:
         assert len(held) <= 32
 
 
+@pytest.mark.full
 def test_without_an_m_matrix_nothing_false_is_said() -> None:
     """Where a pivot is not positive, rounds go on without the direct way, or the run ends unsolved."""
     rng = np.random.default_rng(5)
@@ -226,6 +229,7 @@ def test_a_string_without_hold_is_refuted_or_solved(name: str, right: float, sta
 # --- Other bands ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("make", [dominant, definite])
 @pytest.mark.parametrize(("below", "above"), [(1, 1), (2, 2), (4, 4), (0, 3), (3, 0), (1, 5)])
 @pytest.mark.parametrize("boxes", [False, True])

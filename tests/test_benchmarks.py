@@ -14,8 +14,12 @@ from lcp_plugin.evidence.benchmarks.crossovers import MEASURED
 from lcp_plugin.evidence.benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
 from lcp_plugin.evidence.paper_tables import cells, published
 
+QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
 
-@pytest.mark.parametrize("name", BENCHMARKS)
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS]
+)
 def test_benchmark_runs(name: str) -> None:
     """A benchmark in its quick form prints lines with measured figures."""
     lines = list(load(name)(quick=True))

@@ -23,7 +23,6 @@ from lcp_plugin.certificates.row_residuals import scaled_residual
 from lcp_plugin.evidence import gallery
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
-STABLE = settings(deadline=None, derandomize=True, max_examples=60, database=None)
 EPSILON = Fraction(1, 2**52)
 FAR = st.sampled_from([math.inf, -math.inf, math.nan])
 
@@ -153,7 +152,6 @@ def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
 # --- Every field -------------------------------------------------------------------------------------------
 
 
-@STABLE
 @given(rough_problems())
 def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> None:
     """On short dyadic data w, natural residual, violations and complementarity equal the rational values exactly."""
@@ -175,7 +173,6 @@ def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> Non
     assert certificate.complementarity == max(products)
 
 
-@STABLE
 @given(rough_problems())
 def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> None:
     """Scaled residual, worst row, relative residual, backward error and floor agree with the rational values."""
@@ -238,7 +235,6 @@ def test_an_empty_problem_has_nothing_wrong() -> None:
 # --- Solutions and others ----------------------------------------------------------------------------------
 
 
-@STABLE
 @given(solved_lcps(bounds=True, row_scale=100, column_scale=100) | solved_lcps())
 def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """At the exact solution every residual is zero, not just small, whatever the scales."""
@@ -248,7 +244,6 @@ def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...
     assert certificate.bound_violation == certificate.slack_violation == certificate.complementarity == 0.0
 
 
-@STABLE
 @given(solved_lcps(bounds=True), st.integers(0, 7), st.integers(1, 2**20), st.sampled_from([-1, 1]))
 def test_residual_is_positive_elsewhere(
     drawn: tuple[LCP, tuple[Fraction, ...]], index: int, size: int, sign: int
@@ -265,7 +260,6 @@ def test_residual_is_positive_elsewhere(
     assert 0.0 < certificate.backward_error <= 1.0
 
 
-@STABLE
 @given(solved_lcps(bounds=True) | solved_lcps())
 def test_no_reference_residual_means_that_the_start_is_the_answer(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """‖r(z°)‖ = 0 exactly where z° is the solution; then relative residuals are 0 there and infinite elsewhere."""
@@ -291,7 +285,6 @@ def scaled_by(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
     )
 
 
-@STABLE
 @given(
     rough_problems(empty_rows=False) | floating_problems(),
     st.lists(st.integers(-200, 200), min_size=8, max_size=8),
@@ -308,7 +301,6 @@ def test_relative_residual_has_no_unit(drawn: tuple[LCP, np.ndarray], rows: list
     assert after.is_at_rounding_level == before.is_at_rounding_level
 
 
-@STABLE
 @given(floating_problems(), st.data())
 def test_backward_error_is_invariant_under_row_and_column_scaling(
     drawn: tuple[LCP, np.ndarray], data: st.DataObject
@@ -339,7 +331,6 @@ def test_extreme_units_neither_overflow_nor_vanish(z_unit: float, w_unit: float)
 # --- Numbers that are none ---------------------------------------------------------------------------------
 
 
-@STABLE
 @given(rough_problems(), st.integers(0, 4), FAR)
 def test_nan_and_infinity_never_pass(drawn: tuple[LCP, np.ndarray], index: int, value: float) -> None:
     """A z with NaN or ±∞ anywhere is measured without a warning and passes no test."""
@@ -374,7 +365,7 @@ def test_an_overflowing_slack_is_no_rounding_level() -> None:
 # --- The rounding floor ------------------------------------------------------------------------------------
 
 
-@settings(STABLE, max_examples=120)
+@settings.get_profile("many")
 @given(floating_problems())
 def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> None:
     """For z within the bounds no row's floating-point residual is further from the exact one than its floor."""
@@ -425,12 +416,13 @@ def options_for(name: str) -> dict[str, object]:
     return {"scaling": "diagonal"} if name.startswith("np") else {}
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
 def test_solved_is_never_a_lie(name: str) -> None:
     """SOLVED means: the exact rational residual is at most tolerance · ‖r(z°)‖, no allowance."""
     statuses: Counter[Status | None] = Counter()
 
-    @settings(STABLE, max_examples=12)
+    @settings.get_profile("few")
     @given(st.tuples(*TO_TRY.values()), st.sampled_from([1e-3, 1e-8, 1e-12]))
     def check(drawn: tuple[tuple[LCP, tuple[Fraction, ...]], ...], tolerance: float) -> None:
         for problem, _ in drawn:
@@ -466,7 +458,6 @@ def test_euclidean_solved_is_no_lie_where_the_slack_is_small_beside_z(name: str)
     assert (result.status is Status.SOLVED) == (exact <= 1e-5)
 
 
-@STABLE
 @given(rough_problems() | floating_problems())
 def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones, and larger by ulps only."""
@@ -551,6 +542,7 @@ def test_a_result_speaks_of_a_large_product() -> None:
         assert "complementarity" not in solve(UNBOUNDED, name).explain()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", gallery.names())
 def test_no_scene_has_a_large_product(name: str) -> None:
     """Ordinary problems raise no alarm, by whatever method solved them."""

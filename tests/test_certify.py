@@ -85,7 +85,7 @@ def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
     assert off.count("refuted") >= 4
 
 
-@settings(max_examples=15, deadline=None)
+@settings.get_profile("few")
 @given(convex_qps())
 def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
     """Lower ≤ the exact minimum ≤ upper, of programs with exact answers of any kind."""
@@ -295,7 +295,6 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
 # --- What it is made of ------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
 def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_rounding: bool) -> None:
     """P − diag(weights) has no negative eigenvalue, exactly, whether P is definite, singular or rounded."""
@@ -309,7 +308,7 @@ def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_r
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
-@settings(max_examples=30, deadline=None)
+@settings.get_profile("few")
 @given(st.integers(1, 4), st.integers(0, 2), st.integers(1, 3), st.integers(0, 2**31))
 def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int, p: int, seed: int) -> None:
     """P + ρ AᵀA − diag(weights) has no negative eigenvalue, exactly."""
@@ -324,6 +323,7 @@ def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
 def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str) -> None:
     """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
@@ -400,7 +400,7 @@ def test_indefinite_by_a_rounding_error_is_no_proof() -> None:
     assert boxed.lower < 0.0
 
 
-@settings(max_examples=25, deadline=None)
+@settings.get_profile("few")
 @given(convex_qps())
 def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
     """The exact minimum lies in the box that the constraints imply."""

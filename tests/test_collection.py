@@ -152,6 +152,7 @@ def test_farkas_vectors_are_checked() -> None:
 # --- What auto makes of them ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(30)
 @pytest.mark.parametrize("entry", ENTRIES, ids=named)
 def test_auto_says_the_truth(entry: Entry) -> None:
     """Solvable: solved to 1e-9 or as far as rounding permits; else proven infeasible, or searched without a find."""

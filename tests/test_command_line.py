@@ -58,6 +58,7 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 # --- solve -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_scene_is_solved(scene: str) -> None:
     """Every scene is solved at the default settings: exit code 0, and the story names scene, size and status."""
@@ -83,6 +84,7 @@ def test_file_is_solved(path: str) -> None:
     assert "psor: " in done.stdout
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_algorithm_can_be_named(name: str) -> None:
     """Each registered algorithm runs from the command line and is named in the story."""
@@ -271,6 +273,7 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 # --- pictures --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_every_scene_has_a_picture(scene: str) -> None:
     """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""
@@ -283,6 +286,7 @@ def test_every_scene_has_a_picture(scene: str) -> None:
     assert list(Path().iterdir()) == [Path("out.png")]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "problem",
     [BOX, LCP(np.zeros((0, 0)), []), LCP([[2.0]], [-1.0], lower=-np.inf), LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0)],
@@ -295,6 +299,7 @@ def test_a_file_has_a_picture(problem: LCP) -> None:
     assert Path("out.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)])
 def test_picture_formats(name: str, head: bytes) -> None:
     """The ending of the file chooses the format."""
@@ -302,6 +307,7 @@ def test_picture_formats(name: str, head: bytes) -> None:
     assert Path(name).read_bytes().startswith(head)
 
 
+@pytest.mark.full
 def test_an_unsolved_run_has_a_picture() -> None:
     """A run without success, and one with tolerance 0, are drawn too."""
     for arguments in (("--max-iterations", "0"), ("--tolerance", "0", "--max-iterations", "5")):
@@ -581,6 +587,7 @@ def test_installed_command_is_this_one() -> None:
     assert command.load() is run
 
 
+@pytest.mark.full
 def test_exit_codes_reach_the_shell() -> None:
     """The process itself ends with 1 where a run is not solved and with 2 on bad input, without a traceback."""
     unsolved = in_a_process("solve", "obstacle_2d:size=6", "--max-iterations", "0")
@@ -590,6 +597,7 @@ def test_exit_codes_reach_the_shell() -> None:
     assert re.match(rb"lcp-plugin: .*did you mean 'murty'\?", bad.stderr)
 
 
+@pytest.mark.full
 def test_terminal_without_unicode() -> None:
     """Where ≤ and ω cannot be shown, something else is; nothing fails for it."""
     solved = in_a_process("solve", "obstacle_2d:size=6", PYTHONIOENCODING="ascii")
@@ -605,6 +613,7 @@ def test_terminal_without_unicode() -> None:
 BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
     """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
@@ -619,6 +628,7 @@ def test_reader_that_has_gone(arguments: str) -> None:
     assert done.returncode in {0, 1}
 
 
+@pytest.mark.full
 def test_full_device_is_told() -> None:
     """Where stdout cannot be written, exit code 2 and one line say so."""
     if not Path("/dev/full").exists():
@@ -632,6 +642,7 @@ def test_full_device_is_told() -> None:
     assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)
 
 
+@pytest.mark.full
 def test_ctrl_c_prints_the_best_so_far() -> None:
     """Ctrl-C in a long run ends it with INTERRUPTED, the result of the best iterate, --out written, exit code 1.
 
@@ -640,7 +651,7 @@ def test_ctrl_c_prints_the_best_so_far() -> None:
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
     running = subprocess.Popen(
-        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=700", "-a", "npgs", "--tolerance", "1e-14",
+        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=300", "-a", "npgs", "--tolerance", "1e-14",
          "--out", "z.npz"],
         stdout=subprocess.PIPE, stderr=theirs,
     )

@@ -54,6 +54,7 @@ def in_a_new_process(code: str, folder: Path | None = None, **environment: str) 
     return run.stdout.strip()
 
 
+@pytest.mark.full
 def test_nothing_is_compiled_after_a_warm_up() -> None:
     """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
     run = CliRunner().invoke(app, ["warm-up"])
@@ -166,6 +167,7 @@ def test_a_verbose_run_says_that_kernels_are_compiled(
     assert capsys.readouterr().out.count("(compiling, once an installation") == 1
 
 
+@pytest.mark.full
 def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
     """In a fresh process, too, most of the time of a small solve is loading compiled code, and not on the clock."""
     code = (
@@ -190,6 +192,7 @@ def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
     assert clock.read() <= time.perf_counter() - began - stopped
 
 
+@pytest.mark.full
 def test_cache_is_the_user_s(tmp_path: Path) -> None:
     """The kernels lie in the user's cache folder or where NUMBA_CACHE_DIR says; other packages' lie where they did."""
     code = (
@@ -207,6 +210,7 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
     assert Path(path).is_relative_to(tmp_path / "named")
 
 
+@pytest.mark.full
 def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"

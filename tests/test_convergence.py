@@ -265,6 +265,7 @@ def sweeps_needed(
     return math.inf
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("text", ["obstacle_2d:size=50", "obstacle_2d:size=50,shifted=true"])
 def test_automatic_relaxation_finds_a_good_omega(text: str) -> None:
     """On the plain Laplacian obstacle, n = 2500, PSOR needs at most twice the sweeps of the best fixed relaxation."""
@@ -284,6 +285,7 @@ def random_h_plus(n: int, seed: int) -> np.ndarray:
     return M * np.exp2(generator.integers(-8, 9, size=n))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("matrices", [random_h_plus, positive_definite], ids=["H₊", "SPD"])
 def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices: Any) -> None:
     """On 100 random problems of each class PSOR is SOLVED wherever PGS is, and on the whole not slower."""

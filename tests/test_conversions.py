@@ -107,6 +107,7 @@ def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
     return solution.inequality, solution.equality, solution.lower, solution.upper
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_dual_form_solved_and_recovered(seed: int, sparse: bool) -> None:
@@ -213,6 +214,7 @@ def test_contradictions_stay_rows(G: Any, h: Any) -> None:
     assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
 
 
+@pytest.mark.full
 def test_dual_form_is_sparse_where_p_is_diagonal_or_block() -> None:
     """Total variation on n points: M is tridiagonal for P = I and 2×2 blocks alike stay sparse."""
     n = 2000

@@ -161,6 +161,7 @@ def hard(kind: str, n: int, rng: np.random.Generator) -> tuple[QuadraticProgram,
 HARD = ("a chain of differences", "dependent rows", "free variables", "unstable dynamics", "badly scaled")
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("n", [60, 240])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
@@ -175,6 +176,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, n: int) -> None:
         assert result.iterations <= 80
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("n", "seeds"), [(60, 8), (240, 4)])
 def test_rows_over_eight_and_columns_over_six_orders_of_magnitude(n: int, seeds: int) -> None:
     """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
@@ -333,6 +335,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     assert not broken.verify()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
@@ -457,6 +460,7 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -
         LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("rank", [1, 3, 7])
 @pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
 @pytest.mark.parametrize("is_sparse", [False, True])
@@ -690,6 +694,7 @@ def test_models_declared_with_complements(model: str) -> None:
 ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("form", ["auto", "kkt"])
 @pytest.mark.parametrize("c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]])
 @pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])

@@ -66,6 +66,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 # --- Agreement ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
     """On random symmetric positive definite problems z agrees to 1e-7 of its size, and the active sets are equal."""
@@ -83,6 +84,7 @@ def test_random_spd_problems_agree(batch: int) -> None:
         assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
     """Where M is singular w agrees to 1e-7 although z need not."""
@@ -121,6 +123,7 @@ def test_scenes_agree(target: str, kind: str) -> None:
     assert check.difference_z < 1e-8
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
     """A nonsymmetric monotone problem agrees with its gap program, whatever its bounds."""
@@ -164,6 +167,7 @@ def test_degenerate_rows_are_left_open(seed: int) -> None:
     assert check.undecided == np.count_nonzero(kind == 2)
 
 
+@pytest.mark.full
 def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
     """Where M is nearly singular a clear difference of z condemns nobody, and the reason gives it."""
     n = 300
@@ -358,6 +362,7 @@ def test_symmetry_is_meant_up_to_rounding(noise: float) -> None:
     assert Formulation.of(LCP(M, [-1.0, -1.0])).kind == (PLAIN if noise < 1e-16 else GAP)
 
 
+@pytest.mark.full
 def test_the_check_for_convexity_stays_sparse() -> None:
     """Fifty thousand unknowns are factorised without a dense array, semidefinite ones told from definite ones."""
     n = 50_000
@@ -439,6 +444,7 @@ def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     assert str(check) == story(check)
 
 
+@pytest.mark.full
 def test_cvxpy_loads_when_a_reference_is_asked() -> None:
     """Importing the modules loads no cvxpy; a problem without a convex program never does."""
     code = (

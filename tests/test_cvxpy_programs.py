@@ -33,6 +33,7 @@ def hinge_loss() -> Any:
 # --- Nothing inferred is believed ------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("second_solve", [False, True], ids=["first solve", "after Clarabel"])
 def test_random_programs_agree_with_other_solvers(second_solve: bool) -> None:
     """Random DCP programs: no wrong value, no wrong status, at most one undecided (see the campaign)."""
@@ -83,6 +84,7 @@ def test_bounds_that_cvxpy_sends_are_refused() -> None:
         qp_solver.quadratic_program({**data, "lower_bounds": np.zeros(data["n_var"])})
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", [
     {"nonneg": True}, {"nonpos": True}, {"bounds": [-0.25, 0.5]}, {"symmetric": True},
     {"sparsity": ([0, 1], [1, 0])}, {},

@@ -23,7 +23,6 @@ from lcp_plugin.matrix.free_systems import FreeSystem
 from lcp_plugin.matrix.matrix import Matrix
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-property_test = settings(deadline=None, max_examples=30)
 STRICT = {"degenerate": 0.0, "active": 0.4}
 ACCURACY = 1e-12
 KINK = LCP([[2.0, 1.0], [1.0, 3.0]], [-2.0, -1.0])  # z = (1, 0), w = 0
@@ -53,7 +52,7 @@ def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: floa
 # --- Exactness ----------------------------------------------------------------------------------------------
 
 
-@property_test
+@settings.get_profile("few")
 @given(solved_lcps(bounds=True, **STRICT) | solved_lcps(h_plus_matrices(dense=False, density=0.5), **STRICT))
 def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
     """At the planted solution: by M, q and both bounds, plain, boxed, one-sided, free and fixed rows, dense, sparse."""
@@ -67,7 +66,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
     check_against(piece, found, accuracy=ACCURACY * (np.linalg.cond(M, np.inf) if piece.free else 1.0))
 
 
-@property_test
+@settings.get_profile("few")
 @given(solved_lcps(bounds=True, row_scale=20, column_scale=20, **STRICT), st.integers(0, 9))
 def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
@@ -88,6 +87,7 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     )
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", campaign.KINDS)
 @pytest.mark.parametrize("family", campaign.FAMILIES)
 def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
@@ -99,7 +99,7 @@ def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
     assert not [what for _, what, where in found if where]
 
 
-@property_test
+@settings.get_profile("few")
 @given(solved_lcps(bounds=True, **STRICT), st.data())
 def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
     """The solution is affine in q and the bounds: (z(t) − z)/t in fractions, t so small that no row changes."""
@@ -126,7 +126,7 @@ def test_the_derivative_by_one_entry_of_the_matrix() -> None:
     assert np.array_equal(found.jvp(dM=[[0, 7], [7, 7]]), [0.0, 0.0])
 
 
-@property_test
+@settings.get_profile("few")
 @given(solved_lcps(bounds=True, **STRICT), st.integers(0, 9))
 def test_the_products_are_adjoint(drawn, seed) -> None:
     """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ to 1e-13 of the terms, h any change of the data on M's pattern."""
@@ -187,7 +187,7 @@ def test_a_free_row_has_no_part_in_what_w_tells() -> None:
 # --- The error bound ----------------------------------------------------------------------------------------
 
 
-@property_test
+@settings.get_profile("few")
 @given(
     solved_lcps(bounds=True, row_scale=10, column_scale=10, **STRICT), st.integers(0, 99),
     st.sampled_from([0.0, 1e-12, 1e-6, 1e-2]),
@@ -219,6 +219,7 @@ def test_the_bound_is_near_what_rounding_leaves() -> None:
         assert 0.99e-3 <= found.jvp_bound(1.001 * dz, **change) <= 1e-2 * condition
 
 
+@pytest.mark.full
 def test_rounding_and_the_error_of_z_count() -> None:
     """One unknown, dz = −(dm z + dq)/m with cancellation: no bound is below the error, none 8 times what may round."""
     rng = np.random.default_rng(1)
@@ -269,6 +270,7 @@ def test_a_bound_needs_a_proof() -> None:
 # --- Which rows are what ------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_uniqueness_is_proven_of_most() -> None:
     """is_unique is True on at least 90 % of 200 problems with H₊-matrices that are not degenerate."""
     rng, unique = np.random.default_rng(5), 0
@@ -279,7 +281,7 @@ def test_uniqueness_is_proven_of_most() -> None:
     assert unique >= 180
 
 
-@property_test
+@settings.get_profile("few")
 @given(solved_lcps(degenerate=0.5, active=0.2, bounds=True), st.integers(0, 99))
 def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
     """Never unique; jvp is the exact one-sided derivative, and vjp the gradient of the piece that `free` names."""
@@ -365,6 +367,7 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
     check_against(piece_of(found), found, accuracy=1e-4)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:

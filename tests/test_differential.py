@@ -22,7 +22,6 @@ from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.certificates.residuals import Certificate
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-QUICK = settings(deadline=None, derandomize=True, max_examples=25, database=None)
 SEEDS = st.integers(0, 2**32 - 1)
 ALL = ["auto", *REGISTRY]
 
@@ -40,7 +39,7 @@ def answers(problem: LCP, names: list[str]) -> dict[str, np.ndarray]:
     return found
 
 
-@QUICK
+@settings.get_profile("few")
 @given(solved_lcps(h_plus_matrices(st.integers(1, 5))))
 def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """On an H₊-matrix all eighteen and auto find the one solution that exact enumeration finds, too."""
@@ -54,7 +53,7 @@ def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn: tuple[
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
 
 
-@QUICK
+@settings.get_profile("few")
 @given(SEEDS, st.integers(1, 5))
 def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -> None:
     """Beyond H₊: lemke and auto always, the others where they say so, find what exact enumeration finds."""
@@ -68,6 +67,7 @@ def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", small_lcps.KINDS)
 def test_no_algorithm_claims_anything_false_on_any_kind_of_problem(kind: str) -> None:
     """Solvable, infeasible, or feasible without solution: no claim of any algorithm contradicts the exact truth."""
@@ -90,6 +90,7 @@ def campaign_process() -> None:
     import scipy.optimize  # noqa: F401
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", trust.ROUND)
 def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
     """Every kind of the long campaign runs, and finds nothing."""

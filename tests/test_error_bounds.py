@@ -21,7 +21,6 @@ from lcp_plugin.matrix import comparison_certificate
 from lcp_plugin.matrix.equilibration import unit_diagonal
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
-property_test = settings(deadline=None, max_examples=60)  # the first example compiles
 POINTS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=8, max_size=8)
 STEPS = st.sampled_from([1.0, 1e-3, 1e-9, 2.0**-52, 0.0])
 
@@ -53,7 +52,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
         assert max(errors) <= Fraction(bound.relative) * Fraction(float(np.abs(z).max()))
 
 
-@property_test
+@settings.get_profile("many")
 @given(solved_lcps(h_plus_matrices(), bounds=True, row_scale=60, column_scale=60), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
@@ -64,7 +63,7 @@ def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     check(problem, z, exact, bound)
 
 
-@property_test
+@settings.get_profile("many")
 @given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
     """The same where M is symmetric positive definite and as a rule no H₊-matrix."""
@@ -80,7 +79,7 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
     check(problem, z, exact, bound)
 
 
-@property_test
+@settings.get_profile("many")
 @given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True), POINTS, STEPS)
 def test_each_stage_holds_alone(drawn, direction, step) -> None:
     """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
@@ -114,8 +113,8 @@ def test_reference_point_removes_overestimation(radius) -> None:
         assert error_bound(problem, z + error, sharp=False).infinity > 50 * np.abs(error).max()
 
 
+@settings.get_profile("many")
 @given(h_plus_matrices(dense=False), st.integers(-40, 40))
-@property_test
 def test_v_certificate_is_attained(M, exponent) -> None:
     """For an M-matrix without bounds and z = z* + t v the v-certificate is the error itself."""
     M = sp.csr_array(2.0 * sp.diags_array(M.diagonal()) - abs(M))
@@ -299,7 +298,7 @@ def test_estimates_say_so(monkeypatch) -> None:
     assert 0.99e-6 < proven.infinity < 1.1e-6
 
 
-@property_test
+@settings.get_profile("many")
 @given(positive_definite_matrices(scale=30, margin=2.0**-20), st.booleans())
 def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
     """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
@@ -364,7 +363,7 @@ EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976
 DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(EXTREMES + [-x for x in EXTREMES])
 
 
-@property_test
+@settings.get_profile("many")
 @given(DOUBLES, DOUBLES)
 def test_rounding_is_upwards(a, b) -> None:
     """Sums, products and quotients are never below the exact ones, nor more than two units above."""
@@ -382,7 +381,7 @@ def test_rounding_is_upwards(a, b) -> None:
         assert results[0] == exact[0]
 
 
-@property_test
+@settings.get_profile("many")
 @given(solved_lcps(bounds=True))
 def test_exact_solver_finds_the_planted_answer(drawn) -> None:
     """The rational solver of the tests returns the solution the problem was built from."""

@@ -59,6 +59,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not ended.value.code
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_example_keeps_its_promise(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

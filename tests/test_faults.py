@@ -76,6 +76,7 @@ def test_what_a_callback_raises_is_passed_on_and_corrupts_nothing(name: str) -> 
         assert bits(solve(problem, name).z) == expected
 
 
+@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("limit", [0.0, 1e-9, 1e-3])
 def test_a_time_limit_ends_in_an_honest_status(name: str, limit: float) -> None:
@@ -149,6 +150,7 @@ INTERRUPTIONS = """
 """
 
 
+@pytest.mark.full
 def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
     """SIGINT at random moments gives INTERRUPTED with a point of the box, or SOLVED; the next run has the same bits."""
     code = f"import sys\nsys.argv[1:] = {['npsor', 'psor', 'mgs', 'multigrid', 'newton', 'interior_point', 'auto']!r}\n"
@@ -278,6 +280,7 @@ MEMORY = """
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux")
 def test_where_memory_ends_it_is_said() -> None:
     """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
@@ -310,6 +313,7 @@ def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("cache", ["unwritable", "full disk"])
 def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Path, tmp_path: Path) -> None:
     """Where no folder takes compiled code, or the disk is full when it is written, the kernels work all the same."""
@@ -330,6 +334,7 @@ def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Pat
     assert z == (["[2.5 0. ]"] if cache == "full disk" else [])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("program", "printed"), [(COMPILE, "0 3"), (ELEMENTWISE, "3.0")], ids=["loop", "elementwise"])
 def test_damaged_compiled_code_is_compiled_again(program: str, printed: str, tmp_path: Path) -> None:
     """Files of the cache that were cut off, or hold anything else, cost time and nothing more."""
@@ -343,6 +348,7 @@ def test_damaged_compiled_code_is_compiled_again(program: str, printed: str, tmp
     assert done.stdout.splitlines()[-1] == printed
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
 def test_a_full_disk_is_told_and_the_problem_stays_whole(tmp_path: Path) -> None:
     """Where nothing can be written the error says so; the problem can be saved elsewhere and comes back the same."""
@@ -383,6 +389,7 @@ def scene() -> LCP:
     return gallery.build("random_h_plus", n=40).problem
 
 
+@pytest.mark.full
 def test_threads_that_share_one_problem_get_the_serial_answers() -> None:
     """Eight threads that ask everything about one problem, its cache empty, get the bits of one alone."""
     alone, shared = everything(scene()), scene()

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sp
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, InvalidProblem, LCPError, UnreadableFile
@@ -104,7 +104,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 BELOW_1E20 = st.floats(-9e19, 9e19)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings.get_profile("few")
 @given(data=st.data(), n=st.integers(1, 4), suffix=st.sampled_from([".npz", ""]))
 def test_round_trip_of_any_numbers(data: st.DataObject, n: int, suffix: str, tmp_path: Path) -> None:
     """Whatever doubles a problem holds, both forms give them back; only the sign of a zero may be lost in text."""
@@ -545,6 +545,7 @@ def test_damaged_stream_is_refused(tmp_path: Path) -> None:
         assert load_damaged(tmp_path / "p.npz", bytes(damaged)) is None
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "content",
     [b"", b"PK\x03\x04" + bytes(50), b"no archive at all", array_bytes(np.ones(3)), archive(True)[:-1]],
@@ -592,6 +593,7 @@ print("finished")
 """
 
 
+@pytest.mark.full
 def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
     """Text files cut off anywhere or with wrong bytes are refused or read, and the process survives each of them."""
     PROBLEM.save(tmp_path / "folder")
@@ -603,6 +605,7 @@ def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
     assert (done.returncode, last) == (0, "finished"), f"{done.returncode} at {last}: {done.stderr[-500:]}"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", ["4.0e", "4.0e+", "e", "-", "4..0", "0x4", "nan", "inf", "1e999", "four", "4,0", ""])
 def test_damaged_number_in_text_is_refused(number: str, tmp_path: Path) -> None:
     """What is no finite number in q.mtx makes the file unreadable; in a process of its own."""
@@ -655,6 +658,7 @@ ENORMOUS = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage")
 @pytest.mark.parametrize("what", ENORMOUS)
 def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from typer.testing import CliRunner
@@ -19,10 +19,6 @@ from lcp_plugin import LCP, LCPError
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 
-FUZZ = settings(
-    deadline=None, derandomize=True, database=None, max_examples=80,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
 PROBLEM = LCP([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]], [-3.0, 5.0, -1.0], upper=[1.0, np.inf, 9.0])
 TOKENS = (b"1e999", b"nan", b"-1", b"\x00", b"\xff\xfe", b"\n", b"%", b"9" * 25, b"i4", b"<O8")
 FILES = ("M.mtx", "q.mtx", "lower.mtx", "upper.mtx")
@@ -70,7 +66,7 @@ def archive() -> bytes:
     return buffer.getvalue()
 
 
-@FUZZ
+@pytest.mark.sampled(1)
 @given(content=st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: b"PK\x03\x04" + tail))
 @pytest.mark.parametrize("name", ["p.npz", "M.mtx"])
 def test_random_bytes_are_refused(name: str, content: bytes, tmp_path: Path) -> None:
@@ -80,7 +76,6 @@ def test_random_bytes_are_refused(name: str, content: bytes, tmp_path: Path) -> 
     assert load(tmp_path / name if name == "p.npz" else tmp_path) is None
 
 
-@FUZZ
 @given(content=mutated(archive()))
 def test_mutated_archives_are_refused_or_valid(content: bytes, tmp_path: Path) -> None:
     """An archive with pieces missing, doubled or wrong is refused, or states some valid problem."""
@@ -96,7 +91,7 @@ TEXTS = {
 }
 
 
-@settings(FUZZ, max_examples=120)
+@settings.get_profile("many")
 @given(data=st.data())
 def test_mutated_matrix_market_files_are_refused_or_valid(data: st.DataObject, tmp_path: Path) -> None:
     """A text file with pieces missing, doubled or wrong is refused, or states some valid problem."""
@@ -119,7 +114,8 @@ def any_array() -> st.SearchStrategy[Any]:
 KEYS = ("data", "indices", "indptr", "shape", "q", "lower", "upper")
 
 
-@settings(FUZZ, max_examples=120)
+@pytest.mark.full
+@settings.get_profile("many")
 @given(changes=st.dictionaries(st.sampled_from((*KEYS, "P_data", "other")), any_array() | st.none(), max_size=3))
 def test_archives_of_other_arrays_are_refused_or_valid(changes: dict[str, Any], tmp_path: Path) -> None:
     """A whole archive whose members have any type, shape and values is refused, or states some valid problem."""
@@ -131,7 +127,7 @@ def test_archives_of_other_arrays_are_refused_or_valid(changes: dict[str, Any], 
     load(tmp_path / "p.npz")
 
 
-@settings(FUZZ, max_examples=100)
+@settings.get_profile("many")
 @given(indices=arrays.arrays(np.int64, 7, elements=st.integers(-2, 4)), size=st.integers(-1, 2**62),
        indptr=arrays.arrays(np.int64, 4, elements=st.integers(-2, 9)))  # fmt: skip
 def test_wrong_indices_never_reach_a_kernel(indices: np.ndarray, indptr: np.ndarray, size: int, tmp_path: Path) -> None:
@@ -212,7 +208,6 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return line if not {"tables", "report", "bench"} & {*line} or line == ["bench"] else ["list"]
 
 
-@settings(FUZZ, max_examples=60)
 @given(line=command_lines())
 @example(line=["--"])
 def test_mutated_commands_end_in_zero_one_or_two(

@@ -171,9 +171,9 @@ def test_description_is_one_line_and_every_parameter_is_documented() -> None:
 def test_defaults_are_quick_and_of_moderate_size() -> None:
     """Every scene builds with its defaults in less than half a second and at most 40 000 unknowns."""
     for name in gallery.names():
-        begin = time.perf_counter()
+        begin = time.process_time()
         scene = gallery.build(name)
-        assert time.perf_counter() - begin < 0.5, name
+        assert time.process_time() - begin < 0.5, name
         assert scene.n <= 40_000
 
 
@@ -390,6 +390,7 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
         assert not scene.problem.slack(scene.exact).any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "text",
     ["paper_example_1:n=250000", "half_active:n=250000", "obstacle_2d:size=500", "obstacle_3d:size=63"],
@@ -397,9 +398,9 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
 def test_a_quarter_of_a_million_unknowns_are_cheap(text: str) -> None:
     """Assembly takes less than two seconds and less than three times the memory of the matrix."""
     tracemalloc.start()
-    begin = time.perf_counter()
+    begin = time.process_time()
     problem = gallery.parse(text).problem
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     matrix = problem.csr
@@ -467,6 +468,7 @@ def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
     assert contact < CONE_BEGINS
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))])
 def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int, ...]) -> None:
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin.checks import read_only
@@ -84,7 +84,6 @@ def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
         assert not any(array.flags.writeable for array in coarser.matrix.arrays)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 40), st.floats(0.02, 1.0))
 def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: float) -> None:
     """RMP and Pᵀ agree with scipy for matrices of any density, whether or not the first room suffices."""
@@ -111,7 +110,6 @@ def test_a_product_that_outgrows_its_room() -> None:
     np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
 
 
-@settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.05, 1.0), st.sampled_from(["as is", "mirrored", "bent"]))
 def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str) -> None:
     """`is_symmetric_entrywise` says what the dense matrix says, for any pattern."""
@@ -124,6 +122,7 @@ def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str)
     assert is_symmetric_entrywise(M) == np.array_equal(dense, dense.T)
 
 
+@pytest.mark.full
 def test_wide_indices_give_the_same_hierarchy() -> None:
     """64-bit indices lead to the same grids, bit for bit."""
     M = gallery.build("coefficient_jumps", size=30).problem.csr
@@ -136,6 +135,7 @@ def test_wide_indices_give_the_same_hierarchy() -> None:
         assert np.array_equal(one.matrix.data, other.matrix.data)
 
 
+@pytest.mark.full
 def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where coarser matrices could have more entries than 32 bits count, all grids have 64-bit indices."""
     M = gallery.build("obstacle_2d", size=20).problem.csr
@@ -197,6 +197,7 @@ def test_positive_couplings_raise_the_strength() -> None:
     assert sizes[0] == sizes[1] != sizes[2]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("entries", [4, 7, 20])
 def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
     """A random sparse matrix gets no coarser grids, for no more than 40 passes over it."""

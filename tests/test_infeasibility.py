@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import infeasible_by_margin
 from collection.truth import is_farkas
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -66,7 +66,6 @@ def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> 
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
 def test_feasible_problems_are_never_called_infeasible(seed: int) -> None:
     """A problem built around a feasible point gets no proof, and the point returned is feasible."""
     rng = np.random.default_rng(seed)
@@ -115,6 +114,7 @@ def test_the_proof_does_not_depend_on_units() -> None:
         assert is_farkas(problem, list(proof.exact_y or ()))
 
 
+@pytest.mark.full
 def test_a_large_problem_is_proven_with_rounding_margins() -> None:
     """For n = 3000 a proof in floating point with margins is found, and fractions confirm its very doubles."""
     n = 3000
@@ -134,7 +134,6 @@ def test_a_large_problem_is_proven_with_rounding_margins() -> None:
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
 def test_rounding_margins_bound_the_exact_margin(seed: int) -> None:
     """The margin in floating point is never below the exact one."""
     rng = np.random.default_rng(seed)
@@ -223,7 +222,6 @@ def test_integers_lose_nothing(values: list[float]) -> None:
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
 def test_exact_solves_satisfy_their_equations(seed: int) -> None:
     """p-adic lifting returns the exact solution, or None just where the determinant is 0."""
     rng = np.random.default_rng(seed)
@@ -251,6 +249,7 @@ def test_signs_of_one_row_refute_a_large_problem() -> None:
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     """Every z within the bounds, the answers of all methods among them, has residuals of at least both margins."""
@@ -355,7 +354,6 @@ def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: l
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
 def test_the_reference_is_bounded_from_above(seed: int) -> None:
     """‖r(z°)‖∞ in fractions is never above the bound that a margin is relative to."""
     rng = np.random.default_rng(seed)
@@ -374,6 +372,7 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(24))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:
     """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""

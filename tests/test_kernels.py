@@ -388,6 +388,7 @@ def test_threads_share_the_arrays_of_a_sweep() -> None:
             assert norms == expected_norms
 
 
+@pytest.mark.full
 def test_kernels_work_where_nothing_can_be_cached(tmp_path: Path) -> None:
     """Without a writable folder for compiled code the kernels compile in memory and solve."""
     code = (

@@ -47,6 +47,7 @@ def test_examples_of_its_help() -> None:
     assert doctest.testmod(layers).attempted > 3
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
@@ -66,6 +67,7 @@ def test_gradients_are_those_of_each_problem() -> None:
         assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.full
 def test_axes_in_front_broadcast() -> None:
     """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
     M, q, _, _ = planted(4, 6, 4)
@@ -76,6 +78,7 @@ def test_axes_in_front_broadcast() -> None:
     check_grads(lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["fwd", "rev"], eps=1e-6)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)])
 def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
     """With vmap of the layer and of its gradients, over any of the arguments, inside and outside of jit."""
@@ -93,6 +96,7 @@ def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
             assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in pairs)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("way", [jax.jacrev, jax.jacfwd])
 def test_jacobians(way: Callable[..., Any]) -> None:
     """One asks for many gradients, or changes, of one solution: −M_FF⁻¹ on the free rows; under vmap, too."""
@@ -126,6 +130,7 @@ def test_forward_mode() -> None:
     assert np.allclose(several, [dz, -dz], rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.full
 def test_two_mapped_axes() -> None:
     """One over M and, inside of it, one over q and one bound, are those of a batch; so are the gradients of the sum."""
     M, q, lower, _ = planted(3, 5, 8)
@@ -143,6 +148,7 @@ def test_two_mapped_axes() -> None:
     assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("second", [
     jax.hessian,
     lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum()),

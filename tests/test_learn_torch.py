@@ -49,6 +49,7 @@ def test_examples_of_its_help() -> None:
     assert doctest.testmod(layers).attempted > 3
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
@@ -150,6 +151,7 @@ def test_a_singular_block_is_told_in_the_backward_pass() -> None:
         z.sum().backward()
 
 
+@pytest.mark.full
 def test_what_autograd_must_not_do() -> None:
     """A second derivative, and a matrix changed between the passes, are refused."""
     M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
@@ -256,6 +258,7 @@ def test_sparse_matrices_under_transformations() -> None:
         torch.func.grad(lambda q: lcp_layer(M, q).sum())(q)
 
 
+@pytest.mark.full
 def test_compiled_code_runs_the_layer_beside_its_graphs() -> None:
     """torch.compile of what holds the layer gives its values, its gradients and its own errors."""
     (q,) = leaves([-5.0, 1.0])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
@@ -120,6 +120,7 @@ def test_chains_are_solved_by_factors(n: int) -> None:
         assert own_optimality(chain, b, result.x, lower, upper) <= 1e-8
 
 
+@pytest.mark.full
 def test_a_hundred_thousand_unknowns() -> None:
     """10⁵ unknowns, sparse: SOLVED, in less than 200 steps."""
     A = random_rows(150_000, 100_000, 6)
@@ -129,7 +130,6 @@ def test_a_hundred_thousand_unknowns() -> None:
     assert own_optimality(A, b, result.x) <= 1e-8
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 10**6), st.floats(0.0, 0.8))
 def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: float) -> None:
     """Weights, a ridge, boxes, free and fixed columns, zero rows and columns, any rank: the conditions hold at x."""
@@ -197,6 +197,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
 }
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("upper", [INF, 0.5])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None:
@@ -310,7 +311,6 @@ def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> Non
         assert (radius <= 1e-9 * (1.0 + np.abs(A).sum())).all()
 
 
-@settings(max_examples=80, deadline=None)
 @given(st.integers(1, 5), st.integers(1, 4), st.integers(0, 10**6), st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]))
 def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
     """In rational arithmetic, whatever the tolerance, rank, weights, ridge: cost − min ≤ gap; SOLVED is true."""
@@ -346,6 +346,7 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
 # --- the complementarity problem ----------------------------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("form", ["auto", "normal", "mixed"])
 @pytest.mark.parametrize("shape", [(40, 12), (9, 20), (0, 3), (3, 0)])
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])

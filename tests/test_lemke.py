@@ -125,6 +125,7 @@ def test_games(name: str) -> None:
     assert problem.origin.recover(found.z).regret <= 1e-12
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("degenerate", [False, True])
 def test_random_games(degenerate: bool) -> None:
     """Games of 2 × 2 to 8 × 8 actions have an equilibrium, and the first label finds one."""
@@ -232,14 +233,13 @@ def test_wild_units() -> None:
     assert best(problem).relative_residual <= 1e-12
 
 
-@settings(max_examples=100, deadline=None)
+@settings.get_profile("many")
 @given(solved_lcps())
 def test_problems_with_a_known_answer(drawn: tuple[LCP, Any]) -> None:
     """Problems whose answer was chosen first are solved."""
     assert best(drawn[0]).relative_residual <= 1e-9
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))
 def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
     """Any matrix with finite bounds: the path from r > 0 cannot escape and ends in a solution."""
@@ -349,7 +349,6 @@ def test_equilibration_keeps_symmetry() -> None:
     assert np.all(np.abs(scaled).max(axis=1) >= 0.25)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))
 def test_canonical_problem_is_the_problem(n: int, seed: int) -> None:
     """A solution of the canonical problem is one of the problem, and bounds and free rows come back."""

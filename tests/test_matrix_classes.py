@@ -273,6 +273,7 @@ def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
     return sp.csr_array(0.5 * (R + R.T) + shift * sp.eye_array(n))
 
 
+@pytest.mark.full
 def test_a_random_graph_is_not_factorised() -> None:
     """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
     M = random_graph(20_000, 8, 1.2)
@@ -287,6 +288,7 @@ def test_a_random_graph_is_not_factorised() -> None:
     assert is_positive_definite(M) is is_semidefinite_to_rounding(M) is None
 
 
+@pytest.mark.full
 def test_grids_are_factorised() -> None:
     """A plane grid of a quarter million and a chain of a million unknowns fit, in whatever order, an arrow too."""
     rng = np.random.default_rng(0)
@@ -472,6 +474,7 @@ def test_no_matrix(M: object) -> None:
         analyze(M)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
     """Verdicts, guarantees and bounds on 35 matrices of entries from 1e-300 to 1e300; the campaign judges thousands."""

@@ -39,9 +39,6 @@ from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonposi
 from lcp_plugin.matrix.structure import row_excess_signs, scale_spread
 from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 
-property_test = settings(deadline=None, max_examples=150)
-
-
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------
 
 
@@ -57,7 +54,7 @@ def small_matrices(draw: st.DrawFn) -> list[list[Fraction]]:
     return [[Fraction(entry) for entry in row] for row in rows]
 
 
-@property_test
+@settings.get_profile("many")
 @given(small_matrices())
 def test_rational_verdicts_are_the_minors(A: list[list[Fraction]]) -> None:
     """P: every principal minor is positive. Pivots: the leading ones are. Semidefinite: no minor is negative."""
@@ -69,7 +66,7 @@ def test_rational_verdicts_are_the_minors(A: list[list[Fraction]]) -> None:
         assert has_nonnegative_pivots(A) == all(minor >= 0 for minor in minors)
 
 
-@property_test
+@settings.get_profile("many")
 @given(small_matrices())
 def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> None:
     """The report on a matrix of small integers, singular ones among them, says what its minors say."""
@@ -340,7 +337,7 @@ def test_asymmetry_of_an_entry() -> None:
     assert not is_symmetric_entrywise(sp.csr_array([[1.0, 3.0], [3.0 * (1.0 + 1e-9), 1.0]]))
 
 
-@property_test
+@settings.get_profile("many")
 @given(st.lists(st.integers(-3, 3), min_size=9, max_size=9))
 def test_pairs_are_the_two_by_two_minors(entries: list[int]) -> None:
     """With a diagonal 1, 2, 4 a pair is named exactly where a minor of two rows is not positive."""

@@ -15,7 +15,6 @@ from relations import EXACT, RELATIONS, data_of
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, analyze, solve
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-QUICK = settings(deadline=None, derandomize=True, max_examples=6, database=None)
 ARRIVED = (Status.SOLVED, Status.PRECISION_LIMIT)
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -52,6 +51,7 @@ LOSES = {  # what a relation takes from a class, beyond which the proofs do not 
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("relation", RELATIONS)
 @pytest.mark.parametrize("kind", CLASSES)
 def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> None:
@@ -60,7 +60,7 @@ def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> No
     names = [name for name in proved if name in LOSES.get(relation, proved)]
     assert "auto" in names
 
-    @QUICK
+    @settings.get_profile("few")
     @given(problems, SEEDS)
     def agrees(drawn: tuple[LCP, tuple[Fraction, ...]], seed: int) -> None:
         problem, exact = drawn
@@ -88,7 +88,7 @@ def changes_to_lower_bounds(problem: LCP) -> bool:
 def test_unproved_methods_are_right_wherever_they_say_solved(name: str) -> None:
     """A method without proof on H₊-matrices may fail on a changed problem, but a SOLVED is the answer."""
 
-    @QUICK
+    @settings.get_profile("few")
     @given(solved_lcps(h_plus_matrices(SMALL), bounds=True), st.sampled_from(list(EXACT)), SEEDS)
     def agrees(drawn: tuple[LCP, tuple[Fraction, ...]], relation: str, seed: int) -> None:
         problem, exact = drawn
@@ -108,7 +108,7 @@ def test_unproved_methods_are_right_wherever_they_say_solved(name: str) -> None:
 def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str) -> None:
     """H, H₊ and P survive permutation, positive scaling and a regular neighbour: never True here and False there."""
 
-    @settings(QUICK, max_examples=20)
+    @settings.get_profile("few")
     @given(st.integers(1, 5), SEEDS)
     def agrees(n: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -122,12 +122,13 @@ def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str)
     agrees()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("relation", EXACT)
 def test_relations_keep_solutions(relation: str) -> None:
     """The relations themselves: what solves the changed problem exactly leads back to an exact solution."""
     from collection.truth import ExactData, decide
 
-    @settings(QUICK, max_examples=15)
+    @settings.get_profile("few")
     @given(solved_lcps(h_plus_matrices(SMALL), bounds=True), SEEDS)
     def agrees(drawn: tuple[LCP, tuple[Fraction, ...]], seed: int) -> None:
         problem, exact = drawn

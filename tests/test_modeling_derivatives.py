@@ -15,7 +15,7 @@ import pytest
 import scipy.sparse as sp
 from exact import exact_solution
 from fresh_process import printed_by
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_extraction import FORMS, SPARSE, Unknowns, expression
 
@@ -175,7 +175,6 @@ def test_gradients_of_dual_values() -> None:
     np.testing.assert_allclose(pair.dual_variables[0].delta, [0.0, 5.0], atol=1e-13)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 6))
 def test_derivatives_are_the_formula_of_a_planted_solution(seed: int, n: int) -> None:
     """With z chosen first, dz_F = −M_FF⁻¹ (dM z + dq + M_FA db)_F, dz_A = db, to rounding, also of its adjoint."""
@@ -383,6 +382,7 @@ def solved(problem: Any, **options: Any) -> None:
         problem.solve(method="LCP", tolerance=1e-12, **options)
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", [*MODELS, *PROGRAMS], ids=lambda make: make.__name__)
 def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Parts], seed: int) -> None:
@@ -657,6 +657,7 @@ def test_another_layout_of_the_compiled_program_is_refused(monkeypatch: pytest.M
         problem.backward()
 
 
+@pytest.mark.full
 def test_modeling_loads_no_kernels() -> None:
     """Stating models loads no numba: derivatives load when they are asked for."""
     assert printed_by("import sys, lcp_plugin; lcp_plugin.complements; print('numba' in sys.modules)") == "False"

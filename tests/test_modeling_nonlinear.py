@@ -170,8 +170,9 @@ def test_cvxpy_evaluates_to_the_same(name: str) -> None:
         np.testing.assert_allclose(program.value(v), flat(expression.value), rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", FORMS)
-@settings(max_examples=8, deadline=None)
+@settings.get_profile("few")
 @given(seed=st.integers(0, 2**32 - 1), width=st.floats(0.0, 0.6))
 def test_intervals_hold_values_and_difference_quotients(name: str, seed: int, width: float) -> None:
     """No value leaves its interval, no difference F(y) − F(x) the interval Jacobian times y − x, inside a box."""
@@ -201,6 +202,7 @@ def test_intervals_hold_values_and_difference_quotients(name: str, seed: int, wi
     assert (differences <= most + slack).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ["exp", "log", "log1p", "power", "root", "softplus"])
 def test_elementary_intervals_hold_the_true_values(name: str) -> None:
     """At 2000 doubles of all sizes the true value, to 50 digits, lies in the interval, which is a few ulps wide."""
@@ -323,7 +325,7 @@ def compiled_polynomials() -> Program:
     return compiled(kojima_shindo(cp.Variable(4), cp.hstack))
 
 
-@settings(max_examples=30, deadline=None)
+@settings.get_profile("few")
 @given(st.lists(st.floats(-8.0, 8.0), min_size=4, max_size=4))
 def test_intervals_of_polynomials_hold_the_exact_values(z: list[float]) -> None:
     """At a point the interval of a polynomial and of its derivatives hold the rational values."""
@@ -493,7 +495,7 @@ def test_semilinear_obstacle() -> None:
     np.testing.assert_array_equal(u.value, first)
 
 
-@settings(max_examples=30, deadline=None)
+@settings.get_profile("few")
 @given(st.integers(0, 2**32 - 1))
 def test_planted_answers_are_found(seed: int) -> None:
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
@@ -553,6 +555,7 @@ SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
 PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDES[b][2])]
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
     """One of the sides is zero at the answer, whichever stands first; each side is the other's dual."""

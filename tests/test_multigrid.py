@@ -105,6 +105,7 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
         assert_same(problem, result)
 
 
+@pytest.mark.full
 def test_energy_that_falls_is_progress() -> None:
     """Where blocks land one after the other the residual stands still for long, and the run goes on."""
     problem = jumps_by_edge("half", 6, size=100, seed=1)
@@ -171,6 +172,7 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
     return LCP(M, w - M @ z, lower=lower, upper=upper), z
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     """200 small H₊ and SPD problems with boxes, free and fixed rows agree with their planted answers."""
@@ -316,6 +318,7 @@ def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LC
     return LCP(M, generator.normal(size=n))
 
 
+@pytest.mark.full
 def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
     """Where no coarser grid pays, sweeps go on as long as they contract, and the run ends where they do not."""
     assert solve(random_sparse(1.4), "multigrid").status is Status.SOLVED
@@ -437,6 +440,7 @@ def test_solve_many_raises_what_concerns_all_columns() -> None:
 BLOCKS = [(blocks, "SMALLEST_BLOCK", 64), (blocks, "SHARED_FROM", 64), (pieces, "SMALLEST_PIECE", 64)]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("text", [
     "obstacle_2d:size=60", "obstacle_3d:size=14", "convection_diffusion:size=60,diffusion=1e-3",
     "coefficient_jumps:size=59,contrast=1e6", "rotated_anisotropy:size=60",

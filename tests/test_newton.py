@@ -69,7 +69,6 @@ def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, se
     assert np.allclose(result.z, z, atol=1e-8)
 
 
-@settings(max_examples=60, deadline=None)
 @given(solved_lcps(h_plus_matrices(size=5), bounds=True))
 def test_newton_solves_every_h_plus_problem(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """On H₊-matrices Newton reaches the exact solution, whatever the bounds."""
@@ -295,6 +294,7 @@ print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("size", [(55, 60), (50, 70)])
 def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
     """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
@@ -305,6 +305,7 @@ def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -
     assert ended.stdout.strip().isdigit()
 
 
+@pytest.mark.full
 def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
     """Where full steps gain nothing, more than 3000 rows cost a few dozen factorisations, 3000 cost hundreds."""
     rng = np.random.default_rng(0)
@@ -340,7 +341,7 @@ def test_fixed_values_replace_the_bounds() -> None:
     assert solution.z.tolist() == [2.0, 1.0]
 
 
-@settings(max_examples=100, deadline=None)
+@settings.get_profile("many")
 @given(st.integers(0, 10_000))
 def test_fischer_burmeister_vanishes_exactly_at_solutions(seed: int) -> None:
     """Φ = 0 at a planted answer, and Φ ≠ 0 wherever the certificate sees a residual."""
@@ -354,7 +355,6 @@ def test_fischer_burmeister_vanishes_exactly_at_solutions(seed: int) -> None:
     assert (value > 1e-10) == (residual > 1e-10)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) -> None:
     """The diagonals of the Jacobian agree with central differences, bounds of every kind."""

@@ -120,7 +120,7 @@ def test_bratu_with_a_ceiling(strength: float) -> None:
 # --- planted -----------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 30), st.booleans())
 def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
     """SOLVED is true in sixty digits, and nothing else is claimed of problems with a solution but honest failures."""
@@ -133,6 +133,7 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
         assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [2, 20, 100])
 def test_planted_problems_are_solved(kind: str, n: int) -> None:
@@ -141,7 +142,7 @@ def test_planted_problems_are_solved(kind: str, n: int) -> None:
         solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
 
 
-@settings(max_examples=20, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.integers(1, 8))
 def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
     """On F(x) = M x + q every residual is that of the LCP or of a row's own terms; at most three steps are taken."""
@@ -162,7 +163,7 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) ->
             assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=20, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.integers(1, 6))
 def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     """Multiplying rows of F, and measuring x in another unit, leaves the relative residual as it is."""
@@ -238,6 +239,7 @@ def test_steps_that_are_far_too_long_are_shortened(start: float) -> None:
     assert solved(result)[0] == pytest.approx(np.log(1e10))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
@@ -268,7 +270,7 @@ def test_differences_on_a_pattern() -> None:
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.integers(1, 30))
 def test_columns_of_a_group_share_no_row(seed: int, n: int) -> None:
     """Each group of columns that are moved together has at most one entry a row."""
@@ -333,6 +335,7 @@ def test_no_solution_is_said_honestly() -> None:
         result.require_solved()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("F", "lower"),
     [
@@ -348,6 +351,7 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
     assert "an affine F" in str(result.certificate)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
 def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:
     """−1 − x has no solution in x ≥ 0 and no linearisation of it has; few steps show that, for none climbs back."""
@@ -403,6 +407,7 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., 
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("lower", [0.0, 1e-9])
 def test_what_is_negative_everywhere_is_not_solved(lower: float) -> None:
     """−1 − 1/x has no solution in x ≥ 0."""
@@ -455,6 +460,7 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
     np.testing.assert_allclose(x, [1.098159e-5, 9.106147], rtol=1e-4)
 
 
+@pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
     """A positive diagonal is what psor needs, and where a linearisation has none auto solves it."""
     problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0]))
@@ -468,6 +474,7 @@ HOPELESS = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -495,6 +502,7 @@ UNSOLVABLE = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
@@ -516,6 +524,7 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
     np.testing.assert_allclose(result.w, 0.0, atol=1e-6)
 
 
+@pytest.mark.full
 def test_rounding_in_f_is_a_precision_limit() -> None:
     """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
     noisy = NonlinearProblem(
@@ -727,7 +736,7 @@ def test_a_wrong_jacobian_is_named() -> None:
     solve_nonlinear(mistaken, np.zeros(100), check_jacobian=False)
 
 
-@settings(max_examples=20, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
 def test_a_right_jacobian_is_never_refused(seed: int, kind: str, n: int) -> None:
     """The check finds no fault in derivatives that are right, wherever the start is."""
@@ -749,7 +758,7 @@ def test_a_derivative_in_single_precision_is_not_refused() -> None:
         solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS, st.booleans())
 def test_proofs_hold(seed: int, is_dominant: bool) -> None:
     """A bound holds the exact rational solution, and a solution that is the only one nearby is proved."""
@@ -854,7 +863,7 @@ def test_an_enclosure_that_contradicts_f_proves_nothing() -> None:
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings.get_profile("few")
 @given(SEEDS)
 def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
     """jvp(dq=dF) is the difference quotient of re-solved problems, and vjp its transpose."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 
 from lcp_plugin import Status, solve_nonlinear
 from lcp_plugin.problem.nonlinear import NonlinearProblem
@@ -14,7 +14,6 @@ from lcp_plugin.strategies import solved_nonlinear_problems
 Drawn = tuple[NonlinearProblem, tuple[Fraction, ...]]
 
 
-@settings(max_examples=60, deadline=None)
 @given(solved_nonlinear_problems(bounds=True))
 def test_the_drawn_answer_solves_the_problem(drawn: Drawn) -> None:
     """At the drawn x, F has exactly the signs that the bounds permit."""
@@ -26,7 +25,6 @@ def test_the_drawn_answer_solves_the_problem(drawn: Drawn) -> None:
     assert (w[x < problem.upper] >= 0.0).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(solved_nonlinear_problems(bounds=True))
 def test_the_drawn_answer_is_found(drawn: Drawn) -> None:
     """Monotone by rows, the default problems have one solution, and Josephy–Newton finds it from 0."""

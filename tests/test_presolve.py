@@ -91,7 +91,7 @@ def sparse_lcps(draw: Any) -> LCP:
     return LCP(sp.csr_array(M) if draw(st.booleans()) else M, q, lower=low, upper=high)
 
 
-@settings(max_examples=120, deadline=None)
+@settings.get_profile("many")
 @given(sparse_lcps())
 def test_solutions_come_back_exactly_and_none_is_lost(problem: LCP) -> None:
     """Each solution of the smaller problem restores to one of the original in Fractions; solvable stays solvable."""
@@ -105,7 +105,6 @@ def test_solutions_come_back_exactly_and_none_is_lost(problem: LCP) -> None:
         assert solves(problem, smaller.restore(part))
 
 
-@settings(max_examples=40, deadline=None)
 @given(sparse_lcps())
 def test_doubles_and_fractions_go_the_same_way(problem: LCP) -> None:
     """What restore makes of doubles is what it makes of Fractions, to rounding."""

@@ -130,7 +130,6 @@ def test_a_thing_that_knows_its_array_is_an_array() -> None:
     assert_canonical(LCP(Table(), Q), A)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     n=st.integers(1, 6),
     triplets=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(-4, 4)), max_size=40),
@@ -354,7 +353,7 @@ def scale_by_hand(M: np.ndarray) -> list[float]:
     return scale
 
 
-@settings(max_examples=150, deadline=None)
+@settings.get_profile("many")
 @given(data=st.data(), n=st.integers(1, 4), is_sparse=st.booleans())
 def test_residual_scale_is_the_rule(data: st.DataObject, n: int, is_sparse: bool) -> None:
     """The scale d_i of every row is that of the rule computed in rationals, whatever the unit of the row."""
@@ -389,7 +388,6 @@ def test_residual_scale_by_cases() -> None:
 BOUND = st.sampled_from([-math.inf, math.inf, 0.0, -0.0, 1.0, -1.0, 2.5, -1e300, 1e-320])
 
 
-@settings(max_examples=80, deadline=None)
 @given(rows=st.lists(st.tuples(BOUND, BOUND), min_size=1, max_size=6))
 def test_nearest_to_zero_is_nearest_to_zero(rows: list[tuple[float, float]]) -> None:
     """z° is 0 where the bounds allow it, else the bound next to 0."""
@@ -422,7 +420,6 @@ def test_is_plain(lower: Any, upper: Any, expected: bool) -> None:
 WHOLE = st.integers(-1000, 1000)
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data(), n=st.integers(1, 5), is_sparse=st.booleans())
 def test_slack_is_m_z_plus_q(data: st.DataObject, n: int, is_sparse: bool) -> None:
     """The slack is M z + q, exact on whole numbers; a fresh array each time, whatever sequence z is."""

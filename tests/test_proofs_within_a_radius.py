@@ -67,6 +67,7 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
         assert "up to" in result.explain()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_redundant_decimal_programs_are_refuted(kind: str) -> None:
     """All of 200 random programs get a proof that verifies and says so within a wide radius, or plainly."""
@@ -81,6 +82,7 @@ def test_redundant_decimal_programs_are_refuted(kind: str) -> None:
     assert within >= 50  # in the others the sums happen to be exact
 
 
+@pytest.mark.full
 def test_redundant_decimal_programs_that_are_met_are_never_refuted() -> None:
     """None of 200 consistent programs with the same rows has a proof that counts."""
     assert [seed for seed in range(200) if redundant_program("optimal", seed).refutation() is not None] == []

@@ -60,6 +60,7 @@ def folder(collected: Collected, tmp_path_factory: pytest.TempPathFactory) -> Pa
 # --- The page -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_page_needs_no_other_file(folder: Path) -> None:
     """No address, script or style sheet is fetched; every picture stands in the page, and no two share an id."""
     page = (folder / "index.html").read_text(encoding="utf-8")
@@ -72,6 +73,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     assert {a or b for a, b in references} <= set(ids)
 
 
+@pytest.mark.full
 def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
@@ -87,6 +89,7 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
             assert f"{what}: {reason}" in page
 
 
+@pytest.mark.full
 def test_tables_lie_beside_the_page(folder: Path) -> None:
     """The figures are there as CSV and JSON too."""
     names = {path.name for path in folder.iterdir()}
@@ -164,6 +167,7 @@ def server(folder: Path) -> Iterator[tuple[str, list[str]]]:
         one.shutdown()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium installed: apt-get install chromium")
 def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> None:
     """In Chromium, 1280 and 390 pixels wide: a silent console, nothing fetched, plots there, nothing cut off."""
@@ -282,6 +286,7 @@ def test_runs_without_any_work_break_no_sentence() -> None:
     assert "NPGS paper stays as it is" in said(*parts)
 
 
+@pytest.mark.full
 def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
     atlas = stability_atlas(["newton"], ["scaling"], quick=True)
@@ -297,6 +302,7 @@ def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     assert "hide an error" not in " ".join(one.text for one in claims(spotless))
 
 
+@pytest.mark.full
 def test_derivatives_are_beside_the_exact_ones(collected: Collected) -> None:
     """Scenes that know their answer show derivatives; without degenerate rows those are exact from 1e-6 on."""
     found = {content["scene"]: content["points"] for content in collected.of("derivative")}
@@ -413,6 +419,7 @@ def test_interruption_keeps_what_is_finished(swallowed: bool, tmp_path: Path) ->
     assert rest.contents["scene", "b"] == {"is": "whole"}
 
 
+@pytest.mark.full
 def test_command_from_start_to_end(tmp_path: Path) -> None:
     """The command writes the page, exits with 0, and finds its parts again; a bad name or folder is exit code 2."""
     run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
@@ -430,6 +437,7 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
         assert words in refused.output
 
 
+@pytest.mark.full
 def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
     """A file and a folder get a section each, with a proved bound; another content of the file is computed again."""
     paths = [tmp_path / "own.npz", tmp_path / "folder"]
@@ -473,6 +481,7 @@ def test_interruption_between_two_parts_is_remembered(
     assert found.missing == (["scene a", "scene b"] if when == "say" else ["scene b"])
 
 
+@pytest.mark.full
 def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
     from lcp_plugin.evidence.report import page as module

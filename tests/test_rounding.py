@@ -51,7 +51,7 @@ def exact(A: np.ndarray, x: np.ndarray, q: np.ndarray) -> list[Fraction]:
             for row, c in zip(A.tolist(), q, strict=True)]
 
 
-@settings(max_examples=100, deadline=None)
+@settings.get_profile("many")
 @given(products())
 def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     """The exact M x + q lies within the radius of both forms, and an infinite radius means overflow is near."""
@@ -67,7 +67,7 @@ def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) 
             assert abs(truth - Fraction(high[i]) - Fraction(low[i])) <= Fraction(small[i])
 
 
-@settings(max_examples=60, deadline=None)
+@settings.get_profile("many")
 @given(products())
 def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     """The exact ⟨M⟩v lies between the two ends, which are the value itself where the radius is zero."""
@@ -82,7 +82,7 @@ def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np
         assert high[i] == np.inf or Fraction(high[i]) >= truth
 
 
-@settings(max_examples=50, deadline=None)
+@settings.get_profile("many")
 @given(
     st.lists(st.integers(-(2**40), 2**40), min_size=16, max_size=16),
     st.lists(st.integers(-9, 9), min_size=4, max_size=4),

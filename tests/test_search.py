@@ -19,6 +19,7 @@ from lcp_plugin.exact.simplex import QUANTUM
 from lcp_plugin.problem.exactly import is_exact_solution
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int) -> None:
     """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""
@@ -275,6 +276,7 @@ def busy(seed: int) -> LCP:
     return LCP(M, q, lower=lower)
 
 
+@pytest.mark.full
 def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
     monkeypatch.setattr("lcp_plugin.algorithms.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
@@ -286,6 +288,7 @@ def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyP
     assert runs[0].stages == runs[1].stages
 
 
+@pytest.mark.full
 def test_a_search_yields_within_its_cases() -> None:
     """However long the numbers are, no more than a few quanta of products lie between two yields."""
     effort, longest, before = Effort(), 0, 0

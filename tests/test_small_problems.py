@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import warnings
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ import lcp_plugin.algorithms.short_road as short_road
 from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption
 from lcp_plugin.kernels import threads as sharing
+from lcp_plugin.solving import batch_run
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -47,6 +49,7 @@ def told(result: Result) -> tuple[Any, ...]:
 # --- One by one --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("algorithm", ON_THE_ROAD)
 def test_watching_a_run_changes_nothing(family: str, algorithm: str) -> None:
@@ -251,19 +254,24 @@ def test_a_batch_obeys_its_time_limit() -> None:
 
 def test_ctrl_c_ends_a_batch_and_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those left are INTERRUPTED at their starts, on one thread and on several."""
-    M, q = definite(4000, 30)
+    M, q = definite(400, 30)
+    main = threading.main_thread().ident
+
+    def interrupted_at_100(first: int, end: int, solve_chunk: Any) -> None:
+        if first == 100:
+            signal.pthread_kill(main, signal.SIGINT)
+        solve_chunk(first, end)
+
     for threads in (1, 2):
         with monkeypatch.context() as patch:
             patch.setattr(sharing, "LARGEST_CHUNK", 10)
-            main = threading.main_thread().ident
-            timer = threading.Timer(0.01, lambda main=main: signal.pthread_kill(main, signal.SIGINT))
-            timer.start()
-            try:
-                batch = solve_batch(M, q, threads=threads)
-            finally:
-                timer.cancel()
-                timer.join()
+            patch.setattr(
+                batch_run, "in_chunks",
+                lambda work, *given: sharing.in_chunks(partial(interrupted_at_100, solve_chunk=work), *given),
+            )
+            batch = solve_batch(M, q, threads=threads)
         assert set(batch.status) <= {Status.SOLVED, Status.INTERRUPTED}
+        assert threads == 2 or set(batch.status[100:]) == {Status.INTERRUPTED}  # another thread may finish all before
         assert np.isfinite(batch.z).all()
         interrupted = np.flatnonzero(batch.status == Status.INTERRUPTED)
         assert all(batch[int(k)].status is Status.INTERRUPTED for k in interrupted[:3])

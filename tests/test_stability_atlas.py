@@ -34,7 +34,6 @@ from lcp_plugin.problem.exactly import is_exact_solution
 from lcp_plugin.solving.error_watch import BoundOrReason
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-FEW = settings(deadline=None, derandomize=True, max_examples=25, database=None)
 ALL = ["auto", *REGISTRY]
 EPSILON = 2.0**-52
 SCALE_INVARIANT = [name for name in REGISTRY if name not in ("newton", "interior_point", "lemke")]
@@ -44,7 +43,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True
 # --- exact answers ---------------------------------------------------------------------------------------------------
 
 
-@FEW
+@settings.get_profile("few")
 @given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True))
 def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
     """From the planted answer, and from z°, the exact answer is that of another exact method."""
@@ -54,6 +53,7 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
     assert exact_answer(problem, problem.nearest_to_zero.tolist()) == expected
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
 def test_every_case_has_a_verified_answer_or_none(family: str, case: Case) -> None:
     """The answers of all cases solve their problems without rounding, and each has a condition number of 1 or more."""
@@ -83,6 +83,7 @@ def test_errors_are_exact() -> None:
 # --- condition numbers -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_condition_bounds_what_an_ulp_can_do(seed: int) -> None:
     """No change of all entries by 1 ulp moves the exact answer by more than condition × 2⁻⁵², and some come near."""
@@ -198,6 +199,7 @@ def some() -> Atlas:
     return stability_atlas(SOME, QUICK_FAMILIES, quick=True)
 
 
+@pytest.mark.full
 def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
     """0 lies, no run that raised, and at least 90 % of the well-posed cells are SOLVED; the campaign runs them all."""
     assert some.lies == ()
@@ -206,6 +208,7 @@ def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
     assert len(some.well_posed) > 0.6 * len(some.cells)
 
 
+@pytest.mark.full
 def test_summary_lists_every_cell_that_is_not_solved(some: Atlas) -> None:
     """Counts first, then a line for every STALLED, PRECISION_LIMIT … cell, every hidden error, all that is left out."""
     lines = some.summary().splitlines()
@@ -226,6 +229,7 @@ def test_what_an_algorithm_cannot_take_is_left_out_with_its_reason() -> None:
     assert len(found.cells) == 5
 
 
+@pytest.mark.full
 def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> None:
     """An error beyond condition × residual is told in digits lost; where rows are alike there is none of size."""
     for cell in some.cells:
@@ -238,6 +242,7 @@ def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> 
     assert all(cell.condition > 1e12 for cell in stiff)
 
 
+@pytest.mark.full
 def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) -> None:
     """JSON text, pickle and the sum of parts give back every cell; CSV has one row for each."""
     text = json.dumps(some.to_content(), allow_nan=False)
@@ -252,6 +257,7 @@ def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) ->
     assert set(rows[0]) == set(Cell.__dataclass_fields__)
 
 
+@pytest.mark.full
 def test_a_second_run_gives_the_same_atlas() -> None:
     """Nothing depends on a clock: the same call gives the same cells; progress counts them."""
     calls: list[tuple[int, int, str]] = []
@@ -309,6 +315,7 @@ def test_a_lie_is_a_lie_in_the_atlas(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.summary().splitlines()[3].startswith("LIE SOLVED")
 
 
+@pytest.mark.full
 def test_the_atlas_loads_nothing_it_does_not_need() -> None:
     """Sweeps under stress load neither cvxpy, matplotlib, jinja2 nor hypothesis."""
     code = (
@@ -350,6 +357,7 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
     yield "rows", in_powers_of_two(problem, rows, 0), 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.
@@ -380,6 +388,7 @@ def test_multigrid_tells_the_truth_about_rows_in_other_units(size: int) -> None:
         assert relative_error(result.z, exact, np.ones(problem.n)) < 1e-7
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", [name for name in ALL if name not in SCALE_INVARIANT])
 def test_elsewhere_powers_of_two_change_no_truth(name: str) -> None:
     """Methods that factorise: other bits in other units, but SOLVED, accurate, and the status is true."""

@@ -145,7 +145,5 @@ class Life(RuleBasedStateMachine):
             assert surroundings() == self.around
 
 
-Life.TestCase.settings = settings(
-    deadline=None, derandomize=True, database=None, max_examples=20, stateful_step_count=10
-)
+Life.TestCase.settings = settings(settings.get_profile("few"), stateful_step_count=10)
 TestLife = Life.TestCase

@@ -35,11 +35,8 @@ from lcp_plugin.strategies import (
     z_matrices,
 )
 
-STABLE = settings(deadline=None, derandomize=True, max_examples=40, database=None)
-FIRST = settings(STABLE, max_examples=5, phases=[Phase.generate])
-SEARCH = settings(
-    deadline=None, derandomize=True, max_examples=2000, database=None, phases=[Phase.generate, Phase.shrink]
-)
+FIRST = settings(max_examples=5, phases=[Phase.generate])
+SEARCH = settings(max_examples=2000, phases=[Phase.generate, Phase.shrink])
 
 H_PLUS = {
     "default": h_plus_matrices(),
@@ -111,7 +108,6 @@ def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
 def test_h_plus_matrices_are_h_plus(name: str) -> None:
     """In rational arithmetic the comparison matrix of every drawn matrix is a nonsingular M-matrix."""
 
-    @STABLE
     @given(H_PLUS[name])
     def check(matrix: object) -> None:
         assert matrix.dtype == np.float64
@@ -125,7 +121,6 @@ def test_h_plus_matrices_are_h_plus(name: str) -> None:
 def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
     """In rational arithmetic every drawn matrix is symmetric with positive pivots."""
 
-    @STABLE
     @given(POSITIVE_DEFINITE[name])
     def check(matrix: object) -> None:
         assert matrix.dtype == np.float64
@@ -139,7 +134,6 @@ def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
 def test_solved_lcps_are_solved(name: str) -> None:
     """In rational arithmetic on the stored data the drawn z lies within the bounds and is complementary."""
 
-    @STABLE
     @given(SOLVED[name])
     def check(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
         problem, z = drawn
@@ -250,7 +244,7 @@ def test_classes_hold_in_fractions(name: str) -> None:
     """Every matrix drawn is of its class by minors, pivots and sums in fractions, and `analyze` does not disagree."""
     strategy, oracle, verdict, value = CLASSES[name]
 
-    @settings(STABLE, max_examples=25)
+    @settings.get_profile("few")
     @given(strategy)
     def check(matrix: np.ndarray) -> None:
         assert oracle(matrix)
@@ -263,7 +257,7 @@ def test_classes_hold_in_fractions(name: str) -> None:
 def test_ranks_are_exact(wanted: int) -> None:
     """The rank asked for is the rank in fractions, with a skew part too."""
 
-    @settings(STABLE, max_examples=20)
+    @settings.get_profile("few")
     @given(
         positive_semidefinite_matrices(4, rank=wanted), positive_semidefinite_matrices(5, rank=wanted, symmetric=False)
     )
@@ -285,7 +279,7 @@ INFEASIBLE = {
 def test_infeasible_lcps_have_a_proof(name: str) -> None:
     """The Farkas vector holds in fractions, for plain problems by its definition, and M is monotone where asked."""
 
-    @settings(STABLE, max_examples=25)
+    @settings.get_profile("few")
     @given(INFEASIBLE[name])
     def check(drawn: tuple[LCP, object]) -> None:
         problem, proof = drawn
@@ -309,7 +303,6 @@ def times(matrix: object, x: tuple[Fraction, ...]) -> list[Fraction]:
 def test_convex_qps_are_solved() -> None:
     """The answer is feasible, stationary and complementary in fractions, and the objective is its value."""
 
-    @STABLE
     @given(convex_qps(bounds=0.7))
     def check(drawn: tuple[object, object]) -> None:
         program, answer = drawn
@@ -338,7 +331,7 @@ def test_convex_qps_are_solved() -> None:
 def test_complementarity_models_have_their_answers() -> None:
     """A solve of the model in cvxpy finds the values that were planted."""
 
-    @settings(STABLE, max_examples=15)
+    @settings.get_profile("few")
     @given(complementarity_models(p_matrices(st.integers(1, 4))))
     def check(drawn: tuple[object, dict[str, np.ndarray]]) -> None:
         model, answers = drawn
@@ -349,6 +342,7 @@ def test_complementarity_models_have_their_answers() -> None:
     check()
 
 
+@pytest.mark.full
 def test_shares_are_obeyed() -> None:
     """Shares of 0 and 1 are exact, others rough; without any, q is anything."""
     small = h_plus_matrices(st.integers(1, 4))
@@ -358,7 +352,6 @@ def test_shares_are_obeyed() -> None:
     assert counts["half bounded"] > 0.5 * counts.total()
     seen = []
 
-    @STABLE
     @given(lcps(h_plus_matrices(2), degenerate=1), lcps(h_plus_matrices(2), bounds=0.5))
     def collect(degenerate: LCP, anything: LCP) -> None:
         assert not degenerate.q.any()
@@ -381,6 +374,7 @@ def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.nd
     return np.clip(-q / M.diagonal(), lower, upper)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("spoil", "complaint"),
     [
@@ -416,6 +410,7 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
 
 
+@pytest.mark.full
 def test_the_judge_shows_problems_without_solution() -> None:
     """A solver that claims to have solved a problem without solution is found, with the proof, where that is asked."""
     only_those = {"matrices": h_plus_matrices(1), "infeasible": True, "may_give_up": True}
@@ -424,6 +419,7 @@ def test_the_judge_shows_problems_without_solution() -> None:
     assert "contradict; proof: exact" in report
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("is_dense", [True, False])
 def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     """Arrays come as arrays though an LCP keeps nearly empty ones as CSR, and the other way round."""
@@ -437,6 +433,7 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     assert forms == {np.ndarray if is_dense else sp.csr_array}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
 def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
     """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""
@@ -466,7 +463,7 @@ def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examp
     """How often each kind of row occurs in that many drawn problems."""
     counts: Counter[str] = Counter()
 
-    @settings(STABLE, max_examples=examples)
+    @settings(max_examples=examples)
     @given(strategy)
     def count(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
         counts.update(kinds(*drawn))
@@ -475,6 +472,7 @@ def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examp
     return counts
 
 
+@pytest.mark.full
 def test_active_inactive_and_degenerate_rows_occur() -> None:
     """Each of the three kinds makes up at least a sixth of the rows of plain problems."""
     counts = counted(solved_lcps(h_plus_matrices(FEW)))
@@ -482,6 +480,7 @@ def test_active_inactive_and_degenerate_rows_occur() -> None:
     assert min(counts.values()) > counts.total() / 6
 
 
+@pytest.mark.full
 def test_every_kind_of_bound_occurs() -> None:
     """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
     counts = counted(solved_lcps(bounds=True), 300)
@@ -494,13 +493,11 @@ def test_options_do_what_they_say() -> None:
     """Density thins out, scales spread, a small margin nearly makes singular, a size is obeyed."""
     nonzeros, spreads, slimmest = {0.25: [], 1.0: []}, [], []
 
-    @STABLE
     @given(st.sampled_from(list(nonzeros)).flatmap(lambda p: st.tuples(st.just(p), h_plus_matrices(7, density=p))))
     def collect_density(drawn: tuple[float, np.ndarray]) -> None:
         density, matrix = drawn
         nonzeros[density].append(np.count_nonzero(matrix))
 
-    @STABLE
     @given(h_plus_matrices(7, row_scale=30), h_plus_matrices(7, margin=2.0**-20))
     def collect(wild: np.ndarray, near: np.ndarray) -> None:
         assert wild.shape == near.shape == (7, 7)
@@ -518,7 +515,6 @@ def test_positive_definite_matrices_leave_h_plus() -> None:
     """Most of the larger positive definite matrices are no H₊-matrices, so they test something else."""
     outside = []
 
-    @STABLE
     @given(positive_definite_matrices(6))
     def collect(matrix: np.ndarray) -> None:
         outside.append(not is_h_plus(matrix))
@@ -544,6 +540,7 @@ def test_positive_definite_matrices_shrink_to_the_identity(name: str) -> None:
     assert exact_rows(simplest) == [[Fraction(1, 2**30) if name == "nearly singular" else 1]]
 
 
+@pytest.mark.full
 def test_counterexamples_are_small() -> None:
     """What is found for a claim that breaks at an off-diagonal entry or at a slack has only small integers."""
     matrix = find(
@@ -598,13 +595,14 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("exponent", [-400, 400])
 def test_scales_beyond_the_range_of_doubles_are_refused(exponent: int) -> None:
     """Scaled matrices scaled again are exact, or refused: what underflows would be a problem with another answer."""
     matrices = st.just(np.ldexp(np.array([[3.0, 1.0], [1.0, 3.0]]), exponent))
     outcomes = Counter()
 
-    @settings(STABLE, max_examples=600)
+    @settings(max_examples=600)
     @given(st.data())
     def check(data: st.DataObject) -> None:
         try:

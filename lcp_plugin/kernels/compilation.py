@@ -133,7 +133,8 @@ def _part(function: Any, **options: Any) -> Any:
 
 
 def _compiled(function: Any, *, is_patient: bool = False) -> Any:
-    dispatcher = _kept(lambda cache: njit(cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
     if hasattr(dispatcher, "compile"):
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
         compile_for = dispatcher._compile_for_args

@@ -6,8 +6,9 @@
 A mutant is one operator, comparison, number, branch or loop of the files below changed by cosmic-ray. Places are drawn
 with equal chances and one mutant at each, so that a place with many variants does not count often; what differs in
 annotations only is none. A place is drawn by the hash of its own line: the rest of the file may change, the sample
-stays. A mutant is killed by a failing test or by five times the time that the tests take. Those that no test can kill
-stand in equivalent.toml, with the reason. Exit code 1 where fewer than 85 % of the others are killed.
+stays. A mutant is killed by a failing test of the quick suite (of all tests with PYTEST_ADDOPTS=--full around) or by
+five times the time that the tests take. Those that no test can kill stand in equivalent.toml, with the reason. Exit
+code 1 where fewer than 85 % of the others are killed.
 """
 
 from __future__ import annotations

@@ -1,0 +1,87 @@
+"""Two suites from one set of tests: the quick one, which ``python -m pytest`` runs, and everything.
+
+    python -m pytest -n 2           every room of the package and every promise once, in less than three minutes
+    python -m pytest --full -n 2    everything
+
+In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,
+examples, faults, and whatever takes seconds. Of a parametrised test with the mark ``sampled`` the quick suite runs as
+few rows as touch every value of every parameter once, or with ``sampled(k)`` k rows in even steps. What is left out is
+deselected, not skipped. A test that is named on the command line, as in ``tests/test_newton.py::test_x``, always runs.
+
+Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
+``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a
+cheap one that needs rare draws ``"many"``; the numbers stand below. A number in a test is one its claim depends on.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# profile: examples in the quick suite, in the full one
+EXAMPLES = {"few": (5, 30), "default": (15, 80), "many": (40, 150)}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Offer --full."""
+    parser.addoption("--full", action="store_true", help="run every test, with more examples each")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Settle how many examples are drawn, and that Ctrl-C arrives, which tests send to themselves."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for name, numbers in EXAMPLES.items():
+        count = numbers[bool(config.getoption("--full"))]
+        settings.register_profile(
+            name, max_examples=count, derandomize=True, database=None,
+            # Neither clocks nor a busy machine decide; examples that share a tmp_path write all that they read.
+            deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+        )  # fmt: skip
+    settings.load_profile("default")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let the command compile what is not compiled yet before workers begin a whole suite: each would, by itself."""
+    config = session.config
+    has_workers = config.getoption("numprocesses", None) and not hasattr(config, "workerinput")
+    if has_workers and not config.getoption("file_or_dir"):
+        print("kernels are compiled where none are kept", flush=True)
+        subprocess.run([sys.executable, "-m", "lcp_plugin", "warm-up"], check=False, stdout=subprocess.DEVNULL)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect what runs in the full suite alone."""
+    if config.getoption("--full") or any("::" in argument for argument in config.args):
+        return
+    rows = defaultdict(list)
+    for item in items:
+        if not item.get_closest_marker("full"):
+            rows[item.nodeid.partition("[")[0] if item.get_closest_marker("sampled") else item.nodeid].append(item)
+    chosen = {item for tests in rows.values() for item in (tests if len(tests) == 1 else sample(tests))}
+    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+    items[:] = [item for item in items if item in chosen]
+
+
+def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
+    """Return those rows of a parametrised test that the quick suite runs."""
+    mark = rows[0].get_closest_marker("sampled")
+    assert mark is not None
+    if mark.args:
+        count = min(mark.args[0], len(rows))
+        return [rows[k * len(rows) // count] for k in range(count)]
+    # A value of one parameter is the same object in all rows.
+    values = {row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows}
+    missing = set().union(*values.values())
+    chosen = []
+    while missing:
+        row = max(rows, key=lambda row: len(values[row] & missing))
+        chosen.append(row)
+        missing -= values[row]
+    return chosen

@@ -18,7 +18,7 @@ from ..certificates.error_bounds import error_bound
 from ..crossovers import SINGLE_FROM
 from ..deadline import NEW_KERNELS
 from ..evidence import gallery
-from ..kernels.compilation import cache_folder
+from ..kernels.compilation import cache_folder, compiling_at_once
 from ..problem.lcp import LCP
 from ..settings import checked_threads
 from ..solving.batch import solve_batch
@@ -49,6 +49,11 @@ def compile_everything() -> str:
 
 def compile_part(part: str) -> None:
     """Run what needs the kernels of one part."""
+    with compiling_at_once():
+        _run(part)
+
+
+def _run(part: str) -> None:
     sparse = gallery.build("obstacle_2d", size=20).problem
     dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
     if part == "batches":

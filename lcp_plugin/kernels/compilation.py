@@ -72,12 +72,13 @@ def compiled_in_any_order(function: Any) -> Any:
     return _part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
-def interpreted_while_small(function: Any) -> Any:
+def interpreted_while_small(function: Any, *, longest: float = np.inf) -> Any:
     """Compile a kernel as `compiled` does once a call is large, or many have been interpreted; the bits are the same.
 
-    Its work is not far above the numbers in its arrays. A kernel that lies on disk is loaded.
+    Its work is not far above the numbers in its arrays. A kernel that lies on disk is loaded. Calls with an axis above
+    `longest` are compiled: where sums of more terms may be taken in another order.
     """
-    return _compiled(function, is_patient=True)
+    return _compiled(function, longest)
 
 
 def compiled_part(function: Any) -> Any:
@@ -132,7 +133,7 @@ def _part(function: Any, **options: Any) -> Any:
     return _as_one_type(dispatcher)
 
 
-def _compiled(function: Any, *, is_patient: bool = False) -> Any:
+def _compiled(function: Any, longest: float = 0.0) -> Any:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
     if hasattr(dispatcher, "compile"):
@@ -140,7 +141,7 @@ def _compiled(function: Any, *, is_patient: bool = False) -> Any:
         compile_for = dispatcher._compile_for_args
 
         def of_arguments(*arguments: Any) -> Any:
-            if is_patient and _may_be_interpreted(dispatcher, arguments):
+            if longest and _may_be_interpreted(dispatcher, arguments, longest):
                 return np.errstate(all="ignore")(function)
             with compiling():  # or loading
                 return compile_for(*arguments)
@@ -149,13 +150,17 @@ def _compiled(function: Any, *, is_patient: bool = False) -> Any:
     return _as_one_type(dispatcher)
 
 
+LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the compiler; of more, in any order
 FEW = 2**12  # numbers in the arrays of a call: interpreted in some 20 ms, or .2 s where a dense system is solved
 PATIENCE = 2**18  # numbers in all calls that a process interprets: about as long as one kernel is compiled
 _interpreted = [0]
 
 
-def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...]) -> bool:
-    numbers = sum(argument.size for argument in arguments if isinstance(argument, np.ndarray))
+def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float) -> bool:
+    arrays = [argument for argument in arguments if isinstance(argument, np.ndarray)]
+    numbers = sum(array.size for array in arrays)
+    if any(max(array.shape, default=0) > longest for array in arrays):
+        return False
     if numbers > FEW or _interpreted[0] + numbers > PATIENCE or dispatcher._cache.has(dispatcher, arguments):
         return False
     _interpreted[0] += numbers

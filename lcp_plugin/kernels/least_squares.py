@@ -13,10 +13,18 @@ C. L. Lawson, R. J. Hanson, *Solving least squares problems*, Prentice-Hall 1974
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
+from .compilation import (
+    LONGEST_IN_ORDER,
+    compiled,
+    compiled_in_any_order,
+    compiled_into_others,
+    compiled_part,
+    interpreted_while_small,
+)
 from .floats import EPSILON, TINY, UNIT
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
@@ -180,7 +188,7 @@ def _add_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
             radius[j] = OUTWARD * (radius[j] + slip)
 
 
-@compiled
+@partial(interpreted_while_small, longest=LONGEST_IN_ORDER)
 def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-untyped-def]
     """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows. It is ∞ where that was not found.
 
@@ -383,15 +391,32 @@ def _triangle_solved(work, right, low, high, x, free, count, z):  # type: ignore
     return hit, share
 
 
-@compiled_in_any_order
+@compiled_into_others
 def _dot(v, w, first):  # type: ignore[no-untyped-def]
-    total, v, w = 0.0, v[first:], w[first:]  # an index from 0 on is known not to be negative
+    v, w = v[first:], w[first:]  # an index from 0 on is known not to be negative
+    if v.size + first > 2 * LONGEST_IN_ORDER:  # A has as many rows, and a ridge
+        return _long_dot(v, w)
+    a = b = c = d = 0.0
+    fours = v.size - v.size % 4
+    for i in range(0, fours, 4):
+        a += v[i] * w[i]
+        b += v[i + 1] * w[i + 1]
+        c += v[i + 2] * w[i + 2]
+        d += v[i + 3] * w[i + 3]
+    for i in range(fours, v.size):
+        a += v[i] * w[i]
+    return (a + b) + (c + d)
+
+
+@compiled_in_any_order
+def _long_dot(v, w):  # type: ignore[no-untyped-def]
+    total = 0.0
     for i in range(v.size):
         total += v[i] * w[i]
     return total
 
 
-@compiled_in_any_order
+@compiled_into_others
 def _add(v, w, factor, first):  # type: ignore[no-untyped-def]
     v, w = v[first:], w[first:]
     for i in range(v.size):

@@ -15,7 +15,13 @@ import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
 from ..crossovers import PIVOTED_AT_ONCE_UP_TO
-from .compilation import FEW, compiled_in_any_order, compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import (
+    LONGEST_IN_ORDER,
+    compiled_in_any_order,
+    compiled_into_others,
+    compiled_part,
+    interpreted_while_small,
+)
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -49,7 +55,6 @@ ROUNDS = 12  # these cost about as much as the pivots of a whole path
 IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
-LONGEST_IN_ORDER = int(FEW**0.5)  # what belongs to a larger M is never interpreted
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 

@@ -20,7 +20,7 @@ from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
 from lcp_plugin.certificates.least_squares import Enclosures
 from lcp_plugin.conversions.least_squares import lcp_from_least_squares
 from lcp_plugin.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
-from lcp_plugin.kernels.least_squares import largest_residuals
+from lcp_plugin.kernels.least_squares_sums import largest_residuals
 from lcp_plugin.problem.least_squares import LeastSquares
 from lcp_plugin.solving import least_squares
 

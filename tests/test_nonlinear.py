@@ -570,12 +570,12 @@ def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch)
     """What the solves of the linearisations compile counts neither as seconds nor against max_seconds."""
     now = [0.0]
 
-    def compiles(*_: Any) -> None:
+    def compiles(*_: Any, **__: Any) -> None:
         with compiling():
             now[0] += 70.0
 
     monkeypatch.setattr("lcp_plugin.solving.state.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("lcp_plugin.solving.linear_steps.rehearse", compiles)
+    monkeypatch.setattr("lcp_plugin.solving.sprint.rehearse", compiles)
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
     assert now[0] > 70.0
     solved(result)

@@ -68,7 +68,7 @@ class Enclosures:
             return compensated_product(self._rows, x, -problem.b)
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
-        from ..kernels.least_squares import radii
+        from ..kernels.least_squares_sums import radii
 
         sums = self._sums(x, NOTHING, by_rows=True)
         sums[1] += np.abs(problem.b)
@@ -76,7 +76,7 @@ class Enclosures:
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
-        from ..kernels.least_squares import with_ridge
+        from ..kernels.least_squares_sums import with_ridge
 
         value, radius = self.transposed(*residual)
         with_ridge(value, radius, self.problem.ridge, x)
@@ -93,14 +93,14 @@ class Enclosures:
             return value, OUTWARD * (radius + abs(self._columns) @ slip)
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
-        from ..kernels.least_squares import radii
+        from ..kernels.least_squares_sums import radii
 
         sums = self._sums(weighted, slip, by_rows=False)
         return sums[0], radii(sums, self._terms_of_a_column)
 
     def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
         """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0; B is A, or else Aᵀ."""
-        from ..kernels.least_squares import along_rows, down_columns
+        from ..kernels.least_squares_sums import along_rows, down_columns
 
         A, (m, n) = self.problem.A, self.problem.shape
         if self.problem.is_sparse:
@@ -179,7 +179,7 @@ class Optimality:
     @classmethod
     def of(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
         """Return the optimality of x on the caller's own data."""
-        from ..kernels.least_squares import largest_residuals
+        from ..kernels.least_squares_sums import largest_residuals
 
         problem, units = enclosures.problem, enclosures.problem.column_units
         with np.errstate(over="ignore", invalid="ignore"):

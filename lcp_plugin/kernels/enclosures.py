@@ -15,14 +15,14 @@ import numpy as np
 from numba import float64, uintp
 from numba.extending import lower_builtin, type_callable
 
-from .compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from .compilation import compiled, compiled_into_others, compiled_part, interpreted_while_small
 from .floats import EPSILON, TINY, UNIT
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROWS_AT_ONCE = 1024
 
 
-@compiled_in_place
+@compiled_into_others
 def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
     """Return mid(lower, upper, value)."""
     return min(max(value, lower), upper)
@@ -49,7 +49,7 @@ def _fused_code(context, builder, signature, arguments):  # type: ignore[no-unty
     return builder.fma(*arguments)
 
 
-@compiled_in_place
+@compiled_into_others
 def split_sum(a, b):  # type: ignore[no-untyped-def]
     """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
     s = a + b
@@ -57,7 +57,7 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
     return s, (a - (s - t)) + (b - t)
 
 
-@compiled_in_place
+@compiled_into_others
 def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     """Return a sum with the rounded product h = fl(a b) in it, the errors so far added up, and their magnitudes."""
     e = fused(a, b, -h)
@@ -65,14 +65,14 @@ def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     return total, errors + (e + f), size + (abs(e) + abs(f))
 
 
-@compiled_in_place
+@compiled_into_others
 def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
     """Return such a sum of so many terms, and how far it may be off: γ₂ₖ times the magnitudes, and what was left."""
     high, low = split_sum(total, errors)
     return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
 
 
-@compiled_in_place
+@compiled_into_others
 def _outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
@@ -80,14 +80,14 @@ def _outward(value, error):  # type: ignore[no-untyped-def]
     return widened if error > 0.0 else 0.0
 
 
-@compiled_in_place
+@compiled_into_others
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
     value, error = split_sum(a, -b)
     return value, _outward(value, abs(error)) if abs(value) < np.inf else 0.0
 
 
-@compiled_in_place
+@compiled_into_others
 def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error.
 
@@ -152,7 +152,7 @@ row_sums = _summing_rows(False)
 comparison_row_sums = _summing_rows(True)
 
 
-@compiled_in_place
+@compiled_into_others
 def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip."""
     step, slip_step = _quotient(slack, scale, slip)

@@ -1,6 +1,6 @@
-"""Compiled least squares within bounds: products with proved errors, how optimal a point is, and small problems whole.
+"""Small least squares within bounds, solved whole in one kernel.
 
-A small problem is solved by an active set that changes by one column at a time, as Lawson and Hanson do, between two
+A problem is solved by an active set that changes by one column at a time, as Lawson and Hanson do, between two
 bounds as Stark and Parker do. The columns are kept as rows of `work`, of about unit length, with reflections applied
 so that the free ones form a triangle; right-hand sides are kept with them. No square of A is formed.
 
@@ -19,173 +19,26 @@ import numpy as np
 
 from .compilation import (
     LONGEST_IN_ORDER,
-    compiled,
     compiled_in_any_order,
     compiled_into_others,
     compiled_part,
     interpreted_while_small,
 )
-from .floats import EPSILON, TINY, UNIT
+from .floats import EPSILON
+from .least_squares_sums import (
+    OUTWARD,
+    add_ridge,
+    find_largest,
+    power_above,
+    residual_sizes,
+    sum_along_rows,
+    sum_down_columns,
+    sum_squares,
+    write_radii,
+)
 
-OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
-LARGEST_EXPONENT = 500
 PULL = 16.0 * EPSILON  # of the lengths of a column and the right-hand side: less is rounding
 DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free ones: less is rounding
-
-
-@compiled
-def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
-    """Return the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
-    sums = np.empty((4, A.shape[0]))
-    _sum_along_rows(A, v, slip, sums)
-    return sums
-
-
-@compiled_part
-def _sum_along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
-    m, n = A.shape
-    last = n - n % 4
-    for i in range(m):
-        a = b = c = d = p = q = r = s = 0.0
-        for j in range(0, last, 4):
-            e, f, g, h = A[i, j] * v[j], A[i, j + 1] * v[j + 1], A[i, j + 2] * v[j + 2], A[i, j + 3] * v[j + 3]
-            a, b, c, d = a + e, b + f, c + g, d + h
-            p, q, r, s = p + abs(e), q + abs(f), r + abs(g), s + abs(h)
-        for j in range(last, n):
-            e = A[i, j] * v[j]
-            a, p = a + e, p + abs(e)
-        sums[2, i] = 0.0
-        for j in range(slip.size):
-            sums[2, i] += abs(A[i, j]) * slip[j]
-        sums[0, i], sums[1, i] = (a + b) + (c + d), (p + q) + (r + s)
-        sums[3, i] = sums[1, i] > 0.0 or _has_term(A[i], v, slip)
-
-
-@compiled
-def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
-    """Return the same for Aᵀ, A by rows."""
-    sums = np.empty((4, A.shape[1]))
-    _sum_down_columns(A, v, slip, sums)
-    return sums
-
-
-@compiled_part
-def _sum_down_columns(A, v, slip, sums):  # type: ignore[no-untyped-def]
-    m, n = A.shape
-    value, size, spread = sums[0], sums[1], sums[2]
-    for j in range(n):
-        value[j] = size[j] = spread[j] = 0.0
-    for i in range(m):
-        for j in range(n):
-            term = A[i, j] * v[i]
-            value[j] += term
-            size[j] += abs(term)
-    for i in range(slip.size):
-        for j in range(n):
-            spread[j] += abs(A[i, j]) * slip[i]
-    for j in range(n):
-        sums[3, j] = size[j] > 0.0 or _has_term(A[:, j], v, slip)
-
-
-@compiled_into_others
-def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
-    has_some = False
-    for j in range(row.size):
-        has_some |= row[j] != 0.0 and (v[j] != 0.0 or (slip.size > 0 and slip[j] != 0.0))
-    return has_some
-
-
-@compiled
-def largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
-    """Return ‖mid(x − upper, x − lower, g)‖∞, that in units of the columns, and if all are at most twice the radius.
-
-    They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
-    """
-    return _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed)
-
-
-@compiled_part
-def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
-    plain = scaled = 0.0
-    is_at_floor = True
-    for j in range(x.size):
-        below, above = x[j] - upper[j], x[j] - lower[j]
-        one = abs(min(max(gradient[j], below), above))
-        two = abs(min(max(gradient[j] / units[j], below * units[j]), above * units[j]))
-        off = (radius[j] if is_enclosed else 0.0) + (np.nan if math.isnan(gradient[j]) else 0.0)
-        of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / units[j])
-        plain = max(plain, of_plain) if of_plain < np.inf else np.inf  # what is not a number is no proof either
-        scaled = max(scaled, of_scaled) if of_scaled < np.inf else np.inf
-        is_at_floor = is_at_floor and max(one, two * units[j]) <= 2.0 * radius[j]
-    return plain, scaled, is_at_floor
-
-
-@compiled_into_others
-def power_above(size):  # type: ignore[no-untyped-def]
-    """Return the power of two just above a size, within what can be multiplied by; 1 for 0."""
-    if not size > 0.0:
-        return 1.0
-    return math.ldexp(1.0, min(max(math.frexp(size)[1], -LARGEST_EXPONENT), LARGEST_EXPONENT))
-
-
-@compiled
-def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
-    """Raise `largest` to the largest entries of the columns of diag(root) A, A by rows."""
-    _raise_to_largest(largest, A, root)
-
-
-@compiled_part
-def _raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            largest[j] = max(largest[j], abs(A[i, j] * root[i]))
-
-
-@compiled
-def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
-    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows."""
-    _add_squares(squares, A, root, units, np.empty(units.size))
-
-
-@compiled_part
-def _add_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
-    for j in range(units.size):
-        inverse[j] = 1.0 / units[j]
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            part = A[i, j] * root[i] * inverse[j]
-            squares[j] += part * part
-
-
-@compiled
-def radii(sums, terms):  # type: ignore[no-untyped-def]
-    """Return by how much rounding, and slip, may have moved such sums of so many terms."""
-    radius = np.empty(sums.shape[1])
-    _write_radii(sums, terms, radius)
-    return radius
-
-
-@compiled_part
-def _write_radii(sums, terms, radius):  # type: ignore[no-untyped-def]
-    k = (2 * terms + 8) * UNIT
-    for j in range(radius.size):
-        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
-        radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
-
-
-@compiled
-def with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
-    """Add ridge x to a value, and what that rounds to its radius."""
-    _add_ridge(value, radius, ridge, x)
-
-
-@compiled_part
-def _add_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
-    if ridge > 0.0:
-        for j in range(x.size):
-            value[j] += ridge * x[j]
-            slip = 4.0 * EPSILON * (abs(value[j]) + ridge * abs(x[j])) + TINY * (x[j] != 0.0)
-            radius[j] = OUTWARD * (radius[j] + slip)
 
 
 @partial(interpreted_while_small, longest=LONGEST_IN_ORDER)
@@ -201,17 +54,17 @@ def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-un
     _find_units(A, weights, ridge, root, units, of_columns)
     rounds = _minimum(A, b, root, ridge, lower, upper, units, most, x, work, of_columns, sets)
     nothing = x[:0]
-    _sum_along_rows(A, x, nothing, of_rows[:4])
+    sum_along_rows(A, x, nothing, of_rows[:4])
     for i in range(m):
         of_rows[1, i] += abs(b[i])
         residual[i] = of_rows[0, i] - b[i]
     slip, right = of_rows[5], of_rows[6]
-    _write_radii(of_rows[:4], n, slip)
+    write_radii(of_rows[:4], n, slip)
     for i in range(m):
         slip[i], right[i] = weights[i] * slip[i], weights[i] * b[i]
     sums, radius = of_columns[:4], of_columns[5]
-    _sum_down_columns(A, right, nothing, sums)
-    _write_radii(sums, m, radius)
+    sum_down_columns(A, right, nothing, sums)
+    write_radii(sums, m, radius)
     plain = scaled = 0.0
     for j in range(n):
         plain = max(plain, abs(sums[0, j]) - radius[j])
@@ -220,10 +73,10 @@ def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-un
         return x, residual, np.inf, rounds
     for i in range(m):
         right[i] = weights[i] * residual[i]
-    _sum_down_columns(A, right, slip, sums)
-    _write_radii(sums, m, radius)
-    _add_ridge(sums[0], radius, ridge, x)
-    of_plain, of_scaled, _ = _largest_residuals(sums[0], radius, x, lower, upper, units, True)
+    sum_down_columns(A, right, slip, sums)
+    write_radii(sums, m, radius)
+    add_ridge(sums[0], radius, ridge, x)
+    of_plain, of_scaled, _ = residual_sizes(sums[0], radius, x, lower, upper, units, True)
     return x, residual, OUTWARD * max(of_plain / plain, of_scaled / scaled), rounds
 
 
@@ -235,10 +88,10 @@ def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untype
         root[i] = math.sqrt(weights[i])
     for j in range(units.size):
         units[j] = squares[j] = 0.0
-    _raise_to_largest(units, A, root)
+    find_largest(units, A, root)
     for j in range(units.size):
         units[j] = power_above(units[j])
-    _add_squares(squares, A, root, units, room[1])
+    sum_squares(squares, A, root, units, room[1])
     for j in range(units.size):
         units[j] = power_above(np.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
 

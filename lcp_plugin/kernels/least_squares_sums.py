@@ -1,0 +1,178 @@
+"""Compiled sums of least squares: products with proved errors, and how optimal a point is.
+
+Each is a kernel, and the part of kernels that does its work in arrays of the caller.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .compilation import compiled, compiled_into_others, compiled_part
+from .floats import EPSILON, TINY, UNIT
+
+OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
+LARGEST_EXPONENT = 500
+
+
+@compiled
+def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
+    """Return the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
+    sums = np.empty((4, A.shape[0]))
+    sum_along_rows(A, v, slip, sums)
+    return sums
+
+
+@compiled_part
+def sum_along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    """Write what `along_rows` returns."""
+    m, n = A.shape
+    last = n - n % 4
+    for i in range(m):
+        a = b = c = d = p = q = r = s = 0.0
+        for j in range(0, last, 4):
+            e, f, g, h = A[i, j] * v[j], A[i, j + 1] * v[j + 1], A[i, j + 2] * v[j + 2], A[i, j + 3] * v[j + 3]
+            a, b, c, d = a + e, b + f, c + g, d + h
+            p, q, r, s = p + abs(e), q + abs(f), r + abs(g), s + abs(h)
+        for j in range(last, n):
+            e = A[i, j] * v[j]
+            a, p = a + e, p + abs(e)
+        sums[2, i] = 0.0
+        for j in range(slip.size):
+            sums[2, i] += abs(A[i, j]) * slip[j]
+        sums[0, i], sums[1, i] = (a + b) + (c + d), (p + q) + (r + s)
+        sums[3, i] = sums[1, i] > 0.0 or _has_term(A[i], v, slip)
+
+
+@compiled
+def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
+    """Return the same for Aᵀ, A by rows."""
+    sums = np.empty((4, A.shape[1]))
+    sum_down_columns(A, v, slip, sums)
+    return sums
+
+
+@compiled_part
+def sum_down_columns(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    """Write what `down_columns` returns."""
+    m, n = A.shape
+    value, size, spread = sums[0], sums[1], sums[2]
+    for j in range(n):
+        value[j] = size[j] = spread[j] = 0.0
+    for i in range(m):
+        for j in range(n):
+            term = A[i, j] * v[i]
+            value[j] += term
+            size[j] += abs(term)
+    for i in range(slip.size):
+        for j in range(n):
+            spread[j] += abs(A[i, j]) * slip[i]
+    for j in range(n):
+        sums[3, j] = size[j] > 0.0 or _has_term(A[:, j], v, slip)
+
+
+@compiled_into_others
+def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
+    has_some = False
+    for j in range(row.size):
+        has_some |= row[j] != 0.0 and (v[j] != 0.0 or (slip.size > 0 and slip[j] != 0.0))
+    return has_some
+
+
+@compiled
+def largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
+    """Return ‖mid(x − upper, x − lower, g)‖∞, that in units of the columns, and if all are at most twice the radius.
+
+    They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
+    """
+    return residual_sizes(gradient, radius, x, lower, upper, units, is_enclosed)
+
+
+@compiled_part
+def residual_sizes(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
+    """Return what `largest_residuals` does."""
+    plain = scaled = 0.0
+    is_at_floor = True
+    for j in range(x.size):
+        below, above = x[j] - upper[j], x[j] - lower[j]
+        one = abs(min(max(gradient[j], below), above))
+        two = abs(min(max(gradient[j] / units[j], below * units[j]), above * units[j]))
+        off = (radius[j] if is_enclosed else 0.0) + (np.nan if math.isnan(gradient[j]) else 0.0)
+        of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / units[j])
+        plain = max(plain, of_plain) if of_plain < np.inf else np.inf  # what is not a number is no proof either
+        scaled = max(scaled, of_scaled) if of_scaled < np.inf else np.inf
+        is_at_floor = is_at_floor and max(one, two * units[j]) <= 2.0 * radius[j]
+    return plain, scaled, is_at_floor
+
+
+@compiled_into_others
+def power_above(size):  # type: ignore[no-untyped-def]
+    """Return the power of two just above a size, within what can be multiplied by; 1 for 0."""
+    if not size > 0.0:
+        return 1.0
+    return math.ldexp(1.0, min(max(math.frexp(size)[1], -LARGEST_EXPONENT), LARGEST_EXPONENT))
+
+
+@compiled
+def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
+    """Raise `largest` to the largest entries of the columns of diag(root) A, A by rows."""
+    find_largest(largest, A, root)
+
+
+@compiled_part
+def find_largest(largest, A, root):  # type: ignore[no-untyped-def]
+    """Write what `raise_to_largest` does."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            largest[j] = max(largest[j], abs(A[i, j] * root[i]))
+
+
+@compiled
+def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
+    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows."""
+    sum_squares(squares, A, root, units, np.empty(units.size))
+
+
+@compiled_part
+def sum_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
+    """Write what `add_squares` does."""
+    for j in range(units.size):
+        inverse[j] = 1.0 / units[j]
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            part = A[i, j] * root[i] * inverse[j]
+            squares[j] += part * part
+
+
+@compiled
+def radii(sums, terms):  # type: ignore[no-untyped-def]
+    """Return by how much rounding, and slip, may have moved such sums of so many terms."""
+    radius = np.empty(sums.shape[1])
+    write_radii(sums, terms, radius)
+    return radius
+
+
+@compiled_part
+def write_radii(sums, terms, radius):  # type: ignore[no-untyped-def]
+    """Write what `radii` returns."""
+    k = (2 * terms + 8) * UNIT
+    for j in range(radius.size):
+        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
+        radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
+
+
+@compiled
+def with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
+    """Add ridge x to a value, and what that rounds to its radius."""
+    add_ridge(value, radius, ridge, x)
+
+
+@compiled_part
+def add_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
+    """Write what `with_ridge` does."""
+    if ridge > 0.0:
+        for j in range(x.size):
+            value[j] += ridge * x[j]
+            slip = 4.0 * EPSILON * (abs(value[j]) + ridge * abs(x[j])) + TINY * (x[j] != 0.0)
+            radius[j] = OUTWARD * (radius[j] + slip)

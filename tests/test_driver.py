@@ -371,7 +371,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
     "auto": ("solving.driver.rehearse", "solving.driver.Run.__init__", "solving.driver.CommonUnits.of",
-             "policy.choice.Single.first"),  # fmt: skip
+             "policy.choice.Single.first"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }

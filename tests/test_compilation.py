@@ -11,15 +11,19 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.sparse as sp
 from numba import njit
+from small_families import FAMILIES, problem
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import gallery, solve
+from lcp_plugin import LCP, bounded_least_squares, gallery, solve
 from lcp_plugin.commands.cli import app
 from lcp_plugin.deadline import NEW_KERNELS, compilation
-from lcp_plugin.kernels.compilation import cache_folder, compiled
+from lcp_plugin.kernels.compilation import cache_folder, compiled, compiling_at_once
+from lcp_plugin.kernels.enclosures import fused, split_sum
 from lcp_plugin.peers.alone import ALONE
 from lcp_plugin.solving import run_log
 from lcp_plugin.solving.state import Clock
@@ -43,6 +47,51 @@ kernels = [
     for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
 ]
 print(len(kernels) > 20, sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
+"""
+
+
+COUNT_OVERLOADS = """
+import sys
+import numpy as np
+from lcp_plugin import LCP, bounded_least_squares, derivative, error_bound, solve, solve_batch
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.evidence import gallery
+from lcp_plugin.kernels.compilation import compiling_at_once
+from numba.core.types import Array
+from scipy.sparse import diags_array
+
+with compiling_at_once():
+    for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30", "obstacle_2d:size=260"):
+        problem = gallery.parse(name).problem
+        for algorithm in ("auto", "psor", "npsor", "multigrid") if name.startswith("obstacle") else ("auto", "lemke"):
+            result = solve(problem, algorithm)
+            if name.startswith("half"):
+                error_bound(problem, result.z)
+    ones = np.ones(90)
+    string = LCP(diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1], format="csr"), ones)
+    for algorithm in ("newton", "banded", "interior_point", "mgs"):
+        own = solve(string, algorithm)
+        solve(string.with_q(-np.arange(90.0)), algorithm, z0=own.z, record=True)
+        solve(LCP(string.csr.copy(), np.ones(90)), algorithm, z0=np.ones(90))
+    M, q = [[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]
+    found = derivative(solve_batch(M, q))
+    found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
+    solve(LCP(M[0], q), record=True), solve_batch(np.array(M), np.array([q]), z0=np.ones(2))
+    bounded_least_squares(np.eye(3)[:, :2], np.ones(3)), bounded_least_squares(np.eye(300)[:, :99], np.ones(300))
+
+
+def widths(signature):
+    return tuple(kind.dtype for kind in signature if isinstance(kind, Array))
+
+
+kernels = {
+    kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
+    for kernel in vars(module).values() if hasattr(kernel, "is_patient")  # not the parts of kernels
+}
+print(len(kernels) > 50, *[
+    kernel.py_func.__name__ for kernel in kernels
+    if len(kernel.overloads) > len({widths(signature) for signature in kernel.overloads})
+])
 """
 
 
@@ -165,6 +214,63 @@ def test_a_verbose_run_says_that_kernels_are_compiled(
     assert capsys.readouterr().out == ""
     solve(problem, callback=compiles, verbose=True)
     assert capsys.readouterr().out.count("(compiling, once an installation") == 1
+
+
+def test_no_kernel_is_compiled_twice() -> None:
+    """Read-only arrays and others, constants and variables, share one code: two are for index widths and precisions."""
+    assert in_a_new_process(COUNT_OVERLOADS) == "True"
+
+
+def solutions() -> list[bytes]:
+    """Answers to problems of a few unknowns, of every kind whose kernels may be interpreted."""
+    rng = np.random.default_rng(3)
+    found: list[np.ndarray] = []
+    for family in FAMILIES:
+        drawn = problem(family, 9, rng)
+        for algorithm in ("auto", "newton", "lemke"):
+            result = solve(LCP(drawn.matrix.array, drawn.q, lower=drawn.lower, upper=drawn.upper), algorithm)
+            found += [result.z, np.array([result.residual, result.work])]
+    for n in (1, 2, 30):
+        string = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+        for algorithm in ("auto", "banded", "interior_point"):
+            found.append(solve(LCP(string, rng.normal(size=n), upper=rng.random(n)), algorithm).z)
+    for k in range(6):
+        A, b = rng.normal(size=(9 + k, 5)), rng.normal(size=9 + k)
+        found.append(bounded_least_squares(A, b, upper=0.3 + k, ridge=0.1 * (k % 2)).x)
+        found.append(solve(LCP(A.T @ A + np.eye(5), A.T @ b), "interior_point").z)
+    return [array.tobytes() for array in found]
+
+
+def test_interpreted_kernels_have_the_bits_of_compiled_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a first call answers before anything is compiled is what every later call answers."""
+    with compiling_at_once():
+        compiled_bits = solutions()
+    interpreted = 0
+    for name, module in list(sys.modules.items()):
+        for attribute, kernel in list(vars(module).items()) if name.startswith("lcp_plugin.kernels") else ():
+            if getattr(kernel, "is_patient", False):
+                monkeypatch.setattr(module, attribute, np.errstate(all="ignore")(kernel.py_func))
+                interpreted += 1
+    assert interpreted > 8
+    assert solutions() == compiled_bits
+
+
+def test_a_first_small_problem_compiles_nothing(tmp_path: Path) -> None:
+    """With no kernel kept anywhere, ten unknowns are solved by interpreted kernels, without a file in the cache."""
+    code = (
+        "import numpy as np\nfrom lcp_plugin import LCP, solve\nfrom lcp_plugin.deadline import NEW_KERNELS\n"
+        "M = np.diag(np.full(10, 4.0)) - np.diag(np.ones(9), 1) - np.diag(np.ones(9), -1)\n"
+        "print(solve(LCP(M, np.linspace(-1.0, 1.0, 10))).status.name)"
+    )
+    assert in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path)) == "SOLVED"
+    assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_a_part_of_kernels_is_interpreted_where_python_calls_it() -> None:
+    """It has no machine code of its own to crash in."""
+    total, error = split_sum(1.0, 2.0**-60)
+    assert (total, error) == (1.0, 2.0**-60)
+    assert not split_sum.overloads or fused(3.0, 1.0 / 3.0, -1.0) != 0.0
 
 
 @pytest.mark.full

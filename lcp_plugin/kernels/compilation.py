@@ -139,7 +139,7 @@ def _compiled(function: Any, longest: float = 0.0) -> Any:
     dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
     if hasattr(dispatcher, "compile"):
         dispatcher._cache = _ForgivingCache(dispatcher._cache)
-        compile_for = dispatcher._compile_for_args
+        compile_for, dispatcher.is_patient = dispatcher._compile_for_args, longest > 0.0
 
         def of_arguments(*arguments: Any) -> Any:
             if longest and _may_be_interpreted(dispatcher, arguments, longest):

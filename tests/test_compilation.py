@@ -216,6 +216,7 @@ def test_a_verbose_run_says_that_kernels_are_compiled(
     assert capsys.readouterr().out.count("(compiling, once an installation") == 1
 
 
+@pytest.mark.full
 def test_no_kernel_is_compiled_twice() -> None:
     """Read-only arrays and others, constants and variables, share one code: two are for index widths and precisions."""
     assert in_a_new_process(COUNT_OVERLOADS) == "True"
@@ -332,6 +333,7 @@ def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
         assert found.split() == offered.split()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("file", "old", "new"), [
     ("matrix/hierarchy/stretches.py", "    return low\n", "    return stretches.shape[0]\n"),
     ("matrix/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),

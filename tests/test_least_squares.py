@@ -72,6 +72,7 @@ def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -
 # --- planted answers ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
 def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
@@ -98,6 +99,7 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     assert result.gap <= 1e-8 * result.cost
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("lower", [0.0, -INF])
 @pytest.mark.parametrize(("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)])
 def test_rank_deficient_problems_have_an_answer_of_moderate_size(m: int, n: int, rank: int, lower: float) -> None:

@@ -74,7 +74,8 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
     unit = 0
     if state[kernels.PHASE] == kernels.UNUSUAL:
         unit = int(np.frexp(np.abs(arrays[0]).max())[1])
-        arrays = read_only(np.ldexp(arrays[0], -unit)), *(read_only(np.ldexp(vector, unit)) for vector in arrays[1:])
+        in_unit = (read_only(np.ldexp(vector, unit)) for vector in arrays[2:])  # bounds and start; w = M z + q stays
+        arrays = read_only(np.ldexp(arrays[0], -unit)), arrays[1], *in_unit
         kernels.run_all(*arrays, *plan, *limits, kernels.NONE_YET, *desk, *answers.arrays)
     if state[kernels.PHASE] == kernels.UNUSUAL:
         return

@@ -119,8 +119,8 @@ def solve(
 
     Notes
     -----
-    The first solve of its kind in an installation compiles kernels for 5 to 20 s, once; ``lcp-plugin warm-up`` compiles
-    all of them.
+    Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
+    its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
 
     Examples
     --------

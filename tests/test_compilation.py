@@ -19,7 +19,7 @@ from small_families import FAMILIES, problem
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import LCP, bounded_least_squares, gallery, solve
+from lcp_plugin import LCP, Status, bounded_least_squares, gallery, solve
 from lcp_plugin.commands.cli import app
 from lcp_plugin.deadline import NEW_KERNELS, compilation
 from lcp_plugin.kernels.compilation import cache_folder, compiled, compiling_at_once
@@ -235,6 +235,16 @@ def solutions() -> list[bytes]:
         string = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
         for algorithm in ("auto", "banded", "interior_point"):
             found.append(solve(LCP(string, rng.normal(size=n), upper=rng.random(n)), algorithm).z)
+    for n in (3, 60):  # of a Neumann problem, singular
+        ends = np.r_[1.0, np.full(n - 2, 2.0), 1.0]
+        string = sp.diags_array([-np.ones(n - 1), ends, -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+        for algorithm in ("auto", "banded"):
+            result = solve(LCP(string, -np.ones(n)), algorithm)
+            found += [result.z, np.array([result.status is Status.INFEASIBLE])]
+    hopeless = [[0.0, 0.0], [0.0, 0.0]], [[-1.0, -1.0], [-1.0, -2.0]], [[1, -2, 1], [-3, 2, -2], [1, -2, 0]]
+    for M in hopeless:
+        result = solve(LCP(M, [-5.0, 1.0, 2.0][: len(M)]))
+        found += [result.z, np.array([result.status is Status.INFEASIBLE])]
     for k in range(6):
         A, b = rng.normal(size=(9 + k, 5)), rng.normal(size=9 + k)
         found.append(bounded_least_squares(A, b, upper=0.3 + k, ridge=0.1 * (k % 2)).x)
@@ -254,6 +264,12 @@ def test_interpreted_kernels_have_the_bits_of_compiled_ones(monkeypatch: pytest.
                 interpreted += 1
     assert interpreted > 8
     assert solutions() == compiled_bits
+
+
+def test_numba_is_asked_in_one_place() -> None:
+    """Whatever is compiled divides as numpy does, interpreted or not, and once: no kernel asks by itself."""
+    for file in (Path(lcp_plugin.__file__).parent / "kernels").glob("*.py"):
+        assert file.name == "compilation.py" or "njit" not in file.read_text(encoding="utf-8"), file.name
 
 
 def test_a_first_small_problem_compiles_nothing(tmp_path: Path) -> None:

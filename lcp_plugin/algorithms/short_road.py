@@ -109,7 +109,10 @@ def sprint_of_arrays(
 
 def new_desk(n: int) -> tuple[Any, Any, Any]:
     """Return the work arrays of one problem at a time, as :mod:`~lcp_plugin.kernels.desk` has them."""
-    return np.empty((16, n + 1)), np.empty((7, 2 * n + 6), np.int64), np.empty((n + 4, n + 1))
+    from ..kernels.desk import shapes
+
+    real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
+    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
 
 
 def run(

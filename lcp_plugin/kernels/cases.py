@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled, compiled_in_place
+from .compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 
 AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
 ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree
@@ -24,7 +24,7 @@ MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
 FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
 
 
-@compiled
+@interpreted_while_small
 def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-def]
     """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
 
@@ -176,7 +176,7 @@ def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
         bounds[0, i], bounds[0, n + i], bounds[1, n + i] = bounds[1, i], -np.inf, 0.0
 
 
-@compiled
+@compiled_part
 def _exchange(table, basic, other, n, row, column):  # type: ignore[no-untyped-def]
     """Let the basic variable of `row` and the other one of `column` change places."""
     p = table[row, column]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gc
 import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
@@ -76,8 +77,8 @@ def compiled_in_any_order(function: Any) -> Any:
 def interpreted_while_small(function: Any, *, longest: float = np.inf) -> Any:
     """Compile a kernel as `compiled` does once a call is large, or many have been interpreted; the bits are the same.
 
-    Its work is not far above the numbers in its arrays. A kernel that lies on disk is loaded. Calls with an axis above
-    `longest` are compiled: where sums of more terms may be taken in another order.
+    A kernel that lies on disk is loaded. Calls with an axis above `longest` are compiled: where sums of more terms may
+    be taken in another order, or where work grows faster than the numbers in the arrays.
     """
     return _compiled(function, longest)
 
@@ -143,7 +144,7 @@ def _compiled(function: Any, longest: float = 0.0) -> Any:
 
         def of_arguments(*arguments: Any) -> Any:
             if longest and _may_be_interpreted(dispatcher, arguments, longest):
-                return np.errstate(all="ignore")(function)
+                return partial(_interpret, function)
             with compiling(), _without_collector():  # or loading
                 return compile_for(*arguments)
 
@@ -152,20 +153,27 @@ def _compiled(function: Any, longest: float = 0.0) -> Any:
 
 
 LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the compiler; of more, in any order
-FEW = 2**12  # numbers in the arrays of a call: interpreted in some 20 ms, or .2 s where a dense system is solved
-PATIENCE = 2**18  # numbers in all calls that a process interprets: about as long as one kernel is compiled
-_interpreted = [0]
+FEW = 2**12  # numbers in the arrays of a call
+PATIENCE = 1.0  # seconds that a process interprets before it compiles: about as long as a kernel or two are compiled
+_interpreted = [0.0]
 
 
 def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float) -> bool:
+    if _interpreted[0] >= PATIENCE:
+        return False
     arrays = [argument for argument in arguments if isinstance(argument, np.ndarray)]
-    numbers = sum(array.size for array in arrays)
-    if any(max(array.shape, default=0) > longest for array in arrays):
-        return False
-    if numbers > FEW or _interpreted[0] + numbers > PATIENCE or dispatcher._cache.has(dispatcher, arguments):
-        return False
-    _interpreted[0] += numbers
-    return True
+    is_small = sum(array.size for array in arrays) <= FEW
+    is_small = is_small and all(max(array.shape, default=0) <= longest for array in arrays)
+    return is_small and not dispatcher._cache.has(dispatcher, arguments)
+
+
+def _interpret(function: Any, *arguments: Any) -> Any:
+    """Run a kernel as Python, off the clocks of all runs around as its compilation would be."""
+    began = time.perf_counter()
+    with compiling(), np.errstate(all="ignore"):
+        found = function(*arguments)
+    _interpreted[0] += time.perf_counter() - began
+    return found
 
 
 @contextmanager

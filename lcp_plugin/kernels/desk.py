@@ -19,7 +19,9 @@ SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
 AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
 
 
-@compiled_into_others
-def sizes(n):  # type: ignore[no-untyped-def]
-    """Return the shapes of `real`, `whole` and `room`."""
+def shapes(n):  # type: ignore[no-untyped-def]
+    """Return those of `real`, `whole` and `room`."""
     return (16, n + 1), (7, 2 * n + 6), (n + 4, n + 1)
+
+
+sizes = compiled_into_others(shapes)

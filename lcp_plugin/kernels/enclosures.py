@@ -15,7 +15,7 @@ import numpy as np
 from numba import float64, uintp
 from numba.extending import lower_builtin, type_callable
 
-from .compilation import compiled, compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import compiled_into_others, compiled_part, interpreted_while_small
 from .floats import EPSILON, TINY, UNIT
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
@@ -119,7 +119,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
 def _summing_rows(comparison: bool) -> Any:
     """Return the kernel that sums the rows of M x + q, or of ⟨M⟩x + q, as high + low ± radius."""
 
-    @compiled
+    @interpreted_while_small
     def row_sums(indptr, indices, data, x, q, high, low, radius):  # type: ignore[no-untyped-def]
         """Sum the rounded terms, beside them their rounding errors, beside them what that second sum loses."""
         one = uintp(1)

@@ -11,6 +11,8 @@ kernel, which few problems need.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ..checks import DENSE_ABOVE_DENSITY
@@ -55,6 +57,7 @@ ROUNDS = 12  # these cost about as much as the pivots of a whole path
 IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
+PATH_UP_TO = 20  # numbers in a row: a path of many pivots is interpreted in half a second
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 
@@ -342,7 +345,7 @@ def run_all(  # type: ignore[no-untyped-def]
     return paths
 
 
-@interpreted_while_small
+@partial(interpreted_while_small, longest=PATH_UP_TO)
 def follow_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, has_arrived, needs_path
 ):

@@ -18,13 +18,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, uintp
+from numba import uintp
 
-from .compilation import compiled, interpreted_while_small
+from .compilation import compiled, compiled_into_others, interpreted_while_small
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
-@njit(inline="always")
+
+@compiled_into_others
 def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
     """mid(lower, upper, value), a NaN kept."""
     value = lower if lower > value else value

@@ -11,12 +11,11 @@ are linear in those; two blocks and the row between them join by one division. E
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from .compilation import compiled_part
+from .compilation import compiled_into_others, compiled_part
 
 
-@njit(inline="always")
+@compiled_into_others
 def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     """Return the block that two blocks and the free row between them make, and the pivot of that row.
 

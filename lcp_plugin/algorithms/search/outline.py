@@ -65,7 +65,8 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     from ...kernels import cases as kernels
 
     n = problem.n
-    nodes, y, z = np.empty((MOST_CASES, 4), np.int64), np.empty((MOST_CASES, n + 1)), np.empty(n)
+    most = min(MOST_CASES, 3 ** (n + 1))  # more than there are
+    nodes, y, z = np.empty((most, 4), np.int64), np.empty((most, n + 1)), np.empty(n)
     M = as_dense(problem.matrix)[0]
     with np.errstate(all="ignore"):
         found, cases, entries, least = kernels.look_at(

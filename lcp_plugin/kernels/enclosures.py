@@ -12,7 +12,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numba import float64, uintp
+from numba import float64, types, uintp
 from numba.extending import lower_builtin, type_callable
 
 from .compilation import compiled_into_others, compiled_part, interpreted_while_small
@@ -47,6 +47,21 @@ def _fused_type(context):  # type: ignore[no-untyped-def]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     """One instruction, or a function of the C library."""
     return builder.fma(*arguments)
+
+
+def unsigned(value: Any) -> int:
+    """Return an index that is known not to be negative: a Python integer where kernels are interpreted."""
+    return int(value)
+
+
+@type_callable(unsigned)
+def _unsigned_type(context):  # type: ignore[no-untyped-def]
+    return lambda value: uintp
+
+
+@lower_builtin(unsigned, types.Integer)  # type: ignore[no-untyped-call]
+def _unsigned_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    return context.cast(builder, arguments[0], signature.args[0], signature.return_type)
 
 
 @compiled_into_others
@@ -105,7 +120,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
     """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
     lost = 0.0
     for k in range(first, end):
-        a, b = data[k], x[uintp(indices[k - shift])]
+        a, b = data[k], x[unsigned(indices[k - shift])]
         h = a * b
         if abs(h) < MAY_UNDERFLOW and a != 0.0 and b != 0.0:
             small, other = (a, b) if abs(a) < abs(b) else (b, a)
@@ -122,12 +137,12 @@ def _summing_rows(comparison: bool) -> Any:
     @interpreted_while_small
     def row_sums(indptr, indices, data, x, q, high, low, radius):  # type: ignore[no-untyped-def]
         """Sum the rounded terms, beside them their rounding errors, beside them what that second sum loses."""
-        one = uintp(1)
-        for i in range(uintp(high.size)):
-            first, end = uintp(indptr[i]), uintp(indptr[i + one])
+        one = unsigned(1)
+        for i in range(unsigned(high.size)):
+            first, end = unsigned(indptr[i]), unsigned(indptr[i + one])
             total, errors, lost, is_small = q[i], 0.0, 0.0, False
             for k in range(first, end):
-                j = uintp(indices[k])
+                j = unsigned(indices[k])
                 a, b = data[k], x[j]
                 if comparison:
                     a = abs(a) if i == j else -abs(a)
@@ -143,7 +158,7 @@ def _summing_rows(comparison: bool) -> Any:
             if not (abs(high[i]) < np.inf and abs(errors) < np.inf and lost < np.inf):
                 low[i], radius[i] = 0.0, np.inf
             elif is_small:
-                radius[i] += _underflow(indices, data, x, first, end, uintp(0))
+                radius[i] += _underflow(indices, data, x, first, end, unsigned(0))
 
     return row_sums
 
@@ -177,15 +192,15 @@ def residual_ends(  # type: ignore[no-untyped-def]
     come once, for all rows, with a stride of a row's length; a sparse M has the stride 0. Rows are taken in blocks,
     so that the second loop, which has no branches, runs on several at a time.
     """
-    one, rows = uintp(1), uintp(z.size)
-    for begin in range(uintp(0), rows, uintp(ROWS_AT_ONCE)):
-        here = min(uintp(ROWS_AT_ONCE), rows - begin)
+    one, rows = unsigned(1), unsigned(z.size)
+    for begin in range(unsigned(0), rows, unsigned(ROWS_AT_ONCE)):
+        here = min(unsigned(ROWS_AT_ONCE), rows - begin)
         for i in range(begin, begin + here):
-            first, end = uintp(indptr[i]), uintp(indptr[i + one])
-            shift = i * uintp(stride)
+            first, end = unsigned(indptr[i]), unsigned(indptr[i + one])
+            shift = i * unsigned(stride)
             total, errors, size, is_small = q[i], 0.0, 0.0, False
             for k in range(first, end):
-                a, b = data[k], x[uintp(indices[k - shift])]
+                a, b = data[k], x[unsigned(indices[k - shift])]
                 h = a * b
                 is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
                 total, errors, size = with_term(total, errors, size, h, a, b)

@@ -1,4 +1,4 @@
-"""Compilation off the clock: every kernel of a solve runs once on a tiny problem before the first one."""
+"""Compilation off the clock: what an algorithm needs runs once on a tiny problem before the first one."""
 
 from __future__ import annotations
 

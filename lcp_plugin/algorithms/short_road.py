@@ -69,7 +69,7 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
 
     desk, answers = new_desk(problem.n), Answers(1, problem.n)
     arrays: tuple[Any, ...] = as_dense(problem.matrix), *map(as_batch, (problem.q, problem.lower, problem.upper, z0))
-    limits, state = (-1.0, 1, 0, 1), desk[1][STATE]
+    limits, state = (-1.0, 1, 0, 1), desk[1][STATE]  # tolerance (nothing is judged), iterations, first and end
     kernels.run_all(*arrays, *plan, *limits, kernels.NONE_YET, *desk, *answers.arrays)
     unit = 0
     if state[kernels.PHASE] == kernels.UNUSUAL:
@@ -117,12 +117,12 @@ def new_desk(n: int) -> tuple[Any, Any, Any]:
 
 def run(
     arrays: tuple[Any, ...], plan: Plan, tolerance: float, max_iterations: int, first: int, end: int, answers: Answers,
-    *, steps: int = -1, desk: tuple[Any, Any, Any] | None = None,
+    *, steps: int | None = None, desk: tuple[Any, Any, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases arrive."""
-    from ..kernels.small_problems import follow_all, run_all
+    from ..kernels.small_problems import ALL, follow_all, run_all
 
-    desk = desk or new_desk(arrays[0].shape[1])
+    desk, steps = desk or new_desk(arrays[0].shape[1]), ALL if steps is None else steps
     if run_all(*arrays, *plan, tolerance, max_iterations, first, end, steps, *desk, *answers.arrays):
         follow_all(*arrays[:4], tolerance, first, end, *desk, *answers.arrays)
 

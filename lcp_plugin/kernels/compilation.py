@@ -94,7 +94,7 @@ def compiled_into_others(function: Any) -> Any:
 
 
 def compiled_in_place(function: Any) -> Any:
-    """Compile a part of the only kernel that calls it, line by line as if it stood there."""
+    """Compile a part of one kernel or two, line by line as if it stood there."""
     return _part(function, inline="always")
 
 

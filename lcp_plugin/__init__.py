@@ -28,18 +28,23 @@ if TYPE_CHECKING:
     from .certificates.residuals import Certificate as Certificate
     from .certificates.theorems import Guarantee as Guarantee
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
+    from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
+    from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
     from .evidence.stability import stability_atlas as stability_atlas
     from .matrix import MatrixReport as MatrixReport
     from .matrix import analyze as analyze
+    from .modeling.certified_problem import certify_problem as certify_problem
     from .modeling.constraint import box as box
     from .modeling.constraint import complements as complements
     from .modeling.qp_solver import QPSolver as QPSolver
     from .modeling.registration import ComplementarityProblem as ComplementarityProblem
     from .modeling.registration import is_complementarity_problem as is_complementarity_problem
+    from .modeling.registration import lcp_stated_by as lcp_stated_by
     from .modeling.registration import register as register
+    from .modeling.registration import stated_in_cvxpy as stated_in_cvxpy
     from .problem.lcp import LCP as LCP
     from .problem.nonlinear import NonlinearProblem as NonlinearProblem
     from .settings import Status as Status
@@ -115,18 +120,27 @@ _HOME = {
     },
 }
 
+_FROM_ABOVE = {  # what a room further up does for one below, which imports it from here when it is asked for
+    "lcp_from_qp": "conversions.quadratic_program",
+    "qp_from_lcp": "conversions.quadratic_program",
+    "lcp_stated_by": "modeling.registration",
+    "stated_in_cvxpy": "modeling.registration",
+    "certify_problem": "modeling.certified_problem",
+}
+
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    home = _HOME.get(name) or _FROM_ABOVE.get(name)
+    if home is None:
         raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
-    module = import_module(f"{__name__}.{_HOME[name]}")
-    # A room of that name is the thing itself; otherwise the thing lives in the room.
-    if _HOME[name].startswith("modeling"):
+    module = import_module(f"{__name__}.{home}")
+    if name in _HOME and home.startswith("modeling"):
         import_module(f"{__name__}.modeling.registration").register()
-    value = module if _HOME[name].split(".")[-1] == name and not hasattr(module, name) else getattr(module, name)
+    # A room of that name is the thing itself; otherwise the thing lives in the room.
+    value = module if home.split(".")[-1] == name and not hasattr(module, name) else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -9,18 +9,12 @@ from pathlib import Path
 import pytest
 from fresh_process import printed_by
 
+import lcp_plugin
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "lcp_plugin"
-DOORS = {  # they open upwards when called
-    ("lcp_plugin.problem.lcp", "lcp_plugin.conversions.quadratic_program"),
-    ("lcp_plugin.problem.lcp", "lcp_plugin.modeling.registration"),
-    ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files"),
-    ("lcp_plugin.problem.lcp", "lcp_plugin.problem.files_on_ranks"),
-    ("lcp_plugin.solving.certification", "lcp_plugin.modeling.certified_problem"),
-}
 FLOORS = 14
 HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax")
 FRONT_DOORS = ("__init__", "__main__")
@@ -75,26 +69,32 @@ IMPORTS = {module: imported_modules(file) for module, file in MODULES.items()}
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
 def test_arrows_point_up_the_picture(file: Path) -> None:
-    """A file imports only from its own line or lines above it, or through a door listed by name."""
+    """A file imports only from its own line or lines above it, inside functions too."""
     lines = rooms_by_line()
     module = module_of(file)
     for target in IMPORTS[module]:
-        if (module, target) not in DOORS:
-            assert lines[room_of(MODULES[target])] <= lines[room_of(file)], f"{module} → {target}"
+        assert lines[room_of(MODULES[target])] <= lines[room_of(file)], f"{module} → {target}"
 
 
 def test_no_two_files_import_each_other() -> None:
-    """The files can be put in an order in which each imports only earlier ones, the listed doors aside."""
-    waiting = {module: {target for target in IMPORTS[module] if (module, target) not in DOORS} for module in MODULES}
+    """The files can be put in an order in which each imports only earlier ones, inside functions too."""
+    waiting = {module: set(targets) for module, targets in IMPORTS.items()}
     while waiting:
         ready = {module for module, targets in waiting.items() if not targets & waiting.keys()}
         assert ready, f"in a circle: {sorted(waiting)}"
         waiting = {module: targets for module, targets in waiting.items() if module not in ready}
 
 
-def test_doors_are_in_use() -> None:
-    """Every door that is listed is there."""
-    assert all(target in IMPORTS[module] for module, target in DOORS)
+def test_front_door_offers_what_rooms_below_ask_of_rooms_above() -> None:
+    """What a file imports from the package itself is its version, or offered there by a room above and asked for."""
+    asked: set[str] = set()
+    for file in FILES:
+        depth = len(file.relative_to(PACKAGE).parts)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
+                asked |= {alias.name for alias in node.names}
+    rooms = {room_of(file) for file in FILES}
+    assert asked - rooms == {*lcp_plugin._FROM_ABOVE, "QuadraticProgram", "__version__"}
 
 
 def test_the_house_has_few_floors() -> None:

@@ -7,15 +7,17 @@ import secrets
 from collections.abc import Callable, Collection, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnreadableFile
-from .lcp import LCP
 from .matrix_market import read_matrix_market
+
+if TYPE_CHECKING:
+    from .lcp import LCP
 
 INFINITE_BOUND = 1e20
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
@@ -58,11 +60,11 @@ def checked_path(path: Any) -> Path:
     return target
 
 
-def load(path: str | PathLike[str]) -> LCP:
+def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
     source = checked_path(path)
     if source.suffix.lower() == ".npz":
-        return _load_npz(source)
+        return _load_npz(kind, source)
     prefix = _matrix_market_prefix(source)
     M = read_matrix_market(Path(prefix + "M.mtx"))
     if not Path(prefix + "q.mtx").exists():
@@ -77,7 +79,7 @@ def load(path: str | PathLike[str]) -> LCP:
     for name in ("lower", "upper"):
         if Path(f"{prefix}{name}.mtx").exists():
             bounds[name] = _with_infinities(_read_vector(Path(f"{prefix}{name}.mtx")))
-    return _problem(prefix + "M.mtx", M, q, bounds)
+    return _problem(kind, prefix + "M.mtx", M, q, bounds)
 
 
 def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
@@ -138,7 +140,7 @@ def _refuse_huge_bounds(problem: LCP) -> None:
             )
 
 
-def _load_npz(source: Path) -> LCP:
+def _load_npz(kind: type[LCP], source: Path) -> LCP:
     content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data"})
     if "P_data" in content:
         raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP; {LAYOUT}")
@@ -148,7 +150,7 @@ def _load_npz(source: Path) -> LCP:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {LAYOUT}")
     M = _csr_in(source, content) if is_compressed else content["M"]
     bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
-    return _problem(str(source), M, content["q"], bounds)
+    return _problem(kind, str(source), M, content["q"], bounds)
 
 
 def _csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
@@ -226,9 +228,9 @@ def _with_infinities(bound: Any) -> Any:
     return values
 
 
-def _problem(source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:
+def _problem(kind: type[LCP], source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:
     try:
-        return LCP(M, q, **bounds)
+        return kind(M, q, **bounds)
     except InvalidProblem as error:
         raise UnreadableFile(f"{source} states no linear complementarity problem: {error}") from error
     except MemoryError as error:

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,9 +18,11 @@ from ..errors import UnreadableFile
 from ..peers.ranks.collective import as_mpi, from_first, together
 from ..peers.ranks.halo import Halo, numbered_over_all
 from .files import VECTORS, checked_path, read_npz
-from .lcp import LCP
 from .own_rows import equal_share
 from .petsc_binary import load_binary
+
+if TYPE_CHECKING:
+    from .lcp import LCP
 
 CHUNK = re.compile(r"rows-(\d{5,})-of-(\d{5,})\.npz")
 MATRIX_KEYS = ("data", "indices", "indptr")
@@ -60,7 +62,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def load(path: str | PathLike[str], communicator: Any) -> LCP:
+def load(kind: type[LCP], path: str | PathLike[str], communicator: Any) -> LCP:
     """Return the problem of a folder of chunks or of a file in PETSc's binary format, on any number of ranks.
 
     Raises
@@ -71,11 +73,11 @@ def load(path: str | PathLike[str], communicator: Any) -> LCP:
     comm = as_mpi(communicator)
     source = together(comm, lambda: checked_path(path))
     if not from_first(comm, lambda: _is_folder(source)):
-        return load_binary(source, comm)
+        return load_binary(kind, source, comm)
     heads = _heads(source, comm)
     first, last = equal_share(heads[0].columns, comm.size, comm.rank)
     rows, *vectors = together(comm, lambda: _read_rows(heads, first, last))
-    return LCP.from_rows(comm, rows, *vectors, first_row=first)
+    return kind.from_rows(comm, rows, *vectors, first_row=first)
 
 
 # --- writing --------------------------------------------------------------------------------------------

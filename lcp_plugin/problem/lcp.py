@@ -302,13 +302,13 @@ class LCP:
         form : {"auto", "direct", "dual", "kkt"}
             Which optimality conditions become the problem.
         """
-        from ..conversions.quadratic_program import QuadraticProgram, lcp_from_qp
+        from .. import QuadraticProgram, lcp_from_qp
 
         return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
-        from ..conversions.quadratic_program import qp_from_lcp
+        from .. import qp_from_lcp
 
         return qp_from_lcp(self)
 
@@ -321,13 +321,13 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        from ..modeling.registration import lcp_stated_by
+        from .. import lcp_stated_by
 
         return lcp_stated_by(problem)
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
-        from ..modeling.registration import stated_in_cvxpy
+        from .. import stated_in_cvxpy
 
         return stated_in_cvxpy(self)
 
@@ -355,10 +355,10 @@ class LCP:
         if comm is not None:
             from .files_on_ranks import load as load_parts
 
-            return load_parts(path, comm)
+            return load_parts(LCP, path, comm)
         from .files import load
 
-        return load(path)
+        return load(LCP, path)
 
     def __repr__(self) -> str:
         if self.is_distributed:

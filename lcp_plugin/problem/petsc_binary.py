@@ -12,7 +12,7 @@ PETSc users manual, *MatLoad* and *VecLoad*, https://petsc.org/release/manualpag
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,8 +23,10 @@ from ..checks import FloatVector
 from ..errors import UnreadableFile
 from ..peers.ranks.collective import from_first, together
 from .files import INFINITE_BOUND, VECTORS
-from .lcp import LCP
 from .own_rows import equal_share
+
+if TYPE_CHECKING:
+    from .lcp import LCP
 
 MATRIX, VECTOR = 1211216, 1211214
 VALUE = np.dtype(">f8")
@@ -44,7 +46,7 @@ class Contents(NamedTuple):
     vectors: tuple[int, ...]
 
 
-def load_binary(path: Path, comm: MPI.Comm) -> LCP:
+def load_binary(kind: type[LCP], path: Path, comm: MPI.Comm) -> LCP:
     """Return the problem of the file; all ranks call. A bound of 1e20 or more in absolute value means ∞.
 
     Raises
@@ -66,7 +68,7 @@ def load_binary(path: Path, comm: MPI.Comm) -> LCP:
     for bound in bounds:
         is_none = np.abs(bound) >= INFINITE_BOUND
         bound[is_none] = np.copysign(np.inf, bound[is_none])
-    return LCP.from_rows(comm, rows, q, *bounds, first_row=first)
+    return kind.from_rows(comm, rows, q, *bounds, first_row=first)
 
 
 def _contents(path: Path) -> Contents:

@@ -100,10 +100,9 @@ def certify(
         if not isinstance(problem, QuadraticProgram):
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
-            from ..modeling.certified_problem import certify_problem
+            from .. import certify_problem
 
-            found: Certification = certify_problem(problem, float(tolerance))
-            return found
+            return certify_problem(problem, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         refuse_nonconvex(problem)

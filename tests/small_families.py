@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from benchmarks.small import friction as falling_bodies
 
 from lcp_plugin import LCP
-from lcp_plugin.evidence.benchmarks.small import friction as falling_bodies
 
 Generator = np.random.Generator
 Matrix = np.ndarray

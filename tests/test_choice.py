@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from benchmarks.auto import brick_wall
+from benchmarks.small import friction
 
 from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.algorithms.search import is_searchable
 from lcp_plugin.algorithms.search.stages import ExhaustiveSearch
 from lcp_plugin.evidence import gallery
-from lcp_plugin.evidence.benchmarks.auto import brick_wall
-from lcp_plugin.evidence.benchmarks.small import friction
 from lcp_plugin.evidence.gallery.stencil import stencil_matrix
 from lcp_plugin.policy.choice import Auto
 from lcp_plugin.policy.direct_methods import direct_methods, has_had_its_turn

@@ -22,7 +22,6 @@ from lcp_plugin import LCP, Status, __version__, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.commands.cli import app, run
 from lcp_plugin.evidence import gallery, paper_tables
-from lcp_plugin.evidence.benchmarks import BENCHMARKS
 
 BOX = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], [-5.0, 1.0, 2.0], upper=[2.0, np.inf, np.inf])
 ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
@@ -433,8 +432,6 @@ BAD_INPUT = [
     (SOLVE + "--out z.npz --plot taken.png", r"cannot write taken\.png"),
     ("solve zero.npz -a psor", r"psor needs a positive diagonal, but M\[1, 1\] = 0\.0; try"),
     ("solve box.npz -a mgs", r"mgs needs a finite lower and no upper bound.*row 0 has bounds \[0\.0, 2\.0\]"),
-    ("bench smal", r"unknown benchmark 'smal'; did you mean 'small'\?"),
-    ("bench nothing", r"unknown benchmark 'nothing'.*sweeps"),
 ]
 
 
@@ -508,7 +505,7 @@ def test_failing_write_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatc
     assert list(folder.iterdir()) == []
 
 
-# --- list, tables, bench ---------------------------------------------------------------------------------------
+# --- list, tables ----------------------------------------------------------------------------------------------
 
 
 def test_list_shows_everything_there_is() -> None:
@@ -543,23 +540,7 @@ def test_tables_notice_a_wrong_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(re.findall(r"\bNO\b", done.stdout)) == 1
 
 
-def test_bench_lists_what_it_can_run() -> None:
-    """Without a name, bench prints each benchmark with its purpose."""
-    done = lcp_plugin("bench")
-    assert done.exit_code == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()] == list(BENCHMARKS)
-    assert all(purpose in done.stdout for purpose in BENCHMARKS.values())
-
-
-def test_bench_runs_by_name() -> None:
-    """A named benchmark prints its lines and exits with 0."""
-    done = lcp_plugin("bench", "sweeps", "--quick")
-    assert done.exit_code == 0
-    assert len(done.stdout.splitlines()) >= 1
-    assert done.stderr == ""
-
-
-@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "tables -h", "bench -h"])
+@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "tables -h"])
 def test_help_is_offered(arguments: str) -> None:
     """Help goes to stdout with exit code 0."""
     done = lcp_plugin(*arguments.split())

@@ -334,13 +334,12 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_shell_completes_scenes_algorithms_and_benchmarks() -> None:
+def test_shell_completes_scenes_and_algorithms() -> None:
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
     for words, offered in (
         ("lcp-plugin solve obstacle", "obstacle_2d obstacle_3d obstacle_bumps"),
         ("lcp-plugin solve x -a nps", "npsor npsplitting"),
-        ("lcp-plugin bench riv", "rivals"),
     ):
         position = str(len(words.split()) - 1)
         found = in_a_new_process(

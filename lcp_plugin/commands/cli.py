@@ -1,4 +1,4 @@
-"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, run a benchmark."""
+"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, write the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 
 from .. import __version__
 from ..errors import InvalidOption, LCPError, did_you_mean
-from .target import algorithm_names, benchmark_names, scene_names
+from .target import algorithm_names, scene_names
 from .terminal import CompilationLine
 
 EXIT_UNSOLVED = 1
@@ -251,27 +251,6 @@ def tables() -> bool:
     from .listing import print_paper_tables
 
     return print_paper_tables()
-
-
-@_command("bench", "0 done, 2 bad input", "bench", "bench sweeps --quick")
-def bench(
-    name: Annotated[
-        str | None,
-        typer.Argument(help="Which benchmark; without a name they are listed.", autocompletion=benchmark_names),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes: to see that it runs, not for figures.")] = False,
-) -> None:
-    """Run a benchmark: ratios measured in one run on this machine."""
-    from ..evidence.benchmarks import BENCHMARKS, load
-
-    if name is None:
-        for known, purpose in BENCHMARKS.items():
-            typer.echo(f"{known:<16} {purpose}")
-        return
-    if name not in BENCHMARKS:
-        raise InvalidOption(f"unknown benchmark {name!r}{did_you_mean(name, BENCHMARKS)}")
-    for line in load(name)(quick=quick):
-        typer.echo(line)
 
 
 @_command(

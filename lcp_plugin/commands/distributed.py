@@ -19,7 +19,6 @@ import typer
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile
-from ..evidence.benchmarks.timing import peak_memory
 from ..problem.lcp import LCP
 from ..solving.result import Result
 from .sensitivity import Sensitivity
@@ -169,6 +168,16 @@ def _in_words(peaks: list[int]) -> str:
     if len(peaks) > FEW_RANKS:
         each = f"{min(megabytes)} to {max(megabytes)}"
     return f"{each} MB a rank" if len(peaks) == 1 else f"{each} MB a rank, {sum(megabytes)} MB in all"
+
+
+def peak_memory() -> int:
+    """Return the most bytes this process has held at once; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _say_terminated(number: int, _: Any) -> None:

@@ -84,10 +84,3 @@ def algorithm_names(incomplete: str) -> list[str]:
     from ..algorithms import REGISTRY, from_other_packages
 
     return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
-
-
-def benchmark_names(incomplete: str) -> list[str]:
-    """Return the benchmarks that begin so."""
-    from ..evidence.benchmarks import BENCHMARKS
-
-    return [name for name in BENCHMARKS if name.startswith(incomplete)]

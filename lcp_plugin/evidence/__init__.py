@@ -1,4 +1,4 @@
-"""Evidence: named scenes, pictures, tables and benchmarks. Heavy; nothing below looks at it.
+"""Evidence: named scenes, pictures and tables. Heavy; nothing below looks at it.
 
 ``lcp-plugin report`` writes one page, ``index.html``, which needs no other file and no network, and the same figures as
 CSV and JSON. Scenes and your own files stand in it side by side. Without either it is the whole evidence: the paper's
@@ -20,5 +20,5 @@ Other packages. No package is best at everything. As far as we know, none of the
   solver itself, and cvxpy's language.
 - PIQP, OSQP, Clarabel and HiGHS (through cvxpy or not) are better at general constraints and cones, PIQP on small
   rank-deficient contact problems. This one adds nonsymmetric M as it is, without a reformulation, and speed on large
-  dense and sparse problems (``lcp-plugin bench rivals`` measures nine cases).
+  dense and sparse problems (``python tests/benchmarks rivals`` measures nine cases).
 """

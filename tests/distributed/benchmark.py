@@ -131,7 +131,9 @@ def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
 
 
 def _serial(size: int) -> dict[str, Any]:
-    from lcp_plugin.evidence.benchmarks.multigrid import from_scratch
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from benchmarks.multigrid import from_scratch
+
     from lcp_plugin.evidence.gallery import build
 
     from_scratch(build("obstacle_2d", size=60).problem)

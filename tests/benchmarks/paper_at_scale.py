@@ -15,11 +15,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu, spsolve_triangular
 
-from ...checks import FloatVector
-from ...problem.lcp import LCP
-from ...solving.driver import solve
-from ..gallery import build
-from ..paper_tables import TOLERANCE
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.evidence.paper_tables import TOLERANCE
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+
 from .timing import Calls, rounds
 
 Prepare = Callable[[sp.csr_array], Callable[[Any], Any]]

@@ -1,6 +1,6 @@
-"""What `bench compilation` times, each in a process of its own: a first solve, or two kernels to compare with.
+"""What the benchmark `compilation` times, each in a process of its own: a first solve, or two kernels to compare with.
 
-``python -m lcp_plugin.evidence.benchmarks.first_solves NAME`` runs one and prints how many functions numba compiled and
+``python tests/benchmarks/first_solves.py NAME`` runs one and prints how many functions numba compiled and
 the processor seconds of the process; of the two kernels the seconds that compiling them took.
 """
 

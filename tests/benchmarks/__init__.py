@@ -1,4 +1,4 @@
-"""Benchmarks: each yields lines of text with ratios measured in one run. Run by ``lcp-plugin bench NAME``."""
+"""Benchmarks: each yields lines of text with ratios measured in one run. ``python tests/benchmarks`` lists them."""
 
 from __future__ import annotations
 
@@ -24,6 +24,5 @@ BENCHMARKS = {
 
 def load(name: str) -> Callable[..., Iterator[str]]:
     """Return the benchmark of that name: a callable with the keyword `quick` that yields lines."""
-    module = import_module(f"{__name__}.{name.replace('-', '_')}")
-    run: Callable[..., Iterator[str]] = module.run
+    run: Callable[..., Iterator[str]] = import_module(f"{__name__}.{name.replace('-', '_')}").run
     return run

@@ -8,13 +8,14 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.error_bounds import error_bound
-from ...certificates.residuals import Certificate
-from ...checks import FloatVector
-from ...matrix import analyze
-from ...solving.driver import solve
-from ..contestants import fresh
-from ..gallery import build
+from lcp_plugin.certificates.error_bounds import error_bound
+from lcp_plugin.certificates.residuals import Certificate
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.matrix import analyze
+from lcp_plugin.solving.driver import solve
+
 from .multigrid import require_pyamg
 from .timing import Calls, rounds
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,18 +13,18 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...algorithms.interior_points.interior_point import InteriorPoint
-from ...checks import FloatVector
-from ...problem.lcp import LCP
-from ...solving.driver import solve
-from ..gallery.stencil import stencil_matrix
+from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.gallery.stencil import stencil_matrix
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+
 from .timing import Timed, medians, timed
 
 TARGET_RESIDUAL = 1e-8
 PRECISIONS = (1e-6, 1e-8, 1e-10, 1e-12)
 TOO_SLOW = 20.0  # seconds; who takes longer without arriving is not asked for a higher precision
 LONG = 5.0  # seconds; who takes longer is measured once
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 REPEATS = 7
 LARGEST_DENSE = 5000
 SEED = 5
@@ -135,9 +132,6 @@ def cases(*, quick: bool) -> Iterator[Case]:
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield one block a case: every solver's median time at its cheapest setting that reaches the residual."""
-    if not quick and any(os.environ.get(name) != "1" for name in ONE_THREAD):
-        yield from _alone()
-        return
     solvers = {name: solver for name, solver in (OURS | RIVALS).items() if find_spec(solver.package) is not None}
     for name in RIVALS.keys() - solvers.keys():
         yield f"{name} is not installed and left out"
@@ -156,15 +150,6 @@ def run(*, quick: bool = False) -> Iterator[str]:
         first += own <= best
         behind = max(behind, own / best)
     yield f"first on {first} of {count}; nowhere more than {behind:.2f} × behind   target ≥ 7 of 9, ≤ 2 ×"
-
-
-def _alone() -> Iterator[str]:
-    """Run in a process of its own where every library has one thread from the start."""
-    code = f"from {__name__} import run\nfor line in run(): print(line, flush=True)"
-    environment = os.environ | dict.fromkeys(ONE_THREAD, "1") | {"NUMBA_NUM_THREADS": "1"}
-    with subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True) as child:
-        for line in child.stdout or ():
-            yield line.rstrip("\n")
 
 
 def _measured(case: Case, solvers: dict[str, Solver], repeats: int) -> tuple[dict[str, float], dict[str, str]]:
@@ -274,7 +259,7 @@ def _daqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
 
 def _psor(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     """Plain projected Gauss–Seidel, compiled, its residual looked at every ten sweeps."""
-    from ...kernels import splitting_sweeps as kernels
+    from lcp_plugin.kernels import splitting_sweeps as kernels
 
     problem = LCP(case.M, case.q)
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)

@@ -77,14 +77,13 @@ def _measured(name: str, cache_folder: str | None) -> _Cost:
 
 def _run(name: str, cache_folder: str | None) -> dict[str, float]:
     """Return what :mod:`first_solves` prints in a fresh process."""
-    output = _output_of([sys.executable, "-m", first_solves.__name__, name], cache_folder)
+    output = _output_of([sys.executable, first_solves.__file__, name], cache_folder)
     return dict(json.loads(output.splitlines()[-1]))
 
 
 def _output_of(command: list[str], cache_folder: str | None) -> str:
     """Return what a fresh process prints, with kernels in that folder or where they are."""
-    root = Path(__file__).parents[first_solves.__name__.count(".")]
-    paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
+    paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     if cache_folder is not None:
         environment["NUMBA_CACHE_DIR"] = cache_folder

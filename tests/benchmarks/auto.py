@@ -9,11 +9,12 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ...checks import FloatVector
-from ...errors import UnsuitableMatrix, UnsuitableProblem
-from ...problem.lcp import LCP
-from ...solving.driver import solve
-from ..gallery import build
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+
 from .crossovers import random_band
 from .rivals import SEED, spectrum
 from .small import rows as small_rows

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ...checks import FloatVector
-from ...kernels import splitting_sweeps as kernels
-from ...matrix.row_sums import inverse_residual_scale, row_splits
-from ...problem.lcp import LCP
-from ..gallery import build
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.kernels import splitting_sweeps as kernels
+from lcp_plugin.matrix.row_sums import inverse_residual_scale, row_splits
+from lcp_plugin.problem.lcp import LCP
+
 from .timing import medians
 
 TARGETS = {"npgs": 2.2, "pgs": 1.8}

@@ -19,19 +19,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...algorithms import REGISTRY
-from ...certificates.residuals import Certificate
-from ...checks import FloatVector
-from ...errors import InvalidProblem, LCPError
-from ...problem.lcp import LCP
-from ...settings import checked_threads
-from ...solving.batch import prepare
-from ...solving.driver import solve
-from ...solving.result import Result
-from ..contestants import fresh
-from ..gallery import Scene, build, parse
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.certificates.residuals import Certificate
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.commands.distributed import peak_memory
+from lcp_plugin.errors import InvalidProblem, LCPError
+from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.gallery import Scene, build, parse
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.settings import checked_threads
+from lcp_plugin.solving.batch import prepare
+from lcp_plugin.solving.driver import solve
+from lcp_plugin.solving.result import Result
+
 from . import timing
-from .rivals import ONE_THREAD, RIVALS, Answer, Case
+from .rivals import RIVALS, Answer, Case
 from .timing import quickest
 
 TOLERANCE = 1e-8
@@ -84,8 +86,6 @@ LARGEST = Row("10⁷ unknowns", "obstacle_2d:size=3163", "obstacle_2d:size=100",
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield the table, the growth with n, the march in time, and what others need."""
-    if any(os.environ.get(name) != "1" for name in ONE_THREAD):
-        yield f"for one thread in all libraries set {', '.join(ONE_THREAD)} to 1 beforehand; now they have theirs"
     warm_up = parse(ROWS[0].quick if quick else ROWS[0].scene)  # compiles, and touches the memory for the first time
     for smoother in ("pgs", "npsor"):
         from_scratch(warm_up.problem, smoother=smoother)
@@ -95,7 +95,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield traffic(warm_up)
     yield from growth((40, 80, 160) if quick else (512, 1024, 2048))
     yield _line(LARGEST, quick)
-    yield f"{LARGEST.title}: {1e-9 * timing.peak_memory():.1f} GB at the peak of this process, libraries included"
+    yield f"{LARGEST.title}: {1e-9 * peak_memory():.1f} GB at the peak of this process, libraries included"
     yield american_put(*(2000, 10) if quick else (100_000, 100))
     yield from sweeping(2500 if quick else 1_000_000)
     yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)
@@ -165,7 +165,9 @@ def require_pyamg() -> Any:
     try:
         import pyamg
     except ImportError as error:
-        raise LCPError("this benchmark needs pyamg; install it with: pip install 'lcp_plugin[bench]'") from error
+        raise LCPError(
+            "this benchmark needs pyamg; install it with: pip install -r tests/benchmarks/requirements.txt"
+        ) from error
     return pyamg
 
 
@@ -203,8 +205,8 @@ def true_error(problem: LCP, z: FloatVector) -> float:
 
 def traffic(scene: Scene) -> str:
     """Return what one V-cycle must move at least, each array once a pass, beside what the machine copies."""
-    from ...matrix.hierarchy.levels import COARSEST, hierarchy_of
-    from ...matrix.hierarchy.truncation import Truncation
+    from lcp_plugin.matrix.hierarchy.levels import COARSEST, hierarchy_of
+    from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
     hierarchy = hierarchy_of(scene.problem.matrix, COARSEST)
     truncation = Truncation(hierarchy)

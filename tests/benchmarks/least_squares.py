@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...algorithms.least_squares.faces import Faces
-from ...algorithms.least_squares.point import Point
-from ...algorithms.least_squares.projected_steps import projected_steps
-from ...checks import FloatVector
-from ...problem.least_squares import LeastSquares, UnitLeastSquares
-from ...settings import Settings
-from ...solving.least_squares import DENSE_PATIENCE, SMALL, SPARSE_PATIENCE, bounded_least_squares
+from lcp_plugin.algorithms.least_squares.faces import Faces
+from lcp_plugin.algorithms.least_squares.point import Point
+from lcp_plugin.algorithms.least_squares.projected_steps import projected_steps
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.problem.least_squares import LeastSquares, UnitLeastSquares
+from lcp_plugin.settings import Settings
+from lcp_plugin.solving.least_squares import DENSE_PATIENCE, SMALL, SPARSE_PATIENCE, bounded_least_squares
+
 from .rivals import SEED
 from .timing import medians, rounds, timed
 
@@ -180,7 +181,7 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
 
 def _crossover() -> str:
     """Return how the two ways with a dense A stand where one gives way to the other."""
-    from ...solving import least_squares as solving
+    from lcp_plugin.solving import least_squares as solving
 
     n = int(np.sqrt(SMALL / 2))
     rng = np.random.default_rng(SEED)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -44,13 +43,3 @@ def quickest(calls: Calls, repeats: int = 2) -> dict[str, Timed]:
     """Return the quickest of some runs of each call, in processor seconds, all treated alike and in turn."""
     every = rounds(calls, repeats, time.process_time)
     return {name: min(runs, key=lambda one: one.seconds) for name, runs in every.items()}
-
-
-def peak_memory() -> int:
-    """Return the most bytes this process has held at once; 0 where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...checks import FloatVector
-from ...solving.derivative import Derivative, derivative
-from ...solving.driver import solve
-from ..contestants import fresh
-from ..gallery import Scene, parse
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.gallery import Scene, parse
+from lcp_plugin.solving.derivative import Derivative, derivative
+from lcp_plugin.solving.driver import solve
+
 from .timing import timed
 
 REPEATS = 3

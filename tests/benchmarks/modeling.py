@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..gallery import build
+from lcp_plugin.evidence.gallery import build
+
 from .timing import medians, timed
 
 TARGET_SECONDS = {10_000: 0.015, 1_000_000: 1.0}
@@ -18,7 +19,7 @@ TARGET_NONLINEAR = {10_000: 1.0, 102_400: 3.0}
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield the overhead at n = 10⁴ and 10⁶, the ratio to ``get_problem_data``, a re-solve at n = 10, and with exp."""
-    from ...modeling.registration import build_from
+    from lcp_plugin.modeling.registration import build_from
 
     for n in (10_000,) if quick else (10_000, 1_000_000):
         scene = build("paper_example_1", n=n)
@@ -50,8 +51,8 @@ def _compiled_by_cvxpy(M: Any, q: Any) -> object:
 def _declared(M: Any, q: Any) -> object:
     import cvxpy as cp
 
-    from ...modeling.constraint import complements
-    from ...modeling.registration import build as build_model
+    from lcp_plugin.modeling.constraint import complements
+    from lcp_plugin.modeling.registration import build as build_model
 
     x = cp.Variable(len(q))
     return build_model([complements(x >= 0, M @ x + q >= 0)])
@@ -61,8 +62,8 @@ def _nonlinear(n: int) -> str:
     """Return what a nonlinear model costs beside its solver, and what its derivative costs beside a product with M."""
     import cvxpy as cp
 
-    from ...modeling.constraint import complements
-    from ...modeling.registration import ComplementarityProblem, build_from
+    from lcp_plugin.modeling.constraint import complements
+    from lcp_plugin.modeling.registration import ComplementarityProblem, build_from
 
     scene = build("paper_example_1", n=n)
     M, q = scene.problem.csr.copy(), np.array(scene.problem.q)
@@ -84,7 +85,7 @@ def _nonlinear(n: int) -> str:
 def _small() -> object:
     import cvxpy as cp
 
-    from ...modeling.constraint import complements
+    from lcp_plugin.modeling.constraint import complements
 
     x = cp.Variable(10)
     return cp.Problem(cp.Minimize(0), [complements(x >= 0, (3 * np.eye(10)) @ x - 1 >= 0)])

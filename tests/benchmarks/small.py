@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import FloatVector
-from ...problem.lcp import LCP
-from ...settings import Status
-from ...solving.batch import solve_batch
-from ...solving.batch_result import BatchResult
-from ...solving.derivative import derivative
-from ...solving.driver import solve
-from ..gallery import build
-from .rivals import ONE_THREAD, RIVALS, SEED, Case, Solver, contact, obstacle, spectrum
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.settings import Status
+from lcp_plugin.solving.batch import solve_batch
+from lcp_plugin.solving.batch_result import BatchResult
+from lcp_plugin.solving.derivative import derivative
+from lcp_plugin.solving.driver import solve
+
+from .rivals import RIVALS, SEED, Case, Solver, contact, obstacle, spectrum
 from .timing import medians
 
 BEHIND = ("compiled Lemke", "PIQP dense", "DAQP", "compiled PGS")
@@ -112,8 +112,6 @@ COMPILED_LEMKE = Solver("quantecon", _lemke)
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield what a call costs, the table, and batches."""
-    if any(os.environ.get(name) != "1" for name in ONE_THREAD):
-        yield f"for one thread in all libraries set {', '.join(ONE_THREAD)} to 1 beforehand; now they have theirs"
     rivals = {"compiled Lemke": COMPILED_LEMKE} | RIVALS
     rivals = {name: one for name, one in rivals.items() if name in BEHIND and find_spec(one.package) is not None}
     for name in set(BEHIND) - rivals.keys():

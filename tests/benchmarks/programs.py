@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...conversions.program import QuadraticProgram
-from ...conversions.program_files import load_program
-from ...conversions.qp_solution import QPSolution
-from ...problem.lcp import LCP
-from ...solving.driver import solve
+from lcp_plugin.conversions.program import QuadraticProgram
+from lcp_plugin.conversions.program_files import load_program
+from lcp_plugin.conversions.qp_solution import QPSolution
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+
 from .rivals import SEED
 from .timing import medians, rounds, timed
 
@@ -238,7 +239,7 @@ def _again(*, quick: bool) -> str:
     """Return what it costs to solve a controller's problem again with another state, through cvxpy."""
     import cvxpy as cp
 
-    from ...modeling.qp_solver import QPSolver
+    from lcp_plugin.modeling.qp_solver import QPSolver
 
     rng, (horizon, count) = np.random.default_rng(SEED), (5, 3) if quick else (20, 20)
     F, B = dynamics(1.0, rng)

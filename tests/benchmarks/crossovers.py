@@ -9,21 +9,22 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ... import crossovers
-from ...algorithms.splittings.projected_relaxation import PSOR
-from ...algorithms.splittings.projected_type import NPSOR
-from ...certificates.error_bounds import error_bound
-from ...certificates.infeasibility import decide_feasibility
-from ...kernels.threads import share, threads_for
-from ...matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
-from ...matrix.factors import factorise, positive_factor, solver_of
-from ...matrix.hierarchy.levels import build_hierarchy
-from ...matrix.hierarchy.truncation import Truncation
-from ...policy.stages import Stage
-from ...problem.lcp import LCP
-from ...solving.driver import solve
-from ..contestants import fresh
-from ..gallery import build
+from lcp_plugin import crossovers
+from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
+from lcp_plugin.algorithms.splittings.projected_type import NPSOR
+from lcp_plugin.certificates.error_bounds import error_bound
+from lcp_plugin.certificates.infeasibility import decide_feasibility
+from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.gallery import build
+from lcp_plugin.kernels.threads import share, threads_for
+from lcp_plugin.matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
+from lcp_plugin.matrix.factors import factorise, positive_factor, solver_of
+from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
+from lcp_plugin.matrix.hierarchy.truncation import Truncation
+from lcp_plugin.policy.stages import Stage
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+
 from .small import friction
 from .timing import medians
 

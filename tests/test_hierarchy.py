@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
-from lcp_plugin.matrix.hierarchy import coarsening, galerkin, levels, stretches, sweeps, units
-from lcp_plugin.matrix.hierarchy.blocks import Blocks
-from lcp_plugin.matrix.hierarchy.grids import Hierarchy, Operator
-from lcp_plugin.matrix.hierarchy.krylov import KrylovCorrection
+from lcp_plugin.matrix.hierarchy import coarsening, galerkin, levels, stretches, sweeps, vectors
+from lcp_plugin.matrix.hierarchy.grids import Blocks, Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
-from lcp_plugin.matrix.hierarchy.truncation import Truncation
+from lcp_plugin.matrix.hierarchy.truncation import KrylovCorrection, Truncation
 from lcp_plugin.matrix.symmetry import is_symmetric_entrywise
 
 SCENES = [
@@ -169,7 +167,7 @@ def test_scenes_keep_their_units(text: str) -> None:
     """No other units are tried where rows do not sum to less than zero."""
     M = gallery.parse(text).problem.csr
     _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
-    assert units.units_of(M, lacking) == (None, 0.0)
+    assert vectors.units_of(M, lacking) == (None, 0.0)
 
 
 @pytest.mark.parametrize("is_symmetric", [True, False])
@@ -179,7 +177,7 @@ def test_units_are_found(is_symmetric: bool) -> None:
     d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
     scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
     _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
-    v, work = units.units_of(scaled, lacking)
+    v, work = vectors.units_of(scaled, lacking)
     assert v is not None
     assert 0.0 < work <= 50 * M.nnz
     field = (v * d).reshape(30, 30)[3:-3, 3:-3]

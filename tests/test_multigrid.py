@@ -17,7 +17,7 @@ from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
 from lcp_plugin.kernels import threads
-from lcp_plugin.matrix.hierarchy import blocks, galerkin, grids, levels, pieces, sweeps, vectors
+from lcp_plugin.matrix.hierarchy import galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
 from lcp_plugin.solving.batch import prepare, solve_many
 
@@ -437,7 +437,7 @@ def test_solve_many_raises_what_concerns_all_columns() -> None:
     assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)
 
 
-BLOCKS = [(blocks, "SMALLEST_BLOCK", 64), (blocks, "SHARED_FROM", 64), (pieces, "SMALLEST_PIECE", 64)]
+BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SMALLEST_PIECE", 64)]
 
 
 @pytest.mark.sampled(2)

@@ -11,9 +11,8 @@ from scipy.sparse import diags_array
 
 from ..checks import FloatVector
 from ..matrix.hierarchy import sweeps, transfers
-from ..matrix.hierarchy.krylov import KrylovCorrection
 from ..matrix.hierarchy.levels import hierarchy_of
-from ..matrix.hierarchy.truncation import Truncation
+from ..matrix.hierarchy.truncation import KrylovCorrection, Truncation
 from ..matrix.hierarchy.vectors import dot, power_of_two, span
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP

@@ -78,8 +78,7 @@ class LinearSystem:
     @np.errstate(all="ignore")
     def iterated(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
         """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
-        from .hierarchy.krylov import KrylovCorrection
-        from .hierarchy.truncation import Truncation
+        from .hierarchy.truncation import KrylovCorrection, Truncation
 
         correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
         goal = tolerance * np.linalg.norm(correction.residual)

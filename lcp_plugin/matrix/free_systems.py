@@ -182,7 +182,7 @@ class FreeSystem:
     @np.errstate(all="ignore")
     def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
         """Return the solution by Krylov steps, one V-cycle each, None where they do not converge."""
-        from .hierarchy.krylov import KrylovCorrection
+        from .hierarchy.truncation import KrylovCorrection
         from .hierarchy.vectors import dot
 
         matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)

@@ -35,9 +35,11 @@ def positive_product(matrix: Matrix) -> tuple[FloatVector, FloatVector] | None:
 
 def _candidates(matrix: Matrix) -> Iterator[FloatVector]:
     """Yield vectors that may be such a v: ones, then solutions of ⟨M⟩v = diag(M), each nearer than the one before."""
-    from .hierarchy.krylov import KrylovCorrection  # numba, which not every proof needs
     from .hierarchy.levels import COARSEST, build_hierarchy
-    from .hierarchy.truncation import Truncation
+    from .hierarchy.truncation import (
+        KrylovCorrection,  # numba, which not every proof needs
+        Truncation,
+    )
 
     ones = np.ones(matrix.own)
     yield ones

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit, uintp
 
 from ...kernels.compilation import compiled
-from .units import LACKING
+from .vectors import LACKING
 
 COARSE, FINE = 1, 2
 LEAST_WEIGHT = 0.2  # of the largest weight, and

@@ -21,8 +21,7 @@ from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
-from .grids import NO_WEIGHT
-from .pieces import SMALLEST_PIECE, joined
+from .grids import NO_WEIGHT, SMALLEST_PIECE, joined
 from .stretches import Stretches, mark_equal, stretch_at
 
 Indices = NDArray[Any]

@@ -1,16 +1,22 @@
-"""What a hierarchy is made of: matrices as bare arrays, ways between grids, grids; immutable."""
+"""What a hierarchy is made of: matrices as bare arrays, ways between grids, grids; immutable.
+
+Threads share a grid by blocks of rows, no row of which meets one of the next block but one. A sweep takes the even
+blocks first and then the odd ones, backward the other way round: a Gauss–Seidel sweep in an order that the matrix alone
+decides, whoever takes which block. Rows of a new matrix are written in pieces, which are joined.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
+from ...crossovers import SHARED_FROM
+from ...kernels.threads import share
 from ...peers.alone import ALONE, Arrays, Peers
-from .blocks import Blocks
 from .stretches import Stretches
 
 LARGEST_SINGLE = 1e25  # times the least: of 3e38, as sums and products of some such numbers are numbers still
@@ -152,3 +158,81 @@ class Hierarchy:
     def complexity(self) -> float:
         """Entries of all matrices together, divided by those of the finest."""
         return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
+
+
+MOST_BLOCKS = 16
+SMALLEST_BLOCK = 8192  # rows
+REACHES = 4  # times as many rows as a row reaches far: what is done twice at the seams is little
+FEWEST = 4  # two of either kind
+
+
+class Blocks(NamedTuple):
+    """Where blocks begin, with the end of the last, and how far a row reaches where there are several."""
+
+    edges: NDArray[np.int64]
+    reach: int
+
+    def count(self, colour: int) -> int:
+        """Return how many blocks are even (0) or odd (1)."""
+        return (self.edges.size - colour) // 2
+
+    @property
+    def smallest_share(self) -> int:
+        """The fewest blocks of a colour that are worth a hand-over; a sweep has two."""
+        return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
+
+
+def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:
+    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
+    count, reach = 0, 0
+    if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
+        own, begins, ends = np.arange(rows, dtype=indices.dtype), indptr[:rows], indptr[1 : rows + 1]
+        reach = int(max((own - indices[begins]).max(), (indices[ends - 1] - own).max()))
+        count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
+    if count < FEWEST:
+        count, reach = 1, 0
+    edges = np.linspace(0, rows, count + 1).astype(np.int64)
+    edges.flags.writeable = False
+    return Blocks(edges, reach)
+
+
+SMALLEST_PIECE = 16384  # rows
+
+
+def joined(pieces: list[Arrays]) -> Arrays:
+    """Return the CSR rows of consecutive pieces of rows; the first may have room for those of the others behind it."""
+    sizes = [int(indptr[-1]) for indptr, _, _ in pieces]
+    ends = np.cumsum(sizes, dtype=pieces[0][0].dtype)
+    further = [piece[0][1:] + before for piece, before in zip(pieces[1:], ends, strict=False)]
+    indptr = np.concatenate([pieces[0][0], *further]) if further else pieces[0][0]
+    indices, data = (
+        _appended([piece[k] for piece in pieces], sizes, int(ends[-1])) for k in (1, 2)
+    )
+    return indptr, indices, data
+
+
+def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
+    """Return the first entries of all parts, so many of each, in the memory of the first part where that suffices."""
+    if parts[0].size < total:
+        return np.concatenate([part[:size] for part, size in zip(parts, sizes, strict=True)])
+    end = sizes[0]
+    for part, size in zip(parts[1:], sizes[1:], strict=True):
+        parts[0][end : end + size] = part[:size]
+        end += size
+    return parts[0][:total]
+
+
+def written_rows(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
+    """Return the rows of P that a kernel writes with room for those of M and `more` a row, and what else it tells."""
+    indptr, indices = operands[:2]
+    n = indptr.size - 1
+
+    def piece(first: int, end: int) -> tuple[Arrays, int]:
+        last = end if first else n  # memory that nothing is written to was never touched
+        room = int(indptr[last] - indptr[first]) + more * (last - first)
+        rows = np.empty(end - first + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+        _, told = kernel(*operands, first, end, *rows)
+        return rows, told
+
+    pieces, told = zip(*share(piece, n, smallest), strict=True)
+    return joined(list(pieces)), sum(told)

@@ -18,7 +18,7 @@ from ...checks import BoolVector, FloatVector, read_only
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from .blocks import Blocks
+from .grids import Blocks
 from .stretches import LONGEST_REACH, Stretches, stretch_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand

@@ -10,7 +10,6 @@ from typing import Any
 
 from .certificates.error_bounds import error_bound
 from .certificates.residuals import Certificate as DistributedCertificate
-from .certificates.sweep_contraction import HPlusCertificate, h_plus_certificate
 from .peers.ranks.collective import as_mpi
 from .problem.lcp import LCP
 from .solving.driver import solve
@@ -18,9 +17,7 @@ from .solving.driver import solve
 __all__ = [
     "DistributedCertificate",
     "DistributedLCP",
-    "HPlusCertificate",
     "error_bound",
-    "h_plus_certificate",
     "solve",
 ]
 

@@ -27,7 +27,7 @@ PAPER_TITLE = "More on projected type iteration method and linear complementarit
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
-GUARANTEED, NOT_COVERED, CAN_DIVERGE = "guaranteed", "not covered", "can diverge"
+GUARANTEED, NOT_COVERED = "guaranteed", "not covered"
 POWER_STEPS = 60
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also where it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
@@ -39,9 +39,8 @@ class Guarantee:
 
     Attributes
     ----------
-    verdict : {"guaranteed", "not covered", "can diverge"}
-        Convergence from every start is proven; nothing is proven here; or with this M, some q and bounds there
-        are starts from which it does not converge.
+    verdict : {"guaranteed", "not covered"}
+        Convergence from every start is proven; or nothing is proven here.
     theorem : str
         The theorem and its source, or what stands in the way.
     rate : float or None

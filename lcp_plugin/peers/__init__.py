@@ -31,9 +31,8 @@ Galerkin products and truncation are exact across ranks. Where the coarse unknow
 takes 10 to 22 cycles instead of 8. Aggregates as PETSc's GAMG makes them were tried and left: a coarse unknown covers
 many rows, and more is lost near a free boundary.
 
-**Proofs:** ``h_plus_certificate(problem)`` of ``lcp_plugin.distributed`` finds v > 0 with ⟨M⟩v > 0 and verifies it on
-every rank; ``error_bound=True`` turns it into a rigorous bound. ``Certificate.of`` and ``error_bound`` take such a
-problem as any other.
+**Proofs:** ``error_bound=True`` finds v > 0 with ⟨M⟩v > 0, verifies it on every rank, and makes it a rigorous bound.
+``Certificate.of`` and ``error_bound`` take such a problem as any other.
 
 **Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks,
 and PETSc's binary files with M, q, lower, upper. ``LCP.from_problem`` cuts a whole problem into equal parts.

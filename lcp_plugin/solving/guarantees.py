@@ -24,9 +24,7 @@ from ..certificates.convergence import (
     numbers,
     sums_for,
 )
-from ..certificates.divergence import divergence
 from ..certificates.theorems import (
-    CAN_DIVERGE,
     GUARANTEED,
     NOT_COVERED,
     PAPER,
@@ -40,7 +38,7 @@ from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix import analyze, comparison_certificate, h_verdict
 from ..matrix.matrix import Matrix, fact
-from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, triangle_sums, unit_triangle_sums
+from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
 from ..matrix.spectral_radius import jacobi_radius
 from ..matrix.structure import within_blocks
 from ..policy.choice import Policy, Single, policy_for
@@ -49,7 +47,6 @@ from ..problem.lcp import LCP
 
 NEAR_ONE = (0.05, 1.0)
 WEIGHT_STEPS = 40
-QUICK_STEPS = 2
 DENSE_SPLITTING = 500
 CLEARLY = 1.0 + 1e-12
 
@@ -68,8 +65,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     Returns
     -------
     Guarantee
-        ``verdict`` "guaranteed", "not covered" or "can diverge", with theorem, rate, weights v and a remedy. Kept with
-        the matrix.
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy. Kept with the matrix.
 
     Raises
     ------
@@ -78,9 +74,9 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
 
     Notes
     -----
-    Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, a
-    factorisation where M is symmetric, and dense eigenvalues where n ≤ 100 and nothing covers the iteration. It
-    speaks of exact arithmetic with step sizes rounded as a run has them; q is any, boxes and free rows are covered.
+    Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, and a
+    factorisation where M is symmetric. It speaks of exact arithmetic with step sizes rounded as a run has them; q is
+    any, boxes and free rows are covered.
 
     Examples
     --------
@@ -162,9 +158,6 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     proof = _best_proof(problem, facts)
     if proof is not None:
         return _guaranteed(problem, facts, proof, paper)
-    quick = _quick(problem, facts)  # its weights are others
-    if quick is not None and quick.is_guaranteed:
-        return replace(quick, paper=paper)
     by_blocks = _theorem_by_blocks(problem, facts)
     if by_blocks is not None:
         return Guarantee(GUARANTEED, by_blocks, paper=paper)
@@ -176,9 +169,6 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
     remedy = _remedy(problem, facts, options)
-    reason = divergence(facts, problem)
-    if reason is not None:
-        return Guarantee(CAN_DIVERGE, reason, remedy=remedy, paper=paper)
     return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
 
 
@@ -247,21 +237,22 @@ def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | Non
     """Return a contraction found by iterating the row bound itself, or None.
 
     The bound is monotone and homogeneous in v: its steps lead to the best weights there are, and where a step grows
-    in every row there are none.
+    in every row there are none. Damped steps do not swing; whole ones reach weights of any size.
     """
-    v = np.ones(problem.n)
-    for _ in range(WEIGHT_STEPS):
-        sums = sums_for(facts, problem, v)
-        proof = contraction(facts, problem, v, sums)
-        if proof is not None:
-            return proof
-        grown = next_weights(facts, problem, v, sums)
-        if not np.isfinite(grown).all() or bool(np.all(grown > v * CLEARLY)):
-            return None
-        v = 0.5 * (v + grown)
-        v = v / v.max(initial=1e-300)
-        if not v.min(initial=1.0) > 0.0:
-            return None
+    for is_damped in (True, False):
+        v = np.ones(problem.n)
+        for _ in range(WEIGHT_STEPS):
+            sums = sums_for(facts, problem, v)
+            proof = contraction(facts, problem, v, sums)
+            if proof is not None:
+                return proof
+            grown = next_weights(facts, problem, v, sums)
+            if not np.isfinite(grown).all() or bool(np.all(grown > v * CLEARLY)):
+                break
+            v = 0.5 * (v + grown) if is_damped else grown
+            v = v / v.max(initial=1e-300) if is_damped else v
+            if not v.min(initial=1.0) > 0.0:
+                break
     return None
 
 
@@ -273,27 +264,6 @@ def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
     if found is None:
         return None
     return Guarantee(GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found)
-
-
-def _quick(problem: LCP, facts: IterationFacts) -> Guarantee | None:
-    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
-        return None
-    v = np.ones(problem.n)
-    sums = unit_triangle_sums(problem.matrix) if facts.family != PROJECTED_SPLITTING else sums_for(facts, problem, v)
-    for step in range(QUICK_STEPS + 1):
-        proof = contraction(facts, problem, v, sums)
-        if proof is not None:
-            return _guaranteed(problem, facts, proof)
-        grown = next_weights(facts, problem, v, sums)
-        if step == QUICK_STEPS or not np.isfinite(grown).all() or facts.family == PROJECTED_SPLITTING:
-            return None
-        if facts.family == PROJECTED_TYPE and bool(np.all(grown > v * CLEARLY)):
-            remedy = f"{_scaling_remedy(facts)}, which is proven where M is an H₊-matrix"
-            return Guarantee(NOT_COVERED, "no weighted maximum norm contracts", remedy=remedy)
-        v = grown
-        sums = triangle_sums(problem.matrix, v)
-    return None
-
 
 
 def _is_h_plus(problem: LCP) -> bool:

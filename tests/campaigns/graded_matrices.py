@@ -337,10 +337,7 @@ def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tu
     with np.errstate(all="ignore"):
         all_pieces = list(pieces(facts, problem))
     for piece, T in all_pieces:
-        if guarantee.verdict == "can diverge":
-            if all(piece) and is_contracting(T):
-                found.append(f"{algorithm}: can diverge, but the spectral radius is below 1")
-        elif guarantee.rate is not None:
+        if guarantee.rate is not None:
             v, rate = exact(guarantee.v), Fraction(guarantee.rate)
             grown = [sum(abs(entry) * w for entry, w in zip(row, v, strict=True)) for row in T]
             if any(g > rate * w for g, w in zip(grown, v, strict=True)):

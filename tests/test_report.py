@@ -25,10 +25,10 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.error_against_time import best_answer
-from lcp_plugin.evidence.report.collect import collect
-from lcp_plugin.evidence.report.page import write_report
+from lcp_plugin.evidence.exporting import csv_of
+from lcp_plugin.evidence.report.page import collect, write_report
+from lcp_plugin.evidence.report.scenes import QUICK_SCENES, SCENES
 from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Finding, Part, Section, claims, plan, sections
-from lcp_plugin.evidence.report.sections.scenes import QUICK_SCENES, SCENES
 from lcp_plugin.evidence.stability import stability_atlas
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -313,6 +313,12 @@ def test_derivatives_are_beside_the_exact_ones(collected: Collected) -> None:
         assert max(errors) <= 1e-12
 
 
+def test_rows_that_lack_a_field_keep_their_columns() -> None:
+    """A solver without an answer has fewer figures in the CSV, and none of them under another's heading."""
+    every = [{"solver": "a", "status": "error"}, {"solver": "b", "gap": 0.5, "status": "optimal"}]
+    assert csv_of(every).splitlines() == ["solver,status,gap", "a,error,", "b,optimal,0.5"]
+
+
 def test_nothing_measured_nothing_said() -> None:
     """Without data there is no claim."""
     assert claims(Collected()) == []
@@ -462,7 +468,7 @@ def test_interruption_between_two_parts_is_remembered(
     when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
-    from lcp_plugin.evidence.report import collect as module
+    from lcp_plugin.evidence.report import page as module
 
     def stop() -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -500,7 +506,7 @@ def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
-    from lcp_plugin.evidence.report import collect as module
+    from lcp_plugin.evidence.report import page as module
 
     parts = [part("a", lambda say: {})]
     facts = {"processor": "one", "measured": "today"}
@@ -514,7 +520,7 @@ def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch
 
 def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
-    from lcp_plugin.evidence.report.sections import scenes as module
+    from lcp_plugin.evidence.report import scenes as module
 
     def stop(*_: Any) -> dict[str, Any]:
         raise KeyboardInterrupt

@@ -26,8 +26,7 @@ def make(scenes: Sequence[str], out: Path, *, quick: bool) -> tuple[bool, str]:
         Where matplotlib or jinja2 is not installed: before anything is computed.
     """
     from ..evidence.drawing import require_matplotlib
-    from ..evidence.report.collect import collect
-    from ..evidence.report.page import require_jinja, write_report
+    from ..evidence.report.page import collect, require_jinja, write_report
     from ..evidence.report.section import plan
 
     require_matplotlib()

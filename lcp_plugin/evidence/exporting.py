@@ -69,8 +69,9 @@ def csv_text(columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def csv_of(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return dictionaries with the same keys as CSV text."""
-    return csv_text(entries[0], (entry.values() for entry in entries))
+    """Return dictionaries as CSV text; a field stays empty where one lacks what another has."""
+    columns = dict.fromkeys(name for entry in entries for name in entry)
+    return csv_text(columns, ([entry.get(name, "") for name in columns] for entry in entries))
 
 
 def write_text(path: AnyPath, text: str) -> None:

@@ -4,7 +4,7 @@
 same :class:`Scene`; ``describe()`` lists them all. Write ``from lcp_plugin import gallery`` and ``gallery.Scene``:
 ``lcp_plugin.gallery`` is a name of the front door, not a module. A new scene is one function with ``scene_builder``
 in a file of this folder, and nothing else; the report shows it when asked for by name, and without a name where
-``report/sections/scenes.py`` lists it.
+``report/scenes.py`` lists it.
 """
 
 from collections.abc import Callable

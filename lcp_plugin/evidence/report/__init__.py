@@ -1,1 +1,1 @@
-"""One report of everything: `plan` says what is computed, `collect` computes, `summary` reads, `page` shows it."""
+"""One report of everything: `plan` says what is computed, `collect` computes, sections tell, `write_report` shows."""

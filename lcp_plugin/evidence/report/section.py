@@ -1,4 +1,4 @@
-"""What a part of the report is: one object that computes, draws and tells. All of them lie in the folder `sections`."""
+"""What a part of the report is: one object that computes, draws and tells. All of them lie in this folder."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from ..curves import Report
 from ..drawing import svg
+from ..exporting import csv_of
 from ..gallery.scene import Scene
 
 Say = Callable[[str], object]
@@ -90,35 +91,38 @@ class Finding:
 
 
 class Section:
-    """A part of the report. A class below it, in a file of the folder `sections`, is all that a new one needs.
+    """A part of the report. A class below it, in a file of this folder, is all that a new one needs.
 
     Attributes
     ----------
     kind : str
-        Of its parts, where it has any.
+        Of the parts that it reads: without any of them it is not on the page and says nothing. "" for none.
     place : int
         Sections stand, are computed and speak in this order.
     title, short : str
         The heading, and what leads there from the head of the page.
+    anchor : str
+        The name by which the page is linked to; by default that of the module.
     template : str
-        What jinja makes the section's body of; by default the file beside the module, with its name.
+        What jinja makes the section's body of; by default the file beside the module, with the name of the anchor.
+    table : str
+        The file for `rows`; "" for none.
     """
 
     kind: ClassVar[str] = ""
     place: ClassVar[int]
     title: ClassVar[str]
     short: ClassVar[str]
+    anchor: ClassVar[str]
     template: ClassVar[str] = ""
+    table: ClassVar[str] = ""
 
-    @property
-    def anchor(self) -> str:
-        """The name of the module, by which the page is linked to."""
-        return type(self).__module__.rpartition(".")[2]
+    def __init_subclass__(cls) -> None:
+        cls.anchor = vars(cls).get("anchor", cls.__module__.rpartition(".")[2])
 
     def markup(self) -> str:
         """Return the template."""
-        beside = resources.files(f"{__package__}.sections").joinpath(f"{self.anchor}.html")
-        return self.template or beside.read_text(encoding="utf-8")
+        return self.template or resources.files(__package__).joinpath(f"{self.anchor}.html").read_text("utf-8")
 
     def work(self, effort: Effort) -> Mapping[str, Compute]:
         """Return what the whole report has to compute, by name."""
@@ -130,16 +134,20 @@ class Section:
         return [Part(self.kind, name, compute, effort) for name, compute in work.items()]
 
     def tell(self, collected: Collected) -> Iterable[Finding]:
-        """Return what the measurements say, in sentences that can come out either way; nothing without data."""
+        """Return what the measurements say, in sentences that can come out either way."""
         return ()
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return what the template shows, figures included; nothing where the section is not to be on the page."""
         return {}
 
+    def rows(self, collected: Collected) -> list[dict[str, Any]]:
+        """Return the rows of the table beside the page."""
+        return collected.of(self.kind)
+
     def files(self, collected: Collected) -> dict[str, str]:
         """Return the CSV files that lie beside the page, text by name."""
-        return {}
+        return {self.table: csv_of(self.rows(collected))} if self.table else {}
 
     def content(self, collected: Collected) -> dict[str, Any]:
         """Return what goes into the JSON file besides the parts."""
@@ -148,10 +156,14 @@ class Section:
 
 def sections() -> list[Section]:
     """Return all sections in their order."""
-    folder = import_module(f"{__package__}.sections")
-    for module in iter_modules(folder.__path__, f"{folder.__name__}."):
+    for module in iter_modules(import_module(__package__).__path__, f"{__package__}."):
         import_module(module.name)
     return sorted((kind() for kind in Section.__subclasses__()), key=lambda section: section.place)
+
+
+def sections_of(collected: Collected) -> list[Section]:
+    """Return those that have something to show, in their order."""
+    return [section for section in sections() if not section.kind or collected.of(section.kind)]
 
 
 def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Part]:
@@ -176,7 +188,7 @@ def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Par
 
 def claims(collected: Collected) -> list[Finding]:
     """Return what the collected parts say, the paper's promise first; nothing is said where data are missing."""
-    return [claim for section in sections() for claim in section.tell(collected)]
+    return [claim for section in sections_of(collected) for claim in section.tell(collected)]
 
 
 # --- What sections share --------------------------------------------------------------------------------------

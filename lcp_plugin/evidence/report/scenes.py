@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ...contestants import comparison
-from ...curves import Curve, Report
-from ...drawing import COLOURS
-from ...error_against_time import best_answer, error_against_time
-from ...exporting import csv_text
-from ...gallery import parse
-from ...gallery.scene import Scene
-from ...pictures import draw_sketch, sketch_of
-from ..section import Collected, Effort, Part, Say, Section, brief, count, figure, seconds
+from ..contestants import comparison
+from ..curves import Curve, Report
+from ..drawing import COLOURS
+from ..error_against_time import best_answer, error_against_time
+from ..exporting import csv_text
+from ..gallery import parse
+from ..gallery.scene import Scene
+from ..pictures import draw_sketch, sketch_of
+from .section import Collected, Effort, Part, Say, Section, brief, count, figure, seconds
 
 SCENES = (
     "paper_example_1:n=10000",

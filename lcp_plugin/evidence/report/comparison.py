@@ -1,4 +1,4 @@
-"""The comparison that the paper promises: passes of every splitting method, and what they say about its claims."""
+"""The comparison that the paper promises, and the performance profile: what the curves of all scenes say together."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from ...curves import Curve, Report
-from ...drawing import COLOURS
-from ..section import Collected, Finding, Section, count, many, percent
+from ..curves import Curve, Profile, Report, performance_profile
+from ..drawing import COLOURS
+from .section import Collected, Finding, Section, count, figure, many, percent
 
 SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")
 WORTH_A_WORD = 1.1
@@ -23,6 +23,7 @@ WIDEST = 6  # scenes in one table: what a telephone can show
 class Comparison(Section):
     """Passes over M of every splitting method on the scenes with active constraints."""
 
+    kind = "scene"
     place = 1
     title = "The comparison the paper promises"
     short = "Comparison"
@@ -55,10 +56,10 @@ class Comparison(Section):
 # --- What is told ---------------------------------------------------------------------------------------------
 
 
-def _work(report: Report, *labels: str) -> list[float]:
-    """Return the passes of those of the labels that were solved."""
-    curves = (report.curve(label) for label in labels)
-    return [_passes(curve) for curve in curves if curve is not None and curve.is_solved]
+def _work(report: Report, label: str) -> float | None:
+    """Return the passes of a curve, None where there is none that is solved."""
+    curve = report.curve(label)
+    return _passes(curve) if curve is not None and curve.is_solved else None
 
 
 def _passes(curve: Curve) -> float:
@@ -76,7 +77,7 @@ def _promised(reports: Sequence[Report]) -> Iterator[Finding]:
     chosen = [report for report in active if _splittings(report)]
     if not chosen:
         return
-    wins = Counter(min(_splittings(report), key=lambda one: one.work).family for report in chosen)
+    wins = Counter(min(_splittings(report), key=_passes).family for report in chosen)
     said = ", ".join(f"{family} on {wins[family]}" for family in SPLITTING)
     text = (f"On {many(len(chosen), 'scene')} with 10 to 90 % of the constraints active, the family with "
             f"the fewest passes over M is {said}.")
@@ -105,9 +106,10 @@ def _behind(report: Report, family: str) -> float:
 
 
 def _own_examples(reports: Sequence[Report]) -> Iterator[Finding]:
-    own = [report for report in reports if report.title.startswith("paper_example") and "delta=4.0" in report.title]
-    pairs = [(*_work(report, "PGS"), *_work(report, "NPGS paper")) for report in own]
-    complete = [pair for pair in pairs if len(pair) == 2]
+    complete = [
+        (pgs, npgs) for report in reports if report.title.startswith("paper_example") and _delta(report) == 4.0
+        if (pgs := _work(report, "PGS")) and (npgs := _work(report, "NPGS paper"))
+    ]
     if not complete:
         return
     ahead = sum(pgs < npgs for pgs, npgs in complete)
@@ -137,31 +139,28 @@ def _slow_on_active(reports: Sequence[Report]) -> Iterator[Finding]:
             yield Finding(f"Active constraints, δ = {_delta(report):g}", text)
 
 
-def _ratio(label: str, free: list[float], active: list[float]) -> str:
+def _ratio(label: str, free: float | None, active: float | None) -> str:
     if not free or not active:
         return ""
-    factor = active[0] / free[0]
+    factor = active / free
     if factor > WORTH_A_WORD:
-        return f"{label} slows down {factor:.1f} times ({free[0]:.0f} to {active[0]:.0f} passes)"
+        return f"{label} slows down {factor:.1f} times ({free:.0f} to {active:.0f} passes)"
     if factor < 1.0 / WORTH_A_WORD:
-        return f"{label} gets {1.0 / factor:.1f} times quicker ({free[0]:.0f} to {active[0]:.0f} passes)"
-    return f"{label} stays as it is ({free[0]:.0f} and {active[0]:.0f} passes)"
+        return f"{label} gets {1.0 / factor:.1f} times quicker ({free:.0f} to {active:.0f} passes)"
+    return f"{label} stays as it is ({free:.0f} and {active:.0f} passes)"
 
 
 def _delta(report: Report) -> float:
-    for word in report.title.partition(":")[2].split(","):
-        name, _, value = word.partition("=")
-        if name == "delta":
-            return float(value)
-    return math.nan
+    found = re.search(r"\bdelta=([^,]+)", report.title)
+    return float(found[1]) if found else math.nan
 
 
 def _tuning(reports: Sequence[Report]) -> Iterator[Finding]:
     for family, tuned, printed, rival in (
         ("MSOR", "MSOR tuned", "MSOR paper", "PSOR"), ("NPSOR", "NPSOR tuned", "NPSOR paper", "PSOR"),
     ):
-        gains = [p[0] / t[0] for report in reports if (t := _work(report, tuned)) and (p := _work(report, printed))]
-        against = [t[0] / r[0] for report in reports if (t := _work(report, tuned)) and (r := _work(report, rival))]
+        gains = [p / t for report in reports if (t := _work(report, tuned)) and (p := _work(report, printed))]
+        against = [t / r for report in reports if (t := _work(report, tuned)) and (r := _work(report, rival))]
         if gains and against:
             behind = sum(factor > 1.0 for factor in against)
             measured = f"median of {len(gains)} scenes" if len(gains) > 1 else "on 1 scene"
@@ -182,7 +181,7 @@ def _no_room(chosen: Sequence[Report]) -> Iterator[Finding]:
         return sum(min(curves, key=cost).label == "multigrid" for curves in solved if curves)
 
     factors = [
-        min(map(_passes, found)) / own[0]
+        min(map(_passes, found)) / own
         for report in chosen if (found := _splittings(report)) and (own := _work(report, "multigrid"))
     ]
     text = (f"On {many(len(chosen), 'scene')} whose matrix has no diagonal to spare (no zeroth-order term, δ = 0) "
@@ -201,18 +200,16 @@ def _no_room(chosen: Sequence[Report]) -> Iterator[Finding]:
 
 
 def _table(reports: Sequence[Report], families: dict[str, str]) -> dict[str, Any]:
-    heads = [(one.title.partition(":")[0], _setting(one.title), percent(one.active_share)) for one in reports]
+    deltas = [_delta(one) for one in reports]  # what tells two settings of one scene apart
+    heads = [
+        (one.title.partition(":")[0], "" if math.isnan(delta) else f"δ = {delta:g}", percent(one.active_share))
+        for one, delta in zip(reports, deltas, strict=True)
+    ]
     rows = [
         {"label": label, "colour": COLOURS[family], "cells": [_cell(one.curve(label), one) for one in reports]}
         for label, family in families.items()
     ]
     return {"heads": heads, "rows": rows}
-
-
-def _setting(title: str) -> str:
-    """Return what tells two settings of one scene apart."""
-    found = re.search(r"delta=([\d.]+)", title)
-    return f"δ = {float(found[1]):g}" if found else ""
 
 
 def _cell(curve: Curve | None, report: Report) -> tuple[str, bool]:
@@ -223,3 +220,60 @@ def _cell(curve: Curve | None, report: Report) -> tuple[str, bool]:
         return "✕", False
     best = min(one.work for one in report.curves if one.family in SPLITTING and one.is_solved)
     return count(curve.work), curve.work == best
+
+
+# --- The performance profile -------------------------------------------------------------------------------------
+
+
+class PerformanceProfile(Section):
+    """Shares of the scenes within a multiple of the best, by work and by time."""
+
+    kind = "scene"
+    anchor = "profile"
+    place = 3
+    title = "Performance profile"
+    short = "Profile"
+    template = """<div class="card">
+<p>On how many of the scenes an algorithm arrives within a multiple of the best one's cost. At the left end: how often
+it is the best; the name stands where it solves its last scene, with a ✕ if that is not all of them.</p>
+<div class="plots two">
+{% for caption, figure in figures.items() %}
+<figure class="profile"><figcaption>{{ caption }}</figcaption>{{ figure }}</figure>
+{% endfor %}
+</div>
+</div>"""
+
+    def tell(self, collected: Collected) -> Iterator[Finding]:
+        """Yield who is first how often, and who solved every scene."""
+        for work, seconds in _profiles(collected):
+            by_work, by_time = (max(one.labels, key=one.share) for one in (work, seconds))
+            every = [label for label in work.labels if work.share(label, math.inf) == 1.0]
+            yield Finding(
+                "Over all scenes",
+                f"Of {many(len(work.problems), 'scene')} {by_work} has the fewest passes on "
+                f"{percent(work.share(by_work))}, {by_time} the least time on {percent(seconds.share(by_time))}. "
+                f"Solved every one: {', '.join(every) or 'nobody'}.",
+            )
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return both figures."""
+        figures = {
+            f"By {caption}": figure(profile.plot(), f"profile-{profile.by}", f"Performance profile by {profile.by}")
+            for pair in _profiles(collected) for profile, caption in zip(pair, ("passes over M", "time"), strict=True)
+        }
+        return {"figures": figures} if figures else {}
+
+    def files(self, collected: Collected) -> dict[str, str]:
+        """Return every ratio."""
+        return {f"profile_{profile.by}.csv": profile.to_csv() for pair in _profiles(collected) for profile in pair}
+
+    def content(self, collected: Collected) -> dict[str, Any]:
+        """Return every ratio."""
+        return {"profiles": [profile.to_content() for pair in _profiles(collected) for profile in pair]}
+
+
+def _profiles(collected: Collected) -> Iterator[tuple[Profile, Profile]]:
+    """Yield the profiles by work and by seconds, where there are two scenes and one was solved."""
+    reports = collected.reports()
+    if len(reports) > 1 and any(curve.is_solved for report in reports for curve in report.curves):
+        yield performance_profile(reports, "work"), performance_profile(reports, "seconds")

@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from ....certificates.row_residuals import is_at_bound
-from ....checks import FloatVector
-from ....problem.lcp import LCP
-from ....solving.derivative import derivative
-from ....solving.driver import solve
-from ...contestants import fresh
-from ...drawing import COLOURS, LABEL_SIZE, new_figure, styled
-from ...exporting import csv_of
-from ...gallery import parse
-from ...gallery.scene import Scene
-from ..section import Collected, Effort, Finding, Part, Say, Section, brief, figure, many
+from ...certificates.row_residuals import is_at_bound
+from ...checks import FloatVector
+from ...problem.lcp import LCP
+from ...solving.derivative import derivative
+from ...solving.driver import solve
+from ..contestants import fresh
+from ..drawing import COLOURS, LABEL_SIZE, new_figure, styled
+from ..gallery import parse
+from ..gallery.scene import Scene
+from .section import Collected, Effort, Finding, Part, Say, Section, brief, figure, many
 
 SCENES = ("half_active:n=10000", "paper_example_2:n=10000")
 QUICK_SCENES = ("half_active:n=2500",)
@@ -36,6 +35,7 @@ class Derivatives(Section):
     place = 7
     title = "Derivative error against time"
     short = "Derivatives"
+    table = "derivatives.csv"
     template = """<div class="card">
 <p>How z changes with q in a direction for which the exact change is known, over the seconds from (M, q) on; each point
 belongs to one tolerance from 1e-2 to 1e-10. Derivative: one solve, and one linear solve on its free rows. Difference:
@@ -57,26 +57,23 @@ two solves, with a step of the root of the tolerance between them.</p>
 
     def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield how far both are off at the usual tolerance."""
-        points = [point for content in collected.of(self.kind) for point in content["points"]]
-        told = [point for point in points if point["tolerance"] == TOLD]
-        if told:
-            worst = {way: max(point["error"] for point in told if point["way"] == way) for way in WAYS}
-            yield Finding(
-                "Derivatives",
-                f"On {many(len(collected.of(self.kind)), 'scene')} with a known answer, solved to {TOLD:g}, the "
-                f"derivative of z is off by at most {brief(worst['derivative'])}, relatively; a difference of two "
-                f"solves by up to {brief(worst['difference'])}.",
-            )
+        told = [point for point in self.rows(collected) if point["tolerance"] == TOLD]
+        worst = {way: max(point["error"] for point in told if point["way"] == way) for way in WAYS}
+        yield Finding(
+            "Derivatives",
+            f"On {many(len(collected.of(self.kind)), 'scene')} with a known answer, solved to {TOLD:g}, the "
+            f"derivative of z is off by at most {brief(worst['derivative'])}, relatively; a difference of two "
+            f"solves by up to {brief(worst['difference'])}.",
+        )
 
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return a figure a scene."""
         found = collected.of(self.kind)
-        return {"figures": {content["scene"]: _figure(content, k) for k, content in enumerate(found)}} if found else {}
+        return {"figures": {content["scene"]: _figure(content, k) for k, content in enumerate(found)}}
 
-    def files(self, collected: Collected) -> dict[str, str]:
+    def rows(self, collected: Collected) -> list[dict[str, Any]]:
         """Return every point."""
-        rows = [{"scene": one["scene"]} | point for one in collected.of(self.kind) for point in one["points"]]
-        return {"derivatives.csv": csv_of(rows)} if rows else {}
+        return [{"scene": one["scene"]} | point for one in collected.of(self.kind) for point in one["points"]]
 
 
 def _planted(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from ...stability import Atlas, Cell, stability_atlas
-from ...stability.stresses import FAMILIES
-from ..section import Collected, Compute, Effort, Finding, Say, Section, many, percent
+from ..stability import Atlas, Cell, stability_atlas
+from ..stability.stresses import FAMILIES
+from .section import Collected, Compute, Effort, Finding, Say, Section, many, percent
 
 TOO_LONG_FOR_QUICK = ("sizes",)
 
@@ -29,8 +29,6 @@ class Stability(Section):
     def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield the lies, the share of SOLVED, and the errors that a small residual hides."""
         atlas = _whole(collected)
-        if not atlas.cells:
-            return
         runs = f"{many(len(atlas.cells), 'run')} on stiff, extreme and degenerate problems"
         text = (f"{runs}: {many(len(atlas.lies), 'lie')}; of the {len(atlas.well_posed)} well-posed ones "
                 f"{percent(atlas.solved_share)} are SOLVED.")
@@ -43,8 +41,6 @@ class Stability(Section):
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return the table of algorithms against families, and every cell worth a word."""
         atlas = _whole(collected)
-        if not atlas.cells:
-            return {}
         families = list(dict.fromkeys(cell.family for cell in atlas.cells))
         cells: dict[str, dict[str, list[Cell]]] = {}
         for cell in atlas.cells:
@@ -57,7 +53,7 @@ class Stability(Section):
 
     def files(self, collected: Collected) -> dict[str, str]:
         """Return every cell."""
-        return {"stability.csv": _whole(collected).to_csv()} if collected.of("atlas") else {}
+        return {"stability.csv": _whole(collected).to_csv()}
 
 
 def _computed(family: str, effort: Effort, say: Say) -> dict[str, Any]:

@@ -1,0 +1,174 @@
+"""Our answers beside those of others: the paper's tables, convex solvers, and what `certify` proves of each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from ..certified_solvers import OURS, judged_answers
+from ..cross_check import cross_validate
+from ..exporting import finite_content
+from ..gallery import parse
+from ..paper_tables import cells
+from ..sample_programs import SAMPLES
+from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many
+
+# --- The paper's tables ---------------------------------------------------------------------------------------
+
+
+class PaperTables(Section):
+    """The paper's two tables, computed again: in each cell our count, and the paper's where it differs."""
+
+    kind = anchor = "tables"
+    place = 5
+    title = "The paper's tables, computed again"
+    short = "Paper's tables"
+    table = "paper_tables.csv"
+
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part: both tables."""
+        return {"paper": lambda say: {"cells": [finite_content(asdict(cell)) for cell in cells()]}}
+
+    def tell(self, collected: Collected) -> Iterator[Finding]:
+        """Yield how many counts agree."""
+        every = self.rows(collected)
+        equal = sum(cell["iterations"] == cell["paper_iterations"] for cell in every)
+        text = f"The iteration counts agree in {equal} of {len(every)} cells, computed now."
+        yield Finding("The paper's tables", text)
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return the rows of each example by algorithm and relaxation."""
+        tables: dict[int, dict[str, list[Any]]] = {}
+        for cell in self.rows(collected):
+            name = f"{cell['algorithm']} {cell['relaxation'] or ''}".strip()
+            tables.setdefault(cell["example"], {}).setdefault(name, []).append(cell)
+        return {"tables": tables}
+
+    def rows(self, collected: Collected) -> list[dict[str, Any]]:
+        """Return every cell."""
+        return [cell for content in collected.of(self.kind) for cell in content["cells"]]
+
+
+# --- Cross-validation -----------------------------------------------------------------------------------------
+
+CHECKED = (
+    "paper_example_1:n=900", "half_active:n=900", "obstacle_2d:size=30", "obstacle_bumps:size=30",
+    "optimal_stopping:size=20", "journal_bearing:size=30", "american_put:size=301", "rigid_stack", "market_equilibrium",
+)
+
+
+class CrossValidation(Section):
+    """Our answer beside that of a convex solver that shares no code with it, on some scenes."""
+
+    kind = "check"
+    anchor = "checks"
+    place = 6
+    title = short = "Cross-validation"
+    table = "cross_validation.csv"
+
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part a scene."""
+        return {text: partial(_checked, text, effort) for text in CHECKED[: 5 if effort.is_quick else None]}
+
+    def tell(self, collected: Collected) -> Iterator[Finding]:
+        """Yield the verdicts."""
+        verdicts = Counter(check["verdict"] for check in self.rows(collected))
+        said = ", ".join(f"{number} {verdict}" for verdict, number in verdicts.most_common())
+        yield Finding("Against convex solvers", f"Cross-validation of {many(verdicts.total(), 'scene')}: {said}.")
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return one row a scene."""
+        return {"checks": self.rows(collected)}
+
+
+def _checked(text: str, effort: Effort, say: Say) -> dict[str, Any]:
+    problem = parse(text).problem
+    outcome = cross_validate(problem, max_seconds=effort.reference_seconds)
+    found: dict[str, Any] = finite_content({
+        "scene": text, "n": problem.n, "verdict": outcome.verdict, "reason": outcome.reason,
+        "reference": outcome.reference, "difference_z": outcome.difference_z, "difference_w": outcome.difference_w,
+        "ours": outcome.ours.relative_residual,
+        "theirs": None if outcome.theirs is None else outcome.theirs.relative_residual,
+        "certified": {name: said.verdict for name, said in outcome.proved.items()}.get("ours"),
+    })
+    return found
+
+
+# --- What is proved of answers to convex programs -------------------------------------------------------------
+
+ASKED = (OURS, "CLARABEL", "PIQP", "HIGHS", "OSQP", "SCS")
+IN_WORDS = {OURS: "ours"}
+RANKS = ("proved to 1e-06", "proved to 1e-03", "unproved", "refuted", "no answer")
+
+
+class Certified(Section):
+    """A table program × solver of what `certify` proves of the answers, solvers at their own settings."""
+
+    kind = anchor = "certified"
+    place = 8
+    title = "What answers to convex programs are worth"
+    short = "Proved answers"
+    table = "certified.csv"
+
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part a program."""
+        return {name: partial(_certified, name, effort) for name in SAMPLES}
+
+    def tell(self, collected: Collected) -> Iterator[Finding]:
+        """Yield what is proved of each solver's answers."""
+        ranks: dict[str, Counter[str]] = {}
+        for answer in self.rows(collected):
+            ranks.setdefault(answer["solver"], Counter())[answer["verdict"]] += 1
+        said = [
+            f"{IN_WORDS.get(solver, solver)} "
+            + ", ".join(f"{found[rank]} {_in_words(rank)}" for rank in RANKS if found[rank])
+            for solver, found in ranks.items()
+        ]
+        programs = many(len(collected.of(self.kind)), "convex program")
+        text = f"Answers to {programs}, at each solver's own settings: {'; '.join(said)}."
+        yield Finding("What is proved of solvers' answers", text)
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return one row a program, a column a solver."""
+        solvers = list(dict.fromkeys(answer["solver"] for answer in self.rows(collected)))
+        rows = []
+        for content in collected.of(self.kind):
+            cells = {answer["solver"]: _cell(answer) for answer in content["answers"]}
+            rows.append(content | {"cells": [cells.get(solver, ("·", "", "")) for solver in solvers]})
+        return {"solvers": [IN_WORDS.get(name, name) for name in solvers], "rows": rows}
+
+    def rows(self, collected: Collected) -> list[dict[str, Any]]:
+        """Return one row an answer."""
+        found = collected.of(self.kind)
+        return [{"program": content["program"]} | answer for content in found for answer in content["answers"]]
+
+
+def _certified(name: str, effort: Effort, say: Say) -> dict[str, Any]:
+    import cvxpy as cp
+
+    program, answers = SAMPLES[name](), []
+    asked = [solver for solver in ASKED if solver in {OURS, *cp.installed_solvers()}]
+    for answer in judged_answers(program, asked, max_seconds=effort.reference_seconds):
+        say(answer.solver)
+        answers.append(answer.to_content())
+    found: dict[str, Any] = finite_content({"program": name, "size": repr(program), "answers": answers})
+    return found
+
+
+def _in_words(rank: str) -> str:
+    return rank.replace("e-0", "e-")
+
+
+def _cell(answer: dict[str, Any]) -> tuple[str, str, str]:
+    """Return what stands in the table, its class, and what is told where a mouse rests on it."""
+    verdict = answer["verdict"]
+    kind = {RANKS[0]: "best", "refuted": "bad"}.get(verdict, "")
+    numbers = ", ".join(f"{key} {brief(answer[key])}" for key in ("violation", "gap") if answer.get(key) is not None)
+    claim = answer.get("claim", "optimal")
+    text = _in_words(verdict).removeprefix("proved to ")
+    if claim != "optimal":
+        text = f"{claim}: {verdict.partition(' to ')[0]}"
+    return text, kind, "; ".join(filter(None, (answer["status"], numbers, answer.get("reason"))))

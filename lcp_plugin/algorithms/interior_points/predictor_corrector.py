@@ -77,10 +77,10 @@ class PredictorCorrector:
             return False
         # What one side lacks, the other has.
         z = self.matrix.solve(weights * anchor - desk[kernels.Q])
-        self._begin(z, weights * (anchor - z))
+        self.start_near(z, weights * (anchor - z))
         return bool(np.isfinite(z).all())
 
-    def _begin(self, z: FloatVector, w: FloatVector) -> None:
+    def start_near(self, z: FloatVector, w: FloatVector) -> None:
         """Begin near z and w, shape (n,), with all distances and multipliers well inside."""
         desk, facts, kernels = self._desk, self._facts, self._kernels
         lower, upper, has = desk[kernels.LOWER], desk[kernels.UPPER], desk[kernels.HAS_LOWER : kernels.Z] > 0.0

@@ -172,66 +172,6 @@ def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
     assert repr(LCP.load("p.npz")) == repr(BOX)
 
 
-@pytest.mark.parametrize(
-    ("asked", "saved", "line"),
-    [
-        ("q", {"dz": [-0.5, 0.0]}, "dz for dq = 1 lies between -5.000e-01 and 0.000e+00; proved to exist"),
-        ("sum", {"by_q": [-0.5, 0.0], "by_lower": [0.0, 0.5]}, "the sum of z = 2.5 changes most with q[0], by -5.000e"),
-        ("mean", {"by_q": [-0.25, 0.0], "by_lower": [0.0, 0.25]}, "the mean of z = 1.25 changes most with q[0]"),
-        ("max", {"by_q": [-0.5, 0.0], "by_lower": [0.0, -0.5]}, "the max of z = z[0] = 2.5 changes most with q[0]"),
-        ("min", {"by_q": [0.0, 0.0], "by_lower": [0.0, 1.0]}, "the min of z = z[1] = 0 does not change with q; proved"),
-        ("z[1]", {"by_q": [0.0, 0.0], "by_upper": [0.0, 0.0]}, "z[1] = 0 does not change with q; proved to exist"),
-    ],
-)
-def test_sensitivity_is_saved_and_told(asked: str, saved: dict[str, list[float]], line: str) -> None:
-    """By hand, z = (−q₀ − lower₁)/2 and lower₁; derivatives lie beside z, and one line tells what they are."""
-    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]).save("p.npz")
-    done = lcp_plugin("solve", "p.npz", "--sensitivity", asked, "--out", "z.npz")
-    assert done.exit_code == 0
-    assert f"sensitivity        {line}" in done.stdout
-    with np.load("z.npz") as found:
-        assert set(found.files) - {"z", "w", "status"} == ({"dz"} if asked == "q" else {"by_q", "by_lower", "by_upper"})
-        for name, values in saved.items():
-            np.testing.assert_allclose(found[name], values, rtol=0.0, atol=1e-15)
-    content = json.loads(lcp_plugin("solve", "p.npz", "--sensitivity", asked, "--json").stdout)
-    assert content["sensitivity"]["is_unique"] is True
-
-
-def test_sensitivity_of_a_kink_is_told() -> None:
-    """At z = w = 0 the derivative for growing q is that of the side to which q grows, and the line says so."""
-    LCP([[2.0]], [0.0]).save("p.npz")
-    done = lcp_plugin("solve", "p.npz", "--sensitivity", "q")
-    assert done.exit_code == 0
-    assert "between 0.000e+00 and 0.000e+00; on one side, as 1 row is degenerate" in done.stdout
-
-
-def test_sensitivity_of_a_tie_is_told() -> None:
-    """The largest of two equal entries has no derivative: what is told is that of one of them."""
-    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, -5.0]).save("p.npz")
-    done = lcp_plugin("solve", "p.npz", "--sensitivity", "max")
-    assert "by -6.667e-01 a unit; that of one of 2 entries that are equal" in done.stdout
-    assert json.loads(lcp_plugin("solve", "p.npz", "--sensitivity", "max", "--json").stdout)["sensitivity"][
-        "is_unique"] is False
-
-
-@pytest.mark.parametrize(
-    ("problem", "words"),
-    [
-        (LCP([[-1.0]], [-1.0]), "none: only a solution has a derivative"),
-        (LCP([[1.0, -1.0], [-1.0, 1.0]], [0.0, 0.0], lower=-1.0), "none: the block of M on the free rows is singular"),
-    ],
-    ids=["unsolved", "singular"],
-)
-def test_missing_sensitivity_is_exit_code_one(problem: LCP, words: str) -> None:
-    """Without a solution or without a derivative there, what there is is saved, the line says why, exit code 1."""
-    problem.save("p.npz")
-    done = lcp_plugin("solve", "p.npz", "--sensitivity", "sum", "--out", "z.npz")
-    assert done.exit_code == 1
-    assert f"sensitivity        {words}" in done.stdout
-    with np.load("z.npz") as found:
-        assert set(found.files) == {"z", "w", "status"}
-
-
 def test_march_prints_its_totals() -> None:
     """A march in time reports the steps done and the iterations of all of them; --out holds the last step."""
     done = lcp_plugin("solve", "american_put_march:size=31,steps=4")
@@ -423,9 +363,6 @@ BAD_INPUT = [
     (SOLVE + "--plot missing/out.png", r"cannot write missing/out\.png: the folder missing does not exist"),
     (SOLVE + "--plot notes.txt/out.png", r"cannot write notes\.txt/out\.png"),
     (SOLVE + "--plot taken.png", r"cannot write taken\.png"),
-    (SOLVE + "--sensitivity meen", r"--sensitivity 'meen' is not offered; did you mean 'mean'\?"),
-    (SOLVE + "--sensitivity z17", r"--sensitivity 'z17' is not offered.*z\[0\]"),
-    (SOLVE + "--sensitivity z[4]", r"--sensitivity z\[4\]: z has 4 entries, z\[0\] to z\[3\]"),
     (SOLVE + "--out z.txt", r"--out writes a \.npz file, got 'z\.txt'"),
     (SOLVE + "--out missing/z.npz", r"cannot write missing/z\.npz: the folder missing does not exist"),
     (SOLVE + "--out taken.npz", r"cannot write taken\.npz"),

@@ -124,9 +124,9 @@ def main(
 
 @_command(
     "solve",
-    "0 solved, 1 ran but not solved (or without the derivative asked for), 2 bad input",
+    "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-    "solve folder_with_M_and_q/ --json", "solve problem.npz --sensitivity mean --out answer.npz",
+    "solve folder_with_M_and_q/ --json",
     "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
 def solve(
@@ -153,13 +153,6 @@ def solve(
     threads: Annotated[int | None, typer.Option(help="How many threads it may use; all by default.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
     out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
-    sensitivity: Annotated[
-        str | None,
-        typer.Option(
-            help="q: how z changes with all of q alike, saved as dz; or sum, mean, max, min (of z), z[17] (an entry): "
-            "its gradients, saved as by_q, by_lower, by_upper."
-        ),
-    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     size: Annotated[int | None, typer.Option(help="Size of a scene, as name:size=… says it.")] = None,
     backend: Annotated[
@@ -179,7 +172,7 @@ def solve(
     )
     options = solving.options(relaxation, option or [])
     return solving.run(
-        kinds[backend](), target, size, algorithm, options, settings, plot, out, sensitivity, as_json=json
+        kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json
     )
 
 

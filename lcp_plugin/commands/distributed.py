@@ -21,7 +21,6 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile
 from ..problem.lcp import LCP
 from ..solving.result import Result
-from .sensitivity import Sensitivity
 from .solving import OneProcess, Task, refuse_the_problem_itself
 from .target import require_file, scene_text
 
@@ -89,13 +88,7 @@ class Ranks(OneProcess):
         peaks = [int(peak) for peak in gathered(self.comm, peak_memory())[:, 0]]
         return {"ranks": self.comm.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {_in_words(peaks)}"]
 
-    def read_sensitivity(self, text: str) -> Sensitivity:
-        """Refuse it."""
-        raise InvalidOption(
-            f"--sensitivity {text} is not offered with --backend petsc; in Python derivative(result) is, on all ranks"
-        )
-
-    def save(self, result: Result, content: dict[str, Any], out: Path, more: dict[str, Any]) -> list[Path]:
+    def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
         token, is_new = self.once(lambda: _make_folder(out))
         temporary = {name: out / f".{token}-{name}" for name in FILES}

@@ -19,7 +19,6 @@ from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
 from ..settings import Settings
 from ..solving.result import Result
-from .sensitivity import Sensitivity
 from .target import read_target
 from .terminal import RunLine
 
@@ -89,48 +88,38 @@ class OneProcess:
         problem, scene = read_target(target, size)
         return Task(problem) if scene is None else Task.of_scene(problem, scene)
 
-    def read_sensitivity(self, text: str) -> Sensitivity:
-        """Return what is to be differentiated."""
-        return Sensitivity.read(text)
-
     def beyond(self) -> tuple[dict[str, Any], list[str]]:
         """Return what else --json prints and a person reads."""
         return {}, []
 
-    def save(self, result: Result, content: dict[str, Any], out: Path, more: dict[str, Any]) -> list[Path]:
-        """Write z, w, the status and more into an .npz file, whole or not at all; return what was written."""
+    def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
+        """Write z, w and the status into an .npz file, whole or not at all; return what was written."""
         from ..problem.files import write_whole
 
         status = np.array(result.status.name)
-        write_whole({out: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status, **more)})
+        write_whole({out: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
         return [out]
 
 
 def run(
     here: OneProcess, target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
-    plot: Path | None, out: Path | None, sensitivity: str | None = None, *, as_json: bool,
+    plot: Path | None, out: Path | None, *, as_json: bool,
 ) -> bool:
-    """Solve, print and save; return whether all is there that was asked for, the same on every rank."""
+    """Solve, print and save; return whether it is solved, the same on every rank."""
     from ..policy.choice import policy_for
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
         chosen = policy_for(algorithm, options, on_ranks=here.on_ranks).chosen
         here.once(lambda: here.check_outputs(target, plot, out))
-        asked = None if sensitivity is None else here.read_sensitivity(sensitivity)
         task = here.read(target, size, out)
-        if asked is not None:
-            asked.check(task.problem.n)
         with RunLine() as progress:
             results = _solve_all(task, {**settings, "algorithm": chosen, "record": plot is not None}, progress)
         more, lines = here.beyond()
-        found = None if asked is None else asked.of(results[-1])
         content = _content(results) | more
-        if found is not None:
-            content["sensitivity"], lines = found.content, [*lines, f"{'sensitivity':<18} {found.line}"]
         story = _story(results, task, lines)
         typer.echo(json.dumps(content, indent=2) if as_json else story)
-        saved = [] if out is None else here.save(results[-1], content, out, {} if found is None else found.arrays)
+        saved = [] if out is None else here.save(results[-1], content, out)
         if plot is not None:
             from ..evidence.pictures import draw
 
@@ -138,7 +127,7 @@ def run(
             saved.insert(0, plot)
         if saved:
             typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
-    return results[-1].is_solved and (found is None or bool(found.arrays))
+    return results[-1].is_solved
 
 
 def refuse_the_problem_itself(target: str, path: Path) -> None:

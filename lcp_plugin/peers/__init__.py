@@ -34,8 +34,8 @@ many rows, and more is lost near a free boundary.
 **Proofs:** ``error_bound=True`` finds v > 0 with ⟨M⟩v > 0, verifies it on every rank, and makes it a rigorous bound.
 ``Certificate.of`` and ``error_bound`` take such a problem as any other.
 
-**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks,
-and PETSc's binary files with M, q, lower, upper. ``LCP.from_problem`` cuts a whole problem into equal parts.
+**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks.
+``LCP.from_problem`` cuts a whole problem into equal parts.
 
 **Failures:** bad input is refused on every rank and told once; a rank that dies or raises ends the job.
 

@@ -1,4 +1,4 @@
-"""A problem on disk, of which each rank reads its own part: a folder of chunks, or a file in PETSc's binary format."""
+"""A problem on disk, of which each rank reads its own part: a folder of chunks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from ..peers.ranks.collective import as_mpi, from_first, together
 from ..peers.ranks.halo import Halo, numbered_over_all
 from .files import VECTORS, checked_path, read_npz
 from .own_rows import equal_share
-from .petsc_binary import load_binary
 
 if TYPE_CHECKING:
     from .lcp import LCP
@@ -63,7 +62,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
 
 def load(kind: type[LCP], path: str | PathLike[str], communicator: Any) -> LCP:
-    """Return the problem of a folder of chunks or of a file in PETSc's binary format, on any number of ranks.
+    """Return the problem of a folder of chunks, on any number of ranks.
 
     Raises
     ------
@@ -72,8 +71,6 @@ def load(kind: type[LCP], path: str | PathLike[str], communicator: Any) -> LCP:
     """
     comm = as_mpi(communicator)
     source = together(comm, lambda: checked_path(path))
-    if not from_first(comm, lambda: _is_folder(source)):
-        return load_binary(kind, source, comm)
     heads = _heads(source, comm)
     first, last = equal_share(heads[0].columns, comm.size, comm.rank)
     rows, *vectors = together(comm, lambda: _read_rows(heads, first, last))
@@ -123,12 +120,6 @@ def _put_in_place(folder: Path, target: Path) -> None:
 # --- reading --------------------------------------------------------------------------------------------
 
 
-def _is_folder(source: Path) -> bool:
-    if not source.exists():
-        raise UnreadableFile(f"no such file or folder: {source}")
-    return source.is_dir()
-
-
 def _heads(source: Path, comm: MPI.Comm) -> list[Head]:
     """Return what all chunks say of themselves, each read by one rank, in order and checked."""
     paths = from_first(comm, lambda: _complete(source))
@@ -149,6 +140,11 @@ def _heads(source: Path, comm: MPI.Comm) -> list[Head]:
 
 
 def _complete(source: Path) -> list[Path]:
+    if not source.is_dir():
+        raise UnreadableFile(
+            f"cannot read {source}: it is a file; read it whole and cut it: LCP.from_problem(LCP.load(file), comm)"
+            if source.exists() else f"no such file or folder: {source}"
+        )
     found = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
     totals = sorted({match[2] for match in found})
     if not found:

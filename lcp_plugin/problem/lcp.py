@@ -342,8 +342,7 @@ class LCP:
         Parameters
         ----------
         path : str or PathLike
-            With a communicator: a folder written by :meth:`save` on any number of ranks; or a file with M, q and
-            optionally lower and upper one after the other, as PETSc's binary viewer writes them.
+            With a communicator: a folder written by :meth:`save` on any number of ranks.
         comm : communicator of mpi4py or petsc4py, optional
             Each of its ranks reads its own part.
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from checks import check, run_checks
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from lcp_plugin import LCP, solve
@@ -313,68 +312,6 @@ def damaged_folders_are_refused_on_all_ranks(comm: Any) -> None:
         if comm.rank == 0:
             shutil.rmtree(folder / "problem", ignore_errors=True)
         comm.Barrier()
-    removed(comm, folder)
-
-
-def write_petsc(path: Path, whole: LCP, vectors: int, comm: Any) -> None:
-    """Write M, q, lower, upper by PETSc's own viewer."""
-    M = whole.csr
-    first, last = whole.n * comm.rank // comm.size, whole.n * (comm.rank + 1) // comm.size
-    own = M[first:last]
-    size = ((last - first, whole.n), (last - first, whole.n))
-    matrix = PETSc.Mat().createAIJ(size, csr=(own.indptr, own.indices, own.data), comm=comm)
-    viewer = PETSc.Viewer().createBinary(str(path), "w", comm=comm)
-    matrix.view(viewer)
-    for values in (whole.q, whole.lower, whole.upper)[:vectors]:
-        vector = matrix.createVecLeft()
-        vector.setArray(values[first:last])
-        vector.view(viewer)
-    viewer.destroy()
-
-
-@check(1, 2, 3, 4)
-def what_petsc_wrote_is_read(comm: Any) -> None:
-    """M, q, lower, upper of PETSc's binary viewer, written on one number of ranks and read on another."""
-    folder = shared_folder(comm)
-    for n in (N, 2, 0):
-        whole = problem(n)
-        write_petsc(folder / "all", whole, 3, comm)
-        require_equal(LCP.load(folder / "all", comm), whole)
-        require_equal(LCP.load(folder / "all", MPI.COMM_SELF), whole)
-        write_petsc(folder / "plain", whole, 1, comm)
-        require_equal(LCP.load(folder / "plain", comm), LCP(whole.csr, whole.q))
-        comm.Barrier()
-    removed(comm, folder)
-
-
-@check(2, 3)
-def damaged_petsc_files_are_refused_on_all_ranks(comm: Any) -> None:
-    """A file cut anywhere, a wrong column, a wrong length, another object first: one message on every rank."""
-    folder, whole = shared_folder(comm), problem()
-    path = folder / "file"
-    write_petsc(path, whole, 3, comm)
-    content = comm.bcast(path.read_bytes() if comm.rank == 0 else None)
-    head = len(content) - 3 * (8 + 8 * N)
-
-    def changed(at: int, number: int) -> bytes:
-        return content[:at] + np.array([number], ">i4").tobytes() + content[at + 4 :]
-
-    cases = [content[:k] for k in (0, 3, 4, 15, 20, head - 1, head, head + 4, len(content) - 1)]
-    cases += [changed(*one) for one in ((0, 1), (4, -7), (8, N + 1), (12, -1), (12, 10**6), (16, 5 * N), (16, -1))]
-    cases += [changed(*one) for one in ((16 + 4 * N, N), (16 + 4 * N, -1), (head, 7), (head + 4, N - 1))]
-    cases += [content[head:], content + content, content + b"\0"]
-    cases += [changed(16, int(whole.csr.indptr[1]) + step) for step in (-1, 1)]  # one row shorter or longer than it is
-    for case in cases:
-        if comm.rank == 0:
-            path.write_bytes(case)
-        comm.Barrier()
-        require_refused(comm, lambda: LCP.load(path, comm), UnreadableFile)
-        comm.Barrier()
-    with_nan = content[:-8] + np.array([np.nan], ">f8").tobytes()
-    if comm.rank == 0:
-        path.write_bytes(with_nan)
-    comm.Barrier()
-    require_refused(comm, lambda: LCP.load(path, comm), InvalidProblem, f"rank {comm.size - 1}", "NaN")
     removed(comm, folder)
 
 

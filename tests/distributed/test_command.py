@@ -103,7 +103,6 @@ def test_not_solved_is_exit_code_1() -> None:
         (("missing.npz",), "no such file: missing.npz"),
         (("missing.npz", "--size", "3"), "--size 3 is for a scene"),
         (("obstacle-2d", "--plot", "a.png"), "--plot is not offered with --backend petsc"),
-        (("obstacle-2d", "--sensitivity", "q"), "--sensitivity q is not offered with --backend petsc"),
         (("obstacle-2d", "-a", "lemke"), "'lemke' does not run on several ranks"),
         (("obstacle-2d", "-a", "npgs", "-o", "color=1"), "color"),
         (("obstacle-2d", "--tolerance", "-1"), "tolerance must be finite and not negative"),

@@ -350,7 +350,7 @@ def test_shell_completes_scenes_and_algorithms() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("matrix/hierarchy/stretches.py", "    return low\n", "    return stretches.shape[0]\n"),
+    ("matrix/hierarchy/equal_rows.py", "    return low\n", "    return runs.shape[0]\n"),
     ("matrix/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
 ])
 def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
@@ -382,13 +382,13 @@ def test_constants_of_other_files_are_part_of_kernels() -> None:
     from lcp_plugin import crossovers
     from lcp_plugin.exact import upward
     from lcp_plugin.kernels import compilation, small_problems
-    from lcp_plugin.matrix.hierarchy import stretches
+    from lcp_plugin.matrix.hierarchy import equal_rows
 
     stamps = compilation._sources()
-    for module in (crossovers, upward, small_problems, stretches):
+    for module in (crossovers, upward, small_problems, equal_rows):
         stat = Path(str(module.__file__)).stat()
         assert (stat.st_mtime_ns, stat.st_size) in stamps
-    _, others = stretches.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
+    _, others = equal_rows.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
     assert others == stamps
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
-from lcp_plugin.matrix.hierarchy import coarsening, galerkin, levels, stretches, sweeps, vectors
+from lcp_plugin.matrix.hierarchy import coarsening, equal_rows, galerkin, levels, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.grids import Blocks, Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import KrylovCorrection, Truncation
@@ -451,16 +451,16 @@ def test_single_precision_does_not_see_the_unit_of_m(text: str) -> None:
     assert not build_hierarchy(sp.csr_array(far), coarsest=5, single=True, scales_rows=True).is_single
 
 
-STRETCHED = [
+WITH_RUNS = [
     "obstacle_2d:size=40", "obstacle_3d:size=34", "journal_bearing:size=40,eccentricity=0.9",
     "rotated_anisotropy:size=40", "convection_diffusion:size=40,diffusion=0.01",
     "coefficient_jumps:size=64,contrast=1e2", "random_h_plus:n=500",
 ]
 
 
-@pytest.mark.parametrize("text", STRETCHED)
-def test_stretches_change_nothing_but_rounding(text: str) -> None:
-    """Sweeps, residuals and products over stretches of equal rows are those row by row, on every grid."""
+@pytest.mark.parametrize("text", WITH_RUNS)
+def test_runs_of_equal_rows_change_nothing_but_rounding(text: str) -> None:
+    """Sweeps, residuals and products over runs of equal rows are those row by row, on every grid."""
     generator = np.random.default_rng(0)
     hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
     for grid in hierarchy.grids:
@@ -469,7 +469,7 @@ def test_stretches_change_nothing_but_rounding(text: str) -> None:
         b, start, free = generator.normal(size=grid.n), generator.normal(size=grid.n), generator.random(grid.n) < 0.7
         inverse, lower, upper = grid.inverse * free, np.full(grid.n, -0.1), np.full(grid.n, 0.2)
         found = []
-        for which in (grid.stretches, one_by_one):
+        for which in (grid.runs, one_by_one):
             rows = *grid.rows[:4], which
             vectors = tuple(map(read_only, (grid.inverse, b, lower, upper)))
             x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
@@ -489,7 +489,7 @@ def test_stretches_change_nothing_but_rounding(text: str) -> None:
             np.testing.assert_allclose(ours, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
 
 
-@pytest.mark.parametrize("text", STRETCHED)
+@pytest.mark.parametrize("text", WITH_RUNS)
 def test_repeated_rows_of_a_product_are_copied_bit_for_bit(text: str) -> None:
     """A coarse matrix has the same bits whether or not rows that repeat are copied."""
     hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
@@ -502,11 +502,11 @@ def test_repeated_rows_of_a_product_are_copied_bit_for_bit(text: str) -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 0.2))
-def test_what_changed_drops_out_of_stretches(seed: int, share: float) -> None:
-    """Stretches cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
+def test_what_changed_drops_out_of_runs(seed: int, share: float) -> None:
+    """EqualRows cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
     grid = levels.build_hierarchy(gallery.parse("obstacle_2d:size=40").problem.csr, coarsest=10_000).grids[0]
     changed = np.random.default_rng(seed).random(grid.n) < share
-    left = stretches.without(grid.stretches, changed)
+    left = equal_rows.without(grid.runs, changed)
     assert left[0, 0] == 0
     assert left[-1, 1] == grid.n
     assert np.array_equal(left[1:, 0], left[:-1, 1])

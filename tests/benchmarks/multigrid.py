@@ -234,7 +234,7 @@ def _entry_bytes(matrix: Any) -> int:
 
 
 def _unlike_entries(grid: Any) -> int:
-    alone = grid.stretches[grid.stretches[:, 2] == 0]
+    alone = grid.runs[grid.runs[:, 2] == 0]
     return int((grid.matrix.indptr[alone[:, 1]] - grid.matrix.indptr[alone[:, 0]]).sum())
 
 

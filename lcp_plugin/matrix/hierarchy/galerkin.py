@@ -21,8 +21,8 @@ from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
+from .equal_rows import EqualRows, mark_equal, run_at
 from .grids import NO_WEIGHT, SMALLEST_PIECE, joined
-from .stretches import Stretches, mark_equal, stretch_at
 
 Indices = NDArray[Any]
 
@@ -106,21 +106,21 @@ def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-u
 
 
 def galerkin_product(
-    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int, stretches: Stretches | None = None
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int, runs: EqualRows | None = None
 ) -> Arrays:
     """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows.
 
-    Where the stretches of equal rows of M are given, a row that must equal the one before is copied, not computed.
+    Where the runs of equal rows of M are given, a row that must equal the one before is copied, not computed.
     """
     indptr, indices, _ = matrix
     n = restriction[0].size - 1
     step, repeats = 0, np.zeros(indptr.size - 1, np.uint8)
-    if stretches is not None and n > 1:
+    if runs is not None and n > 1:
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
             is_same = np.zeros(prolongation[0].size - 1, np.uint8)
             mark_equal(step, *prolongation, is_same)
-            _mark_repeats(step, stretches, indptr, indices, is_same, repeats)
+            _mark_repeats(step, runs, indptr, indices, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, step, repeats, longest
     return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
@@ -161,16 +161,16 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
 
 
 @compiled
-def _mark_repeats(step, stretches, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
+def _mark_repeats(step, runs, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
     """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
 
     Both flags are bytes.
     """
     one = uintp(1)
-    for s in range(stretches.shape[0]):
-        first, end = uintp(stretches[s, 0]), uintp(stretches[s, 1])
+    for s in range(runs.shape[0]):
+        first, end = uintp(runs[s, 0]), uintp(runs[s, 1])
         begin = first + uintp(step)
-        if stretches[s, 2] > 0 and begin < end:  # the rows meet the same neighbours
+        if runs[s, 2] > 0 and begin < end:  # the rows meet the same neighbours
             for p in range(begin, end):
                 repeats[p] = 1
             for k in range(uintp(indptr[begin]), uintp(indptr[begin + one])):
@@ -268,16 +268,16 @@ def mark_rows(*operands: Any) -> None:
 
 @compiled
 def _mark_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, stretches, is_free_changed, is_row_changed, touched, first_row, end_row
+    indptr, indices, runs, is_free_changed, is_row_changed, touched, first_row, end_row
 ):
     """All three flags are bytes."""
     one = uintp(1)
-    s = stretch_at(first_row, stretches)
-    while s < stretches.shape[0] and stretches[s, 0] < end_row:
-        first, end = uintp(max(first_row, stretches[s, 0])), uintp(min(end_row, stretches[s, 1]))
+    s = run_at(first_row, runs)
+    while s < runs.shape[0] and runs[s, 0] < end_row:
+        first, end = uintp(max(first_row, runs[s, 0])), uintp(min(end_row, runs[s, 1]))
         for i in range(first, end):
             touched[i] = is_row_changed[i]
-        if stretches[s, 2] > 0:  # the rows meet the same neighbours
+        if runs[s, 2] > 0:  # the rows meet the same neighbours
             for k in range(uintp(indptr[first]), uintp(indptr[first + one])):
                 to = uintp(indices[k])
                 for p in range(end - first):

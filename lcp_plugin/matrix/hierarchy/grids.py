@@ -17,7 +17,7 @@ from ...checks import FloatVector, read_only
 from ...crossovers import SHARED_FROM
 from ...kernels.threads import share
 from ...peers.alone import ALONE, Arrays, Peers
-from .stretches import Stretches
+from .equal_rows import EqualRows
 
 LARGEST_SINGLE = 1e25  # times the least: of 3e38, as sums and products of some such numbers are numbers still
 
@@ -77,7 +77,7 @@ class Grid:
 
     matrix: Operator
     split: NDArray[Any]
-    stretches: Stretches
+    runs: EqualRows
     blocks: Blocks
     inverse: FloatVector
     peers: Peers = ALONE
@@ -104,9 +104,9 @@ class Grid:
         return replace(self, matrix=self.matrix.single(), inverse=read_only(self.inverse.astype(np.float32)))
 
     @property
-    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]:
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]:
         """The matrix as sweeps take it."""
-        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.stretches
+        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.runs
 
     def dense(self, values: FloatVector) -> NDArray[np.float64]:
         """Return the matrix with these values in the place of its own, of a grid that nobody shares."""

@@ -32,8 +32,8 @@ from ..pivots import pivot_weight
 from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
 from . import transfers as ways
+from .equal_rows import runs_of_equal_rows
 from .grids import NO_WEIGHT, SMALLEST_PIECE, Grid, Hierarchy, Operator, Transfer, blocks_of, written_rows
-from .stretches import stretches_of
 from .vectors import power_of_two, span, units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
@@ -174,7 +174,7 @@ def grid_of(
     np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
     blocks = blocks_of(matrix.indptr, matrix.indices, inverse.size, may_cut=may_cut)
-    return Grid(matrix, split, stretches_of(inverse, matrix.arrays), blocks, inverse, peers, weight)
+    return Grid(matrix, split, runs_of_equal_rows(inverse, matrix.arrays), blocks, inverse, peers, weight)
 
 
 def chosen_kinds(
@@ -296,7 +296,7 @@ def _coarser(
             return None
     prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
     rows = galerkin.galerkin_product(
-        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size, grid.stretches
+        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size, grid.runs
     )
     if not peers.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]

@@ -1,7 +1,7 @@
 """What a V-cycle and a nested iteration do on one grid; compiled, arrays only.
 
 `inverse` holds 1/diagonal, and 0 for an unknown that is fixed: it keeps the value 0 and passes no residual on.
-`stretches` says which rows are equal (see there); a kernel takes those at once, and the others one by one.
+`runs` says which rows are equal (see there); a kernel takes those at once, and the others one by one.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from ...checks import BoolVector, FloatVector, read_only
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
+from .equal_rows import LONGEST_REACH, EqualRows, run_at
 from .grids import Blocks
-from .stretches import LONGEST_REACH, Stretches, stretch_at
 
-Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, Stretches]  # in CSR, and where diagonals stand
+Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
 NO_FLAGS = (np.zeros(0, np.bool_),) * 2
 NO_BITS: dict[Any, NDArray[Any]] = {
@@ -193,7 +193,7 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
 
 @compiled
 def _sweep(  # type: ignore[no-untyped-def]
-    indptr, ends, split, indices, data, stretches, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
+    indptr, ends, split, indices, data, runs, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
     sums, colour, begins, block_ends, first_block, last_block,
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
@@ -208,10 +208,10 @@ def _sweep(  # type: ignore[no-untyped-def]
         begin, end = begins[block], block_ends[block]
         if begin == end:  # a rank may have no rows
             continue
-        lowest, highest = stretch_at(begin, stretches), stretch_at(end - 1, stretches)
+        lowest, highest = run_at(begin, runs), run_at(end - 1, runs)
         for s in range(highest + 1 - lowest):
             at = highest - s if backward else lowest + s
-            first, last, reach = max(begin, stretches[at, 0]), min(end, stretches[at, 1]), stretches[at, 2]
+            first, last, reach = max(begin, runs[at, 0]), min(end, runs[at, 1]), runs[at, 2]
             if reach == 0:
                 for step in range(last - first):
                     i = uintp(last - 1 - step if backward else first + step)
@@ -273,7 +273,7 @@ def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-d
 
 @compiled
 def _products(  # type: ignore[no-untyped-def]
-    indptr, begins, further, indices, data, stretches, inverse, sign, b, adds, x, product,
+    indptr, begins, further, indices, data, runs, inverse, sign, b, adds, x, product,
     looks, snaps, lower, upper, is_free, is_changed, room, bits, first_row, last_row,
 ):
     """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further.
@@ -285,9 +285,9 @@ def _products(  # type: ignore[no-untyped-def]
     """
     one, further, zero, sign = uintp(1), uintp(further), x.dtype.type(0.0), x.dtype.type(sign)
     largest, changed, done = np.int64(0), 0, first_row
-    i, s = first_row, stretch_at(first_row, stretches)
+    i, s = first_row, run_at(first_row, runs)
     while i < last_row:
-        first, end, reach = max(first_row, stretches[s, 0]), min(last_row, stretches[s, 1]), stretches[s, 2]
+        first, end, reach = max(first_row, runs[s, 0]), min(last_row, runs[s, 1]), runs[s, 2]
         while i < end:
             size, start = min(reach if reach > 0 else LONGEST_REACH, end - i), uintp(i)
             if looks:
@@ -314,7 +314,7 @@ def _products(  # type: ignore[no-untyped-def]
             for p in range(uintp(size)):
                 product[start + p] = room[p]
             if i - done < LONGEST_REACH and i < last_row:
-                continue  # short stretches are looked at together
+                continue  # short runs are looked at together
             start, size, done = uintp(done), uintp(i - done), i
             if snaps:
                 _snap(start, start + size, product, inverse, lower, upper, x)

@@ -12,8 +12,8 @@ import numpy as np
 from ...checks import FloatVector, read_only
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps, transfers
+from .equal_rows import without
 from .grids import Grid, Hierarchy
-from .stretches import without
 from .vectors import add_both, add_within, dot, largest_product, power_of_two, span
 
 COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
@@ -29,7 +29,7 @@ class TruncatedGrid:
         self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
-        self.stretches = grid.stretches
+        self.runs = grid.runs
         self.inverse = grid.inverse.copy()
         self.is_free = np.ones(grid.width, np.bool_)
         self.free_changed = np.zeros(grid.width, np.bool_)
@@ -74,20 +74,20 @@ class TruncatedGrid:
         self.free_changed[:] = False
         self.row_changed[:] = False
         self.has_changed[:] = False
-        self.stretches = self.grid.stretches
+        self.runs = self.grid.runs
         return float(self.values.size)
 
     @property
     def rows(self) -> tuple[Any, ...]:
         """The truncated matrix as sweeps take it."""
         matrix = self.grid.matrix
-        return matrix.indptr, self.grid.split, matrix.indices, self.values, self.stretches
+        return matrix.indptr, self.grid.split, matrix.indices, self.values, self.runs
 
     def note_changed_rows(self) -> None:
         """Take note of rows that were computed again: they are like no other."""
         self.forget_factor()
         self.has_changed |= self.row_changed
-        self.stretches = without(self.grid.stretches, self.has_changed)
+        self.runs = without(self.grid.runs, self.has_changed)
 
 
 class Truncation:
@@ -130,7 +130,7 @@ class Truncation:
             level.grid.peers.fetch_flags(level.free_changed)
             flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
-                matrix.indptr, matrix.indices, level.grid.stretches, *(flag.view(np.uint8) for flag in flags)
+                matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
             )
             level.grid.peers.fetch_flags(level.touched)
             if level.new_values is not None:

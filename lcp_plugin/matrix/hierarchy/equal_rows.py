@@ -1,6 +1,6 @@
-"""Stretches of equal rows: neighbours in a grid have the same entries at the same distance from the diagonal.
+"""Runs of equal rows: neighbours in a grid have the same entries at the same distance from the diagonal.
 
-Over a stretch a product with M is a sum of shifted vectors, each times a number: no index and no entry of M is read
+Over a run a product with M is a sum of shifted vectors, each times a number: no index and no entry of M is read
 again, and a processor takes several rows at once. A Gauss–Seidel sweep does so in blocks, which reach no further than
 to the nearest unknown that the sweep has to have done before; only the neighbour just before waits for its turn.
 """
@@ -17,14 +17,14 @@ from ...checks import BoolVector, FloatVector
 from ...kernels.compilation import compiled
 from ...peers.alone import Arrays
 
-Stretches = NDArray[np.int64]
+EqualRows = NDArray[np.int64]
 
 SHORTEST = 16  # rows; fewer are taken one by one
 LONGEST_REACH = 1024  # rows, whose sums stay in the fastest cache
 
 
-def stretches_of(inverse: FloatVector, matrix: Arrays) -> Stretches:
-    """Return the stretches of the own rows, shape (count, 3): first row, row behind the last, and reach.
+def runs_of_equal_rows(inverse: FloatVector, matrix: Arrays) -> EqualRows:
+    """Return the runs of the own rows, shape (count, 3): first row, row behind the last, and reach.
 
     Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a
     sweep may take at once, 0 where they are unlike and taken one by one.
@@ -55,8 +55,8 @@ def _reaches(indptr: NDArray[Any], indices: NDArray[Any], first: NDArray[np.int6
 
 def _with_gaps(
     rows: int, first: NDArray[np.int64], end: NDArray[np.int64], reach: NDArray[np.int64]
-) -> Stretches:
-    """Return the stretches with one of unlike rows wherever rows are left before, between and behind them."""
+) -> EqualRows:
+    """Return the runs with one of unlike rows wherever rows are left before, between and behind them."""
     found = np.zeros((2 * first.size + 1, 3), np.int64)
     found[1::2, 0], found[1::2, 1], found[1::2, 2] = first, end, reach
     found[2::2, 0], found[:-1:2, 1], found[-1, 1] = end, first, rows
@@ -65,21 +65,21 @@ def _with_gaps(
     return found
 
 
-def without(stretches: Stretches, changed: BoolVector) -> Stretches:
-    """Return the stretches that are left when the rows marked in `changed`, shape (rows,), are like no other."""
+def without(runs: EqualRows, changed: BoolVector) -> EqualRows:
+    """Return the runs that are left when the rows marked in `changed`, shape (rows,), are like no other."""
     found = np.empty((changed.size // (SHORTEST // 2) + 2, 3), np.int64)
-    left = found[: _cut(stretches, changed, found)].copy()
+    left = found[: _cut(runs, changed, found)].copy()
     left.flags.writeable = False
     return left
 
 
 @njit(inline="always")
-def stretch_at(row, stretches):  # type: ignore[no-untyped-def]
-    """Return which stretch that row belongs to."""
-    low, high = 0, stretches.shape[0] - 1
+def run_at(row, runs):  # type: ignore[no-untyped-def]
+    """Return which run that row belongs to."""
+    low, high = 0, runs.shape[0] - 1
     while low < high:
         middle = (low + high + 1) // 2
-        if stretches[middle, 0] <= row:
+        if runs[middle, 0] <= row:
             low = middle
         else:
             high = middle - 1
@@ -102,11 +102,11 @@ def mark_equal(step, indptr, indices, data, is_same):  # type: ignore[no-untyped
 
 
 @compiled
-def _cut(stretches, changed, found):  # type: ignore[no-untyped-def]
-    """Write what is left of the stretches into `found`; return how many there are."""
+def _cut(runs, changed, found):  # type: ignore[no-untyped-def]
+    """Write what is left of the runs into `found`; return how many there are."""
     count = 0
-    for s in range(stretches.shape[0]):
-        first, end, reach = stretches[s, 0], stretches[s, 1], stretches[s, 2]
+    for s in range(runs.shape[0]):
+        first, end, reach = runs[s, 0], runs[s, 1], runs[s, 2]
         while first < end:
             is_changed, last = reach == 0 or changed[uintp(first)], first + 1
             if reach == 0:

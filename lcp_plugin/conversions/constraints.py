@@ -142,26 +142,17 @@ def constraint_tolerance(tolerance: float) -> float:
     return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
 
 
-def enclosed_sum(matrix: Any, vector: FloatVector, offset: FloatVector) -> FloatVector:
-    """Return the end of a proved enclosure of matrix · vector + offset that is farther from 0; NaN where one is NaN."""
-    with np.errstate(all="ignore"):
-        return _farther_end(*compensated_product(matrix, vector, offset))
-
-
 def enclosed_sum_of_two(
     first: tuple[Any, FloatVector], second: tuple[Any, FloatVector], offset: FloatVector
 ) -> FloatVector:
-    """Return the same of matrix · vector + matrix · vector + offset."""
+    """Return the end of a proved enclosure of A x + B y + offset that is farther from 0; NaN where one is NaN."""
     with np.errstate(all="ignore"):
         high, low, missed = compensated_pair(*first, offset)
         value, radius = compensated_product(*second, high)
         whole = value + low
         rest = np.where(low == 0.0, missed, missed + EPSILON * np.abs(whole))
-        return _farther_end(whole, np.where(rest == 0.0, radius, np.nextafter(radius + rest, np.inf) * (1.0 + EPSILON)))
-
-
-def _farther_end(value: FloatVector, radius: FloatVector) -> FloatVector:
-    return np.where(np.isfinite(radius), value + np.copysign(radius, value), np.nan)
+        radius = np.where(rest == 0.0, radius, np.nextafter(radius + rest, np.inf) * (1.0 + EPSILON))
+        return np.where(np.isfinite(radius), whole + np.copysign(radius, whole), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
@@ -24,11 +23,11 @@ from numpy.typing import NDArray
 from ..certificates.dual_bounds import DENSE_UP_TO, least_squares_above
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
-from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.given_multipliers import LOOSE, multiplier_beside_room
 from ..solving.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
+from .program_entries import ProgramEntries
 from .qp_solver import QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of
 from .user_terms import goal_of, nearest, size_of, violation_of, why_not
@@ -40,7 +39,6 @@ CLAIMED = {
 EVALUATED = 2.0**-44  # of the terms of an expression: more than rounding makes of its value
 BESIDE = 1e-9  # residuals of what cvxpy added beside the user's values
 ACTIVE = 1e-5  # of a row's unit: rows that cvxpy added and whose multipliers are free to be anything ≥ 0
-Indices = NDArray[np.intp]
 
 
 def certify_problem(problem: Any, tolerance: float) -> Certification:
@@ -160,17 +158,12 @@ class ReducedProblem:
     program : QuadraticProgram
     offset : float
         What the program leaves out of the objective that is to be minimised.
-    places : dict or None
-        Variable id → the column of each entry, −1 for an entry that is always zero. None where an entry is no column.
-    dual_places : dict or None
-        Constraint id → the row of [G; A] of each entry, counted from 1 and negative where the dual has the other sign;
-        0 where it has no row.
+    entries : ProgramEntries
     """
 
     program: QuadraticProgram
     offset: float
-    places: dict[int, Indices] | None
-    dual_places: dict[int, Indices] | None
+    entries: ProgramEntries
 
     @classmethod
     def of(cls, problem: Any) -> ReducedProblem:
@@ -181,38 +174,30 @@ class ReducedProblem:
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
         program = quadratic_program(data)
-        base, counted = (_inverted(program, chain, inverse, count) for count in (0.0, 1.0))
-        places = _places({variable.id: variable.shape for variable in problem.variables()}, base[0], counted[0])
-        if places is not None and any((place < 0).any() for place in places.values()):
-            places = None
-        columns = None if places is None else {key: place - 1 for key, place in places.items()}
-        kept = [constraint.id for constraint in problem.constraints if constraint.id in counted[1]]
-        duals = {key: np.shape(dense_value(counted[1][key])) for key in kept}
-        return cls(program, float(inverse[-1][settings.OFFSET]), columns, _places(duals, base[1], counted[1]))
+        return cls(program, float(inverse[-1][settings.OFFSET]), ProgramEntries.of(problem, program, chain, inverse))
 
     @property
-    def columns(self) -> Indices:
+    def columns(self) -> NDArray[np.int64]:
         """The columns of the user's variables."""
-        return np.unique(self._entries)
+        return np.unique(self._columns)
 
     @property
     def most_copies(self) -> int:
         """How many entries of the user's variables one column is at most: two in a symmetric matrix."""
-        return int(np.bincount(self._entries, minlength=1).max())
+        return int(np.bincount(self._columns, minlength=1).max())
 
     @property
-    def _entries(self) -> Indices:
-        every = np.concatenate([np.zeros(0, np.intp), *(place.ravel() for place in (self.places or {}).values())])
-        return every[every >= 0]
+    def _columns(self) -> NDArray[np.int64]:
+        own = [entries.used for entries in (self.entries.variables or {}).values()]
+        return np.concatenate([np.zeros(0, np.int64), *own])
 
     def values(self, problem: Any, proofs: ProgramProofs) -> FloatVector | None:
         """Return the program's x of the user's values; other variables as they are best beside these."""
-        if self.places is None:
+        if self.entries.variables is None:
             return None
         x = np.zeros(self.program.n)
         for variable in problem.variables():
-            place = self.places[variable.id].ravel()
-            x[place[place >= 0]] = dense_value(leaf_value(variable)).ravel()[place >= 0]
+            self.entries.variables[variable.id].put_into(x, leaf_value(variable))
         added = np.setdiff1d(np.arange(x.size), self.columns)
         if added.size:
             best = ProgramProofs(_beside(self.program, x, added)).own_solution
@@ -226,13 +211,13 @@ class ReducedProblem:
 
     def multipliers(self, duals: dict[int, Any]) -> FloatVector | None:
         """Return these duals as multipliers of [G; A], NaN for rows that cvxpy added; None where one has no place."""
-        if self.dual_places is None or any(key not in self.dual_places for key in duals):
+        places = self.entries.duals
+        if places is None or any(key not in places for key in duals):
             return None
-        y = np.full(self.program.constraints.rows, np.nan)
+        unknowns = np.full(self.program.n + self.program.constraints.rows, np.nan)
         for key, dual in duals.items():
-            place = self.dual_places[key]
-            y[np.abs(place[place != 0]) - 1] = np.sign(place[place != 0]) * dense_value(dual)[place != 0]
-        return y
+            places[key].put_into(unknowns, dual)
+        return unknowns[self.program.n :]
 
     def gradient_left(self, y: FloatVector, x: FloatVector, tolerance: float) -> float:
         """Return what is left of the gradient beside these multipliers and any of the rows that cvxpy added.
@@ -269,7 +254,7 @@ class ReducedProblem:
         return replace(found, lower=lower, upper=upper)
 
 
-def _beside(program: QuadraticProgram, x: FloatVector, columns: Indices) -> QuadraticProgram:
+def _beside(program: QuadraticProgram, x: FloatVector, columns: NDArray[np.int64]) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
     P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
     upper, equal = (np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr)) for rows in (G, A))
@@ -278,30 +263,3 @@ def _beside(program: QuadraticProgram, x: FloatVector, columns: Indices) -> Quad
         G[upper][:, columns], program.h[upper] - G[upper] @ x, A[equal][:, columns], program.b[equal] - A[equal] @ x,
         program.lower[columns], program.upper[columns],
     )
-
-
-def _inverted(program: QuadraticProgram, chain: Any, inverse: Any, count: float) -> tuple[Any, Any]:
-    """Return what becomes of the columns and of the rows [G; A], each counted from 1 and times `count`."""
-    y = count * np.arange(1.0, program.h.size + program.b.size + 1.0)
-    none = np.zeros(program.n)
-    columns = count * np.arange(1.0, program.n + 1.0)
-    solution = QPSolution(program, columns, y[: program.h.size], y[program.h.size :], none, none)
-    run = SimpleNamespace(seconds=0.0, setup_seconds=0.0, iterations=0)
-    answer = SimpleNamespace(result=run, solution=solution, status=settings.OPTIMAL)
-    found = chain.invert(answer, inverse)
-    return found.primal_vars, found.dual_vars or {}
-
-
-def _places(
-    shapes: dict[int, tuple[int, ...]], base: dict[int, Any], counted: dict[int, Any]
-) -> dict[int, Indices] | None:
-    """Return where each entry comes from, by number and sign; None where one is no entry of what was counted."""
-    places = {}
-    for key, shape in shapes.items():
-        if key not in counted or np.any(dense_value(base[key])):
-            return None
-        place = np.broadcast_to(dense_value(counted[key]), shape)
-        if np.any(place != np.round(place)):
-            return None
-        places[key] = place.astype(np.intp)
-    return places

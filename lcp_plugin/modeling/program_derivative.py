@@ -10,21 +10,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
-from cvxpy.reductions.solution import Solution
-from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..conversions.qp_solution import QPSolution
 from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
 from ._compat import dense, leaf_value
 from .model_derivative import Changes
+from .program_entries import ProgramEntries
 from .qp_solver import SAME, Answer
 
 if TYPE_CHECKING:
@@ -38,28 +36,6 @@ NOT_UNIQUE = (
     "linearly dependent, or the objective is flat between them; drop redundant constraints, or make the objective "
     "strictly convex"
 )
-
-
-class Entries(NamedTuple):
-    """Which unknown each entry of a variable or dual value is, up to a sign; 0 for an entry that is always zero."""
-
-    places: NDArray[np.int64]
-    signs: FloatVector
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(cls, numbers: Any, first: int, shape: tuple[int, ...]) -> Entries:
-        """Return the entries from numbers that count the unknowns from 1; `first` is the place of the first."""
-        flat = np.rint(np.ravel(dense(numbers), order="F"))
-        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), shape)
-
-    def taken(self, unknowns: FloatVector) -> Any:
-        """Return the variable's entries."""
-        return (self.signs * unknowns[self.places]).reshape(self.shape, order="F")
-
-    def add_to(self, total: FloatVector, gradient: Any) -> None:
-        """Add what a gradient by the entries is by the unknowns."""
-        np.add.at(total, self.places, self.signs * np.ravel(gradient, order="F"))
 
 
 @contextmanager
@@ -105,18 +81,14 @@ class ProgramDerivative:
     ) -> None:
         self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
         self._equations = int(data["n_eq"])
-        self._variables = {
-            variable.id: self._entries_of(variable, chain, inverse_data) for variable in problem.variables()
-        }
-        numbers = 1.0 + np.arange(self._multipliers.size)
-        inequality, equality = np.split(numbers, [numbers.size - self._equations])
-        zero = np.zeros(answer.solution.x.size)
-        counted = QPSolution(answer.solution.program, zero, inequality, equality, zero, zero)
-        inverted = chain.invert(Answer(answer.result, counted, settings.OPTIMAL, answer.goal), inverse_data)
-        self._duals = [
-            (constraint, Entries.of(inverted.dual_vars[constraint.id], zero.size, constraint.dual_variables[0].shape))
-            for constraint in problem.constraints if constraint.id in (inverted.dual_vars or {})
-        ]
+        variables, duals = ProgramEntries.of(problem, answer.solution.program, chain, inverse_data)
+        if variables is None:
+            raise UnsupportedModel(
+                f"cvxpy {cp.__version__} made a program in which a variable is not found again; leave requires_grad "
+                "out, or use plain variables"
+            )
+        self._variables = variables
+        self._duals = [(one, (duals or {})[one.id]) for one in problem.constraints if one.id in (duals or {})]
 
     def confirm(self, problem: Any) -> None:
         """Raise where the compiled program, as it is read here, is not the one that was solved and unpacked.
@@ -191,25 +163,6 @@ class ProgramDerivative:
         solution = self._answer.solution
         return np.concatenate([solution.inequality, solution.equality])
 
-    def _entries_of(self, variable: Any, chain: Any, inverse_data: Any) -> Entries:
-        """Return which of the compiled program's unknowns are the entries of a user's variable."""
-        numbers, leaf = None, variable
-        for reduction, data in zip(chain.reductions, inverse_data, strict=False):
-            if isinstance(data, tuple) and data and isinstance(data[0], dict) and variable.id in data[0]:
-                leaf = data[0][variable.id]  # CvxAttr2Constr's, in the place of the variable
-                if leaf.size != variable.size:
-                    counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
-                    numbers = reduction.invert(Solution(settings.OPTIMAL, 0.0, counted, {}, {}), data)
-                    numbers = numbers.primal_vars[variable.id]
-        if numbers is None:
-            numbers = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F")
-        if leaf.id not in self._program.var_id_to_col and variable.size:
-            raise UnsupportedModel(
-                f"variable {variable.name()} is not among those of the program that cvxpy made; leave requires_grad "
-                "out, or use a plain variable"
-            )
-        return Entries.of(numbers, self._program.var_id_to_col.get(leaf.id, 0), variable.shape)
-
     def _refuse_unsolved(self) -> None:
         if self._answer.status != settings.OPTIMAL:
             raise UnsuitableProblem(
@@ -225,13 +178,12 @@ class ProgramDerivative:
     def _conditions(self) -> LCP:
         """The optimality conditions; rows without a limit have no multiplier."""
         program = self._answer.solution.program
-        rows = sp.csr_array(sp.vstack([program.G, program.A]))
-        M = sp.block_array([[program.P, rows.T], [-rows, None]], format="csr")
         limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
         is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
         lower = np.concatenate([-free, np.zeros(program.h.size), -none])
         upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
-        return LCP(M, np.concatenate([program.c, np.where(is_limit, limits, 0.0)]), lower=lower, upper=upper)
+        q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
+        return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
 
     @cached_property
     def _at(self) -> Derivative:

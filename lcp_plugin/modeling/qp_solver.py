@@ -113,7 +113,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
         result, qp = solution.result, solution.solution
-        attributes = statistics(result)
+        attributes = {} if result is None else statistics(result)
         if solution.status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.infeasibility is None else str(result.infeasibility)
             return failure_solution(solution.status, attributes)
@@ -145,7 +145,7 @@ def statistics(result: Result) -> dict[str, Any]:
 class Answer:
     """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal."""
 
-    result: Result
+    result: Any  # a Result, or None where unknowns are only counted
     solution: QPSolution
     status: str
     goal: float

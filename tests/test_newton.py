@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.algorithms.active_sets.active_set import FactorCache, classify, solve_active_set
+from lcp_plugin.algorithms.active_sets.active_set import classify, solve_active_set
 from lcp_plugin.algorithms.active_sets.damped_newton import fischer_burmeister
 from lcp_plugin.algorithms.active_sets.newton_state import NewtonState
 from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, full_steps
@@ -318,27 +318,18 @@ def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
     assert steps[1] < 60
 
 
-def test_a_cached_factor_serves_the_same_free_set() -> None:
+def test_the_system_of_a_free_set_serves_again() -> None:
     """A second solve with the same free rows costs only solves, another q included."""
     problem = LCP(five_point(12), -np.ones(144))
     at_lower = np.arange(144) % 3 == 0
-    cache, none = FactorCache(), np.zeros(144, dtype=bool)
-    first = solve_active_set(problem, at_lower, none, factor_cache=cache)
-    other = problem.with_q(-2.0 * np.ones(144))
-    second = solve_active_set(other, at_lower, none, factor_cache=cache)
+    none = np.zeros(144, dtype=bool)
+    first = solve_active_set(problem, at_lower, none)
     assert first is not None
+    other = problem.with_q(-2.0 * np.ones(144))
+    second = solve_active_set(other, at_lower, none, system=first.system)
     assert second is not None
     assert second.work < 0.5 * first.work
     assert np.allclose(second.z, 2.0 * first.z)
-
-
-def test_fixed_values_replace_the_bounds() -> None:
-    """Active rows take the values given, and the free ones answer to them."""
-    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    at_lower, none = np.array([False, True]), np.zeros(2, dtype=bool)
-    solution = solve_active_set(problem, at_lower, none, fixed_values=np.array([np.nan, 1.0]))
-    assert solution is not None
-    assert solution.z.tolist() == [2.0, 1.0]
 
 
 @settings.get_profile("many")

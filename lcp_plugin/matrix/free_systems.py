@@ -18,6 +18,10 @@ from .structure import bandwidth
 from .symmetry import has_symmetric_entries, is_nearly_symmetric
 
 REFINEMENTS = 3
+RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
+RIDGE_STEPS = 12
+CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
+LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
 KRYLOV_STEPS = 60
 CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
@@ -35,11 +39,20 @@ class FreeSystem:
     matrix : Matrix
     free : array of bool, shape (own,)
         F; on several ranks the own part.
+    by_factor : bool
+        Use a factor, dense, banded or sparse, even where the hierarchy is likely to be cheaper.
+
+    Attributes
+    ----------
+    work : float
+        Multiplications that factors have taken so far, and solutions by them.
 
     Notes
     -----
-    Solutions are refined until their backward error is that of rounding. Nothing is computed before it is asked for;
-    a factor or a truncation serves for all right-hand sides.
+    Solutions are refined as long as that halves their backward error. Nothing is computed before it is asked for;
+    a factor or a truncation serves for all right-hand sides. A block is called singular where it has no factor, or
+    terms 10¹³ times as large as their sum cancel in a solution. Such a system has no solution here but, where one is
+    asked for near a given point, one in the sense of a ridge or of least squares (:meth:`solve_near`).
 
     Examples
     --------
@@ -48,9 +61,10 @@ class FreeSystem:
     (array([1., 2., 0.]), array([1., 2., 0.]))
     """
 
-    def __init__(self, matrix: Matrix, free: BoolVector) -> None:
-        self.matrix, self.free = matrix, free
+    def __init__(self, matrix: Matrix, free: BoolVector, *, by_factor: bool = False) -> None:
+        self.matrix, self.free, self.by_factor = matrix, free, by_factor
         self.rows = np.flatnonzero(free)
+        self.work = 0.0
 
     @cached_property
     def block(self) -> Any:
@@ -84,9 +98,43 @@ class FreeSystem:
         factor = self._factor
         if factor is None:
             return None
-        x = np.zeros(right.size)
-        x[self.rows] = self._refined(factor, right[self.rows], transposed)
-        return x if np.isfinite(x).all() else None
+        return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
+
+    @np.errstate(all="ignore")
+    def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
+        """Return x with M_FF x_F = right_F as nearly as can be by a factor, 0 elsewhere; None where none is finite.
+
+        Where the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
+        start; where that leaves an error, the most accurate of all attempts is returned.
+
+        Parameters
+        ----------
+        right, start : array, shape (n,)
+            Entries outside F are not read.
+        """
+        right, start = right[self.rows], start[self.rows]
+        if self._factor is not None:
+            steps = REFINEMENTS if self._is_uneven else 1
+            return self._extended(self._solved(self._factor, right, steps, scale=self._scale))
+        attempts = []
+        if self._ridge is not None:
+            attempts.append(self._refined(self._ridge, start, right, RIDGE_STEPS, self._scale))
+            if self._backward_error(right - self.block @ attempts[0], attempts[0], right) <= CONSISTENT:
+                return self._extended(attempts[0])
+        if self._doubtful_factor is not None:  # ill-conditioned is not singular
+            attempts.append(self._solved(self._doubtful_factor, right, 1, scale=self._scale))
+        if self.rows.size <= LEAST_SQUARES_UP_TO:
+            attempts.append(self._least_squares(right, start))
+        finite = [x for x in attempts if np.isfinite(x).all()]
+        best = min(finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None)
+        return None if best is None else self._extended(best)
+
+    def _extended(self, x: FloatVector) -> FloatVector | None:
+        if not np.isfinite(x).all():
+            return None
+        whole = np.zeros(self.free.size)
+        whole[self.rows] = x
+        return whole
 
     @property
     def is_singular(self) -> bool:
@@ -98,7 +146,7 @@ class FreeSystem:
         """Whether a factor is the first choice: on small sets and narrow bands, and where there are no grids."""
         matrix = self.matrix
         if matrix.peers.is_alone:
-            if matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
+            if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
                 return True
             if (band := bandwidth(matrix)) is not None and sum(band) <= BANDED_UP_TO:
                 return True
@@ -109,23 +157,51 @@ class FreeSystem:
     @cached_property
     def _factor(self) -> Factor | None:
         """The factor of the block, None where it is singular to working precision."""
-        matrix = self.matrix
-        if not self.rows.size:
-            return Factor("empty", np.copy, np.copy, 0.0, 0.0)
-        factor = self._even_factor(is_nearly_symmetric(matrix))
+        factor = self._doubtful_factor
         return None if factor is None or self._cancels(factor) else factor
 
-    def _even_factor(self, is_symmetric: bool) -> Factor | None:
-        """Return a factor of the block, with rows and columns of one size where those of M are not.
+    @cached_property
+    def _doubtful_factor(self) -> Factor | None:
+        """The factor of the block, None where a pivot is zero."""
+        if not self.rows.size:
+            return Factor("empty", np.copy, np.copy, 0.0, 0.0)
+        return self._counted(self._even_factor(self.block))
+
+    @cached_property
+    def _ridge(self) -> Factor | None:
+        """The factor of the block with RIDGE on its diagonal."""
+        shift = RIDGE * self._scale
+        block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
+        return self._counted(self._even_factor(sp.csr_array(block) if sp.issparse(block) else block))
+
+    def _counted(self, factor: Factor | None) -> Factor | None:
+        self.work += 0.0 if factor is None else factor.work
+        return factor
+
+    @cached_property
+    def _scale(self) -> FloatVector:
+        return self.matrix.residual_scale[self.rows]
+
+    @property
+    def _is_uneven(self) -> bool:
+        return bool(self._scale.size and self._scale.max() > UNEVEN * self._scale.min())
+
+    @cached_property
+    def _sizes(self) -> Any:
+        """|M_FF|."""
+        return abs(self.block)
+
+    def _even_factor(self, block: Any) -> Factor | None:
+        """Return a factor of a block like M_FF, with rows and columns of one size where those of M are not.
 
         Pivots that are large only by their unit would be preferred to those on the diagonal, and fill in.
         """
-        band, scale = bandwidth(self.matrix), self.matrix.residual_scale[self.rows]
-        if not scale.max() > UNEVEN * scale.min():
-            return factorise(self.block, is_symmetric=is_symmetric, bandwidth=band)
-        is_symmetric = is_symmetric and bool((self.block.diagonal() > 0.0).all())
-        by = unit_diagonal(self.block.diagonal()) if is_symmetric else evened(sp.csr_array(self.block), EVENED_BY)
-        even = factorise(scaled(self.block, by), is_symmetric=is_symmetric, bandwidth=band)
+        is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
+        if not self._is_uneven:
+            return factorise(block, is_symmetric=is_symmetric, bandwidth=band)
+        is_symmetric = is_symmetric and bool((block.diagonal() > 0.0).all())
+        by = unit_diagonal(block.diagonal()) if is_symmetric else evened(sp.csr_array(block), EVENED_BY)
+        even = factorise(scaled(block, by), is_symmetric=is_symmetric, bandwidth=band)
         if even is None:
             return None
         solve, solve_transposed = even.solve, even.solve_transposed
@@ -139,8 +215,7 @@ class FreeSystem:
 
         Units of the unknowns that lie far apart can make a regular block look so, but not once they are evened out.
         """
-        scale = self.matrix.residual_scale[self.rows]
-        if not self._cancels_beside(scale, factor):
+        if not self.rows.size or not self._cancels_beside(self._scale, factor):
             return False
         rows = evened(sp.csr_array(self.block), EVENED_BY).row
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
@@ -149,22 +224,64 @@ class FreeSystem:
         """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
         with np.errstate(all="ignore"):
             x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)  # in no range by chance
-            return not bool((abs(self.block) @ np.abs(x) <= SINGULAR * scale).all())
+            self.work += factor.solve_work
+            at_most = self.matrix.row_largest[self.rows] * np.abs(x).sum()  # spares most blocks their product
+            return not bool((at_most <= SINGULAR * scale).all() or (self._sizes @ np.abs(x) <= SINGULAR * scale).all())
+
+    def _solved(
+        self, factor: Factor, right: FloatVector, steps: int, transposed: bool = False, scale: FloatVector | None = None
+    ) -> FloatVector:
+        """Return the solution by a factor, refined."""
+        self.work += factor.solve_work
+        with np.errstate(all="ignore"):
+            x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)
+        return self._refined(factor, x, right, steps, scale, transposed)
 
     @np.errstate(all="ignore")
-    def _refined(self, factor: Factor, right: FloatVector, transposed: bool) -> FloatVector:
-        """Return the solution by a factor, refined as long as that makes the backward error smaller."""
+    def _refined(
+        self, factor: Factor, x: FloatVector, right: FloatVector, steps: int, scale: FloatVector | None,
+        transposed: bool = False,
+    ) -> FloatVector:
+        """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
+
+        That is the largest |right − M_FF x|/scale, or the backward error where scale is None.
+        """
         solve, block = (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)
-        x: FloatVector = solve(right)
-        size, best = abs(block), np.inf
-        for _ in range(REFINEMENTS):
+        best, error = x, np.inf
+        for step in range(steps + 1):
             left = right - block @ x
-            terms = size @ np.abs(x) + np.abs(right)
-            error = float(np.divide(np.abs(left), terms, out=np.zeros(left.size), where=left != 0.0).max(initial=0.0))
-            if not error < 0.5 * best:
+            now = self._backward_error(left, x, right, transposed) if scale is None else _largest(left / scale)
+            self.work += (2.0 if scale is None else 1.0) * self._entries
+            best, is_halved, error = (x if now < error else best), now < 0.5 * error, min(now, error)
+            if not is_halved or error == 0.0 or step == steps:
                 break
-            best, x = error, x + solve(left)
-        return x
+            x = x + solve(left)
+            self.work += factor.solve_work
+        return best
+
+    @property
+    def _entries(self) -> int:
+        return int(self.block.nnz if sp.issparse(self.block) else self.block.size)
+
+    def _backward_error(
+        self, left: FloatVector, x: FloatVector, right: FloatVector, transposed: bool = False
+    ) -> float:
+        """Return the largest |left|/(|M_FF||x| + |right|), 0/0 = 0."""
+        size = (self._sizes.T if transposed else self._sizes) @ np.abs(x) + np.abs(right)
+        return _largest(np.divide(left, size, out=np.zeros(left.size), where=left != 0.0))
+
+    def _least_squares(self, right: FloatVector, start: FloatVector) -> FloatVector:
+        """Return the point closest to start that makes the row-scaled system's error least, NaN where there is none."""
+        from scipy.linalg import LinAlgError, lstsq
+
+        block = self.block.toarray() if sp.issparse(self.block) else self.block
+        even = block / self._scale[:, None]
+        self.work += 4.0 * self.rows.size**3
+        try:
+            step: FloatVector = lstsq(even, right / self._scale - even @ start, cond=1e-12, check_finite=False)[0]
+        except LinAlgError:
+            return np.full(right.size, np.nan)
+        return start + step
 
     @cached_property
     def _truncation(self) -> Any:
@@ -224,3 +341,8 @@ class FreeSystem:
         size = np.abs(matrix.whole(x))
         product = (rows.T if transposed and matrix.peers.is_alone else rows) @ size
         return np.where(self.free, np.abs(right) + product, 0.0)
+
+
+def _largest(values: FloatVector) -> float:
+    return float(np.max(np.abs(values), initial=0.0))
+

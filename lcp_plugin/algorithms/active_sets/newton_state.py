@@ -8,9 +8,10 @@ import numpy as np
 
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
+from ...matrix.free_systems import FreeSystem
 from ...problem.lcp import LCP
 from ..base import Step
-from .active_set import ActiveSetSolution, FactorCache, signature, solve_active_set
+from .active_set import ActiveSetSolution, signature, solve_active_set
 
 LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
 LARGE_PATIENCE = 20
@@ -37,7 +38,7 @@ class NewtonState:
         self.best = self.inside = math.inf
         self.best_z = self.inside_z = z
         self._solved: set[bytes] = set()
-        self._cache = FactorCache()
+        self._system: FreeSystem | None = None
         self.move(z)
 
     def move(self, z: FloatVector) -> None:
@@ -81,6 +82,8 @@ class NewtonState:
     def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
         """Return the solution that belongs to an active set; z says which one where its block is singular."""
         self._solved.add(signature(at_lower, at_upper))
-        solution = solve_active_set(self.problem, at_lower, at_upper, near=self.z, factor_cache=self._cache)
-        self.work += 0.0 if solution is None else solution.work
+        solution = solve_active_set(self.problem, at_lower, at_upper, near=self.z, system=self._system)
+        if solution is not None:
+            self._system = solution.system
+            self.work += solution.work
         return solution

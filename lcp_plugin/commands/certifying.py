@@ -8,7 +8,7 @@ import typer
 
 from ..conversions.program_files import load_program
 from ..errors import InvalidOption
-from ..evidence.certified_solvers import HEAD, JudgedAnswer, judged_answers
+from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
 
 
 def run(path: str, solvers: str, tolerance: float | None, max_seconds: float | None, *, as_json: bool) -> bool:

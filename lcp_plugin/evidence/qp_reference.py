@@ -13,13 +13,9 @@ on the caller's data.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -29,12 +25,14 @@ from ..certificates.references import reference_residual
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
+from ..conversions.program import QuadraticProgram
 from ..errors import InvalidOption, did_you_mean
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import factorised, symmetric_part
 from ..matrix.factors import factorise
 from ..matrix.symmetry import mismatch
 from ..problem.lcp import LCP
+from .convex_solvers import asked
 
 ACCURATE = 1e-7
 POLISHED = 1e-12
@@ -241,82 +239,48 @@ def check_reference(reference: object) -> None:
 
 def attempt(formulation: Formulation, name: str, max_seconds: float) -> Attempt:
     """Return what one reference gives; whatever goes wrong there becomes a note."""
+    from cvxpy import installed_solvers
+
     began = time.perf_counter()
     scaled, solver = formulation.scaled, SOLVERS[name]
-    notes: list[str] = []
-    y = _solved(formulation, solver, max_seconds, notes)
-    certificate = None if y is None else Certificate.of(scaled.problem, scaled.answer(y))
-    if certificate is not None and accuracy(certificate) > POLISHED:
-        rough, certificate = certificate, polished(certificate)
+    if solver.name not in installed_solvers():
+        return Attempt(name, None, 0.0, "not installed")
+    program = (quadratic_program if formulation.kind == PLAIN else gap_program)(scaled)
+    limit = {solver.time_limit: max_seconds} if solver.time_limit else {}
+    reply = asked(program, solver.name, verbose=False, **solver.options, **limit)
+    # That an inexact answer may be inexact is what its certificate measures.
+    notes = [line[:120] for line in reply.warnings if "inaccurate" not in line]
+    if reply.status != "optimal":
+        notes.insert(0, f"status {reply.status}"[:120])
+    certificate = None
+    if reply.x is not None:
+        rough = Certificate.of(scaled.problem, scaled.answer(reply.x[: scaled.c.size]))
+        certificate = polished(rough) if accuracy(rough) > POLISHED else rough
         if certificate is not rough:
             notes.append(f"{accuracy(rough):.1e} before we solved the equations on its active set")
     return Attempt(name, certificate, time.perf_counter() - began, "; ".join(notes))
 
 
-def _solved(formulation: Formulation, solver: Solver, max_seconds: float, notes: list[str]) -> FloatVector | None:
-    """Return y as the solver leaves it, whatever it calls that, or None; its warnings go to `notes`."""
-    limit = {solver.time_limit: max_seconds} if solver.time_limit else {}
-    with warnings.catch_warnings(record=True) as caught, contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("always")
-        try:
-            cvxpy = _cvxpy()
-            if solver.name not in cvxpy.installed_solvers():
-                notes.append("not installed")
-                return None
-            build = quadratic_program if formulation.kind == PLAIN else gap_program
-            program, y = build(formulation.scaled)
-            program.solve(solver=solver.name, verbose=False, **solver.options, **limit)
-            status, value = program.status, y.value
-        except Exception as error:  # foreign code fails in every way there is, and none may end a comparison
-            first_line = (str(error).splitlines() or [""])[0]
-            notes.append(f"{type(error).__name__}: {first_line}"[:120])
-            return None
-    if status != "optimal":
-        notes.append(f"status {status}")
-    # That an inexact answer may be inexact is what its certificate measures.
-    notes += sorted({str(one.message).splitlines()[0][:120] for one in caught if "inaccurate" not in str(one.message)})
-    return None if value is None or not np.isfinite(value).all() else np.asarray(value, dtype=np.float64)
+def quadratic_program(scaled: Equilibrated) -> QuadraticProgram:
+    """Return min ½ yᵀAy + cᵀy over the bounds, A symmetric positive semidefinite."""
+    return QuadraticProgram(symmetric_part(scaled.A), scaled.c, lower=scaled.lower, upper=scaled.upper)
 
 
-def quadratic_program(scaled: Equilibrated) -> tuple[Any, Any]:
-    """Return (cvxpy problem, y) for min ½ yᵀAy + cᵀy over the bounds, A symmetric positive semidefinite."""
-    cvxpy = _cvxpy()
-    y = _unknown(scaled)
-    # Without assume_PSD cvxpy would make A dense to find out; we know.
-    curvature = cvxpy.quad_form(y, _convex(scaled.A), assume_PSD=True)
-    return cvxpy.Problem(cvxpy.Minimize(0.5 * curvature + scaled.c @ y)), y
-
-
-def gap_program(scaled: Equilibrated) -> tuple[Any, Any]:
-    """Return (cvxpy problem, y) for the gap min yᵀ(Ay + c) − lᵀa + uᵀb with Ay + c = a − b, a ≥ 0, b ≥ 0.
+def gap_program(scaled: Equilibrated) -> QuadraticProgram:
+    """Return the gap min yᵀ(Ay + c) − lᵀa + uᵀb with Ay + c = a − b, a ≥ 0, b ≥ 0, in the unknowns (y, a, b).
 
     a and b are there only where the bound is finite. The optimum is 0, where y solves the problem.
     """
-    cvxpy = _cvxpy()
-    y = _unknown(scaled)
-    gap = cvxpy.quad_form(y, _convex(scaled.A), assume_PSD=True) + scaled.c @ y
-    slack = 0.0
-    for bound, sign in ((scaled.lower, 1.0), (scaled.upper, -1.0)):
-        rows = np.flatnonzero(np.isfinite(bound))
-        if rows.size:
-            part = cvxpy.Variable(rows.size, nonneg=True)
-            gap = gap - sign * bound[rows] @ part
-            places = (np.full(rows.size, sign), (rows, np.arange(rows.size)))
-            slack = slack + sp.csr_array(places, shape=(y.size, rows.size)) @ part
-    return cvxpy.Problem(cvxpy.Minimize(gap), [sp.csr_array(scaled.A) @ y + scaled.c == slack]), y
-
-
-def _cvxpy() -> Any:
-    """Return cvxpy; it loads when the first reference is asked."""
-    return import_module("cvxpy")
-
-
-def _unknown(scaled: Equilibrated) -> Any:
-    return _cvxpy().Variable(scaled.c.size, bounds=[scaled.lower, scaled.upper])
-
-
-def _convex(A: Any) -> Any:
-    return sp.csc_array(symmetric_part(A))
+    unit = sp.eye_array(scaled.c.size, format="csc")
+    low, high = (np.flatnonzero(np.isfinite(bound)) for bound in (scaled.lower, scaled.upper))
+    slacks = low.size + high.size
+    return QuadraticProgram(
+        sp.block_diag([2.0 * sp.csc_array(symmetric_part(scaled.A)), sp.csc_array((slacks, slacks))], format="csc"),
+        np.concatenate([scaled.c, -scaled.lower[low], scaled.upper[high]]),
+        A=sp.hstack([sp.csr_array(scaled.A), -unit[:, low], unit[:, high]], format="csr"), b=-scaled.c,
+        lower=np.concatenate([scaled.lower, np.zeros(slacks)]),
+        upper=np.concatenate([scaled.upper, np.full(slacks, np.inf)]),
+    )
 
 
 def polished(certificate: Certificate) -> Certificate:

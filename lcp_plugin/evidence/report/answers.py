@@ -8,12 +8,11 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from ..certified_solvers import OURS, judged_answers
+from ..convex_solvers import OURS, SAMPLES, judged_answers
 from ..cross_check import cross_validate
 from ..exporting import finite_content
 from ..gallery import parse
 from ..paper_tables import cells
-from ..sample_programs import SAMPLES
 from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many
 
 # --- The paper's tables ---------------------------------------------------------------------------------------

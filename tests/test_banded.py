@@ -16,7 +16,6 @@ from numba import njit
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
 from lcp_plugin.algorithms.active_sets.banded import Banded
-from lcp_plugin.algorithms.rehearsal import rehearse
 from lcp_plugin.kernels import bands as kernels
 from lcp_plugin.kernels.tridiagonal import find_contacts
 from lcp_plugin.matrix.bands import bands
@@ -424,12 +423,11 @@ def test_many_offsets_of_one_matrix_in_one_loop() -> None:
         assert sum(sprint is not None for sprint in together) >= 7
 
 
-def test_a_rehearsal_compiles_all_there_is() -> None:
-    """Single steps, all rounds at once and marches run what the 1 × 1 problem before the clock starts has compiled."""
+def test_a_run_of_each_kind_compiles_all_there_is() -> None:
+    """Single steps, all rounds at once and marches run what one run of either kind has compiled."""
     problem = gallery.build("american_put", size=40).problem
-    for in_one_call in (True, False):
-        rehearse(Banded(), problem, in_one_call=in_one_call)
-    rehearse(None, problem)
+    for record in (False, True):
+        solve(problem, Banded(), record=record)
     compiled = [kernels.run_all, kernels.advance, kernels.measure, kernels.begin]
     before = [len(kernel.signatures) for kernel in compiled]
     Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 10)

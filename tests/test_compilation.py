@@ -302,7 +302,7 @@ def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
 
 
 def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
-    """A kernel that nobody rehearsed costs the run none of its seconds and none of its limit."""
+    """A kernel of another package, too, costs the run none of its seconds and none of its limit."""
 
     def anything(x: float) -> float:
         return x + 1.0

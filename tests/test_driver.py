@@ -32,7 +32,7 @@ from lcp_plugin import (
     error_bound,
     solve,
 )
-from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create, rehearsal
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.certificates import error_bounds
 from lcp_plugin.certificates.error_bounds import ErrorBound
 from lcp_plugin.deadline import time_limit
@@ -370,8 +370,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 
 PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
-    "auto": ("solving.driver.rehearse", "solving.driver.Run.__init__", "solving.driver.CommonUnits.of",
-             "policy.choice.Single.first"),
+    "auto": ("solving.driver.Run.__init__", "solving.driver.CommonUnits.of", "policy.choice.Single.first"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }
@@ -381,7 +380,6 @@ PASSED_BY = {  # the automatic choice sprints here, and its first choice is not 
 @pytest.mark.parametrize(
     ("place", "options"),
     [
-        ("solving.driver.rehearse", {}),
         ("solving.driver.sprinted", {}),
         ("solving.driver.Run.__init__", {}),
         ("solving.driver.CommonUnits.of", {}),
@@ -745,14 +743,6 @@ def test_bounds_are_recorded_along_the_run() -> None:
     assert all(sample.error_bound is not None for sample in result.history)
     assert result.history[-1].error_bound < 1e-6 < result.history[0].error_bound
     assert all(sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history)
-
-
-def test_options_with_other_kernels_are_compiled_off_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What one choice of options has compiled does not count for another, but for another number."""
-    monkeypatch.setattr(rehearsal, "_rehearsed", set())
-    for options in ({"scaling": "diagonal"}, {"scaling": "auto"}, {"scaling": "auto", "relaxation": 1.2}):
-        solve(TWO, "npsor", **options)
-    assert len([key for key in rehearsal._rehearsed if key[0] is not None]) == 2
 
 
 def test_a_choice_known_to_be_uncovered_is_warned_of_once() -> None:

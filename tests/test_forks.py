@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lcp_plugin import LCP, analyze
-from lcp_plugin.algorithms import rehearsal
+from lcp_plugin.kernels import compilation
 from lcp_plugin.locks import Lock
 from lcp_plugin.matrix.matrix import Matrix, fact
 
@@ -103,7 +103,7 @@ def test_a_fork_inside_what_is_computed_goes_on_there() -> None:
     assert codes == [0]
 
 
-@pytest.mark.parametrize("lock", [rehearsal._lock, Lock()], ids=["compilation", "any"])
+@pytest.mark.parametrize("lock", [compilation._lock, Lock()], ids=["compilation", "any"])
 def test_every_lock_of_ours_is_free_in_a_child(lock: Lock) -> None:
     """A lock held by another thread of the parent is free in a child and stays held in the parent."""
 

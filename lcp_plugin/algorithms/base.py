@@ -92,9 +92,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `is_compiled` asks the driver for a rehearsal off the clock; `runs_on_ranks` says that it takes rows that are spread
-    over the ranks of an MPI job, asking `problem.peers` for what other ranks know; `is_monotone` False says that rises
-    of the residual are legal, and that the iterator ends by itself where nothing more can be done.
+    `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, asking `problem.peers` for
+    what other ranks know; `is_monotone` False says that rises of the residual are legal, and that the iterator ends by
+    itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -102,7 +102,6 @@ class Algorithm(ABC):
     converges_on: ClassVar[str] = "–"
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
-    is_compiled: ClassVar[bool] = False
     runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
 
@@ -173,10 +172,6 @@ class Algorithm(ABC):
             Where it cannot run at all.
         """
         return None
-
-    def rehearsal(self) -> Algorithm:
-        """Return the same algorithm with options that fit a 1 × 1 problem (used to compile kernels beforehand)."""
-        return self
 
     def __str__(self) -> str:
         return self.name

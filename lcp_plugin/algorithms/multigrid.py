@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -79,7 +79,6 @@ class Multigrid(Algorithm):
     reference: ClassVar[str] = (
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
     )
-    is_compiled: ClassVar[bool] = True
     runs_on_ranks: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
@@ -109,10 +108,3 @@ class Multigrid(Algorithm):
         from .multigrid_run import MultigridRun
 
         yield from MultigridRun(self, problem).iterates(z0)
-
-    def rehearsal(self) -> Multigrid:
-        """Return the same algorithm, its kernels compiled: the driver's one unknown has no coarser grid."""
-        from .multigrid_run import rehearse
-
-        rehearse(replace(self, coarsest=1, nested=True))
-        return self

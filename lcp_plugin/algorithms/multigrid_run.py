@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import diags_array
 
 from ..checks import FloatVector
 from ..matrix.hierarchy import sweeps, transfers
@@ -371,17 +370,3 @@ class MultigridRun:
         work = self.peers.total(self.work + self.truncation.take_work())
         self.work = 0.0
         return work / self.entries
-
-
-def rehearse(algorithm: Multigrid) -> None:
-    """Run the kernels that every run needs once, on a chain of 16 unknowns in which one coupling stands out."""
-    couplings = np.where(np.arange(15) == 7, 10.0, 1.0)
-    diagonal = np.append(couplings, 1.0) + np.append(1.0, couplings)
-    M = diags_array([-couplings, diagonal, -couplings], offsets=[-1, 0, 1], format="csr")
-    run = MultigridRun(algorithm, LCP(M, -np.ones(16)))
-    steps = run.iterates(np.zeros(16))
-    for _ in range(3):
-        next(steps)
-    top = run.truncation.grids[0]
-    top.is_free[0], top.free_changed[0] = False, True
-    run.truncation.update()

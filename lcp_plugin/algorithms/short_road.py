@@ -30,7 +30,6 @@ class ShortRoad(Algorithm):
     """
 
     name: ClassVar[str] = "short road"
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def short_plan(self) -> Plan:

@@ -8,15 +8,17 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from itertools import product
 
 import numpy as np
+import scipy.sparse as sp
 
-from ..algorithms import REGISTRY, create
-from ..algorithms.interior_points import primal_active_set, quasidefinite
-from ..algorithms.rehearsal import rehearse
+from ..algorithms import REGISTRY
+from ..algorithms.interior_points.primal_active_set import UpdatedFactor
 from ..certificates.error_bounds import error_bound
 from ..crossovers import SINGLE_FROM
 from ..deadline import NEW_KERNELS
+from ..errors import LCPError
 from ..evidence import gallery
 from ..kernels.compilation import cache_folder, compiling_at_once
 from ..problem.lcp import LCP
@@ -62,18 +64,18 @@ def _run(part: str) -> None:
         found.jvp(dq=np.ones(9))
         return
     for name in REGISTRY if part == "others" else (part,):
-        for in_one_call in (True, False):
-            rehearse(create(name, {}), dense, in_one_call=in_one_call)
-    rehearse(None, sparse)
+        for problem, record in product((sparse, dense), (False, True)):  # fused, and step by step
+            with suppress(LCPError):  # not every algorithm takes every matrix
+                solve(problem, name, record=record, max_iterations=20)
     if part != "banded":
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
     if part == "multigrid":
         solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
-        primal_active_set.rehearse()
-        quasidefinite.rehearse()
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
+        solve(LCP(sp.csr_array([[1.0, -1.0], [1.0, 0.0]]), [-1.0, -2.0]), "interior_point")  # a program
+        UpdatedFactor(np.eye(2), np.arange(1)).join(np.arange(1, 2))
 
 
 def _end_by_ctrl_c() -> None:

@@ -24,15 +24,17 @@ from threading import local
 from typing import Any, cast
 
 import numpy as np
-from numba import config, njit, types, vectorize
-from numba.core import event
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
 
 from ..deadline import NEW_KERNELS, compiling
 from ..locks import Lock
+
+with compiling():  # loading the compiler takes most of a second
+    from numba import config, njit, types, vectorize
+    from numba.core import event
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+    from numba.core.sigutils import normalize_signature
 
 _lock = Lock()
 
@@ -126,6 +128,7 @@ class _PartCompiler(Compiler):
         super().__init__(typing, target, library, *others)  # type: ignore[no-untyped-call]
 
 
+@compiling()
 def _part(function: Any, **options: Any) -> Any:
     options |= {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
@@ -135,6 +138,7 @@ def _part(function: Any, **options: Any) -> Any:
     return _as_one_type(dispatcher)
 
 
+@compiling()
 def _compiled(function: Any, longest: float = 0.0) -> Any:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..algorithms.rehearsal import rehearse
 from ..algorithms.search import LARGEST_CHOICES, LARGEST_SIZE
 from ..algorithms.search.outline import MOST_CASES
-from ..algorithms.search.stages import FIRST_ENTRIES, ExhaustiveSearch
+from ..algorithms.search.stages import FIRST_ENTRIES
 from ..certificates.quotients import largest_ratio
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
 from ..kernels.threads import in_chunks
 from ..matrix.parts import IntVector
-from ..problem.lcp import LCP
 from .batch_items import Group
 from .batch_units import block_diagonal, chosen
 
@@ -54,7 +52,6 @@ def excluded(group: Group, rows: IntVector, iterations: IntVector, tolerance: fl
     rows, iterations = rows[is_small], iterations[is_small]
     found, cases = np.empty((2, rows.size), np.int64)
     spent, least, z = np.empty(rows.size), np.empty(rows.size), np.empty((rows.size, n))
-    rehearse(ExhaustiveSearch(is_first=True), LCP([[1.0]], [-1.0]))
 
     def look(first: int, end: int) -> None:
         some = slice(first, end)

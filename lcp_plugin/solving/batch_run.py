@@ -10,7 +10,6 @@ import numpy as np
 
 from ..algorithms import Algorithm
 from ..algorithms.base import Plan
-from ..algorithms.rehearsal import rehearse
 from ..algorithms.short_road import Answers, run
 from ..certificates.residuals import Certificate
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
@@ -96,7 +95,6 @@ class BatchRun:
         plan = self.first.algorithm.short_plan()
         if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
             return None
-        rehearse(self.first.algorithm, tiny, in_one_call=True)
         return plan
 
     def _run_compiled(self, group: Group, plan: Plan) -> Answers:

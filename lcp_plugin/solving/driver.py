@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm, Step
-from ..algorithms.rehearsal import rehearse
 from ..certificates.references import CommonUnits
 from ..checks import FloatVector, read_only
 from ..deadline import OutOfTimeError, time_limit
@@ -155,7 +154,6 @@ def solve(
                 arrived = None if callers is not None else sprinted(units, policy, first, settings, start, clock)
                 if arrived is not None:
                     return arrived
-                rehearse(None, problem)  # the judge
                 run = Run(units, policy, settings, callers, clock)
                 if settings.is_on_error:
                     run.judge.require_rigorous_bounds()
@@ -212,7 +210,6 @@ class Run:
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)
-                    rehearse(following.algorithm, self.problem)
                     from_start = following.from_start or self.incumbent.z is None
                     self.ledger.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()

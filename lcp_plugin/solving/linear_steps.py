@@ -10,7 +10,6 @@ import numpy as np
 
 from ..algorithms import Algorithm
 from ..algorithms.pivots.lemke import Lemke
-from ..algorithms.rehearsal import rehearse
 from ..certificates.references import CommonUnits
 from ..checks import FloatVector
 from ..crossovers import INTERIOR_STEPS
@@ -65,7 +64,6 @@ def solved(problem: LCP, policy: Policy, tolerance: float) -> Result:
     start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
     if (arrived := sprinted(units, policy, first, settings, start, clock)) is not None:
         return arrived
-    rehearse(None, problem)
     run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
     return run.judged(start, run.drive(start, first))
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm, Sprint
 from ..algorithms.active_sets.banded import Banded
-from ..algorithms.rehearsal import rehearse
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
 from ..errors import InvalidOption, InvalidProblem, LCPError
@@ -157,7 +156,6 @@ def _sprinted(
     first, clock = policy.first(problem), Clock(problem.peers)
     if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
         return
-    rehearse(first.algorithm, problem, in_one_call=True)
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
-from ..algorithms.rehearsal import rehearse
 from ..certificates.nonlinear import NonlinearCertificate, Reference
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
@@ -130,7 +129,6 @@ def solve_nonlinear(
         points = Linearisations(problem)
         reference = Reference.of(problem, start)
         first = points.at(start)
-        rehearse(None, first.lcp)
         asked = settings.goal if settings.measure == "relative" else 0.0
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)

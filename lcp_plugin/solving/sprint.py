@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ..algorithms import Algorithm, Sprint
-from ..algorithms.rehearsal import rehearse
 from ..certificates.references import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
@@ -28,7 +27,6 @@ def sprinted(
     algorithm, problem = first.algorithm, units.problem
     if type(algorithm).sprint is Algorithm.sprint or not is_unwatched(settings) or first.presolved is not None:
         return None
-    rehearse(algorithm, problem, in_one_call=True)
     clock.read()
     if clock.elapsed >= settings.max_seconds:
         return None

@@ -62,7 +62,6 @@ class Banded(Algorithm):
     reference: ClassVar[str] = (
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"
     )
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:

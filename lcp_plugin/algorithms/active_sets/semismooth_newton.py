@@ -61,7 +61,6 @@ class Newton(Algorithm):
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
         "doi:10.1007/BF02592192"
     )
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:

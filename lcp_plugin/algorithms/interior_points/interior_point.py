@@ -76,7 +76,6 @@ class InteriorPoint(Algorithm):
     converges_on: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
     cost: ClassVar[str] = "1 factorisation"
     reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -164,8 +164,3 @@ class PrimalActiveSet:
         self.w = self.M @ self.z
         self.w += self.q
         self.work += self.M.size
-
-
-def rehearse() -> None:
-    """Compile what a problem of one unknown does not need."""
-    UpdatedFactor(read_only(np.eye(2)), np.arange(1)).join(np.arange(1, 2))

@@ -17,7 +17,6 @@ from ...kernels.floats import REFINEMENTS, STABLE, USEFUL
 from ...matrix.factors import made
 from ...matrix.structure import compressed_rows
 from .newton_matrix import SMALLEST, NewtonMatrix
-from .predictor_corrector import PredictorCorrector
 from .symbolic import Symbolic
 
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
@@ -114,13 +113,3 @@ def _two_colours(rows: Any, columns: Any, is_same: Any, n: int) -> FloatVector:
     _, part = connected_components(sp.vstack([twofold, opposite]), directed=False)
     signs: FloatVector = np.where(part[:n] <= part[n:], 1.0, -1.0)
     return signs
-
-
-def rehearse() -> None:
-    """Compile what a problem of one unknown does not need."""
-    matrix = QuasidefiniteNewtonMatrix(sp.csr_array([[1.0]]), np.ones(1))
-    unbounded = np.full(1, np.inf)
-    point = PredictorCorrector(matrix, np.ones(1), np.zeros(1), unbounded, 1)
-    point.start(1.0)
-    point.step()
-    matrix.solve(np.ones(1))

@@ -85,7 +85,6 @@ class Lemke(Algorithm):
     reference: ClassVar[str] = (
         "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
     )
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     max_pivots: int | None = None

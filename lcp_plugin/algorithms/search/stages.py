@@ -76,7 +76,6 @@ class ExhaustiveSearch(Algorithm):
     converges_on: ClassVar[str] = "every matrix"
     cost: ClassVar[str] = "all cases in doubles; then at most 50, each an exact linear program"
     reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
-    is_compiled: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -10,7 +10,7 @@ is Bai's (𝓜 + Ω) x⁺ = 𝓝 x + (Ω − M)|x| − γ q with the AOR splitti
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -59,7 +59,6 @@ class ModulusBased(Algorithm):
     converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
-    is_compiled: ClassVar[bool] = True
 
     omega: float | ArrayLike = 1.0
     sweep: str = "forward"
@@ -72,10 +71,6 @@ class ModulusBased(Algorithm):
     def splitting(self) -> tuple[float, float]:
         """Return (α, β)."""
         raise NotImplementedError
-
-    def rehearsal(self) -> Algorithm:
-        """Return the same with a scalar Ω."""
-        return replace(self, omega=1.0)
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, Ω and the sweep."""

@@ -45,7 +45,6 @@ class _InPlace(Algorithm):
     assumption: ClassVar[str] = "positive diagonal"
     cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = CRYER
-    is_compiled: ClassVar[bool] = True
     runs_on_ranks: ClassVar[bool] = True
 
     sweep: str = "forward"
@@ -159,7 +158,6 @@ class _Simultaneous(Algorithm):
     """z⁺ = mid(lower, upper, z − D⁻¹(ω w + β Σ m_ij (z⁺_j − z_j))), the sum over the rows done before row i."""
 
     assumption: ClassVar[str] = "positive diagonal"
-    is_compiled: ClassVar[bool] = True
     cost: ClassVar[str] = "1 pass"
     sweep: str = "forward"
 

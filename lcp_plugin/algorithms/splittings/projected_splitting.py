@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,7 +45,6 @@ class NPSplitting(Algorithm):
 
     name: ClassVar[str] = "npsplitting"
     assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
-    is_compiled: ClassVar[bool] = True
     converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
     cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
     reference: ClassVar[str] = REFERENCE
@@ -58,10 +57,6 @@ class NPSplitting(Algorithm):
         if isinstance(self.splitting, str):
             check_choice(self, "splitting", NAMED_SPLITTINGS)
         check_scaling(self, self.scaling, self.scaling_factor)
-
-    def rehearsal(self) -> Algorithm:
-        """Return the same with a splitting that fits any size."""
-        return replace(self, splitting="diagonal")
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""

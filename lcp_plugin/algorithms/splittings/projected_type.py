@@ -95,7 +95,6 @@ class ProjectedType(Algorithm):
     sweep: str = "forward"
 
     assumption: ClassVar[str] = "d/α + d + 2 > 0"
-    is_compiled: ClassVar[bool] = True
     runs_on_ranks: ClassVar[bool] = True
     converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
     cost: ClassVar[str] = "1 pass"

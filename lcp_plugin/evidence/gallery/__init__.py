@@ -12,7 +12,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
-from .option_pricing import binomial_put
+from .economics import binomial_put
 from .scene import Description, Scene, build, builder_of, describe, names, parse, scene_builder
 
 for _module in iter_modules(__path__):

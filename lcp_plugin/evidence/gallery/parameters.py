@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -75,12 +77,6 @@ class Parameter:
     kind: type
     rules: tuple[Rule, ...] = ()
 
-    @property
-    def needs(self) -> str:
-        """What the value must be, in words."""
-        noun = _KINDS[self.kind].noun
-        return ", ".join([noun, *(rule.needs for rule in self.rules)])
-
     def check(self, value: Any) -> Any:
         """Return the value as a plain Python object.
 
@@ -90,16 +86,12 @@ class Parameter:
             Where it has the wrong type or lies out of range.
         """
         is_bool = isinstance(value, bool | np.bool_)
-        if not isinstance(value, _KINDS[self.kind].accepted) or is_bool != (self.kind is bool):
-            raise self._refusal(value)
-        try:
-            plain = self.kind(value)
-        except OverflowError:
-            raise self._refusal(value) from None
-        is_finite = self.kind is not float or math.isfinite(plain)
-        if not is_finite or not all(rule.holds(plain) for rule in self.rules):
-            raise self._refusal(value)
-        return plain
+        if isinstance(value, _KINDS[self.kind].accepted) and is_bool == (self.kind is bool):
+            with contextlib.suppress(OverflowError):
+                plain = self.kind(value)
+                if (self.kind is not float or math.isfinite(plain)) and all(rule.holds(plain) for rule in self.rules):
+                    return plain
+        raise self._refusal(value)
 
     def read(self, text: str) -> Any:
         """Return the value written as text, unchecked as to its range.
@@ -115,12 +107,13 @@ class Parameter:
             raise self._refusal(text) from None
 
     def _refusal(self, value: Any) -> InvalidOption:
+        needs = ", ".join([_KINDS[self.kind].noun, *(rule.needs for rule in self.rules)])
         return InvalidOption(
-            f"scene {self.scene!r}: {self.name} must be {self.needs}, got {value!r} "
-            f"(the default is {self.default!r})"
+            f"scene {self.scene!r}: {self.name} must be {needs}, got {value!r} (the default is {self.default!r})"
         )
 
 
+@cache
 def parameters_of(builder: Callable[..., Any]) -> dict[str, Parameter]:
     """Return the parameters that a builder's signature declares, by name and in order."""
     hints = get_type_hints(builder, include_extras=True)

@@ -170,14 +170,7 @@ class Description(NamedTuple):
     parameters: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Entry:
-    build: Builder
-    summary: str
-    parameters: dict[str, Parameter]
-
-
-_SCENES: dict[str, _Entry] = {}
+_SCENES: dict[str, Builder] = {}
 
 
 def scene_builder(builder: Builder) -> Builder:
@@ -193,18 +186,20 @@ def scene_builder(builder: Builder) -> Builder:
         Returns a :class:`Scene`.
     """
     name = builder.__name__
-    parameters = parameters_of(builder)
-    summary = inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
 
     @functools.wraps(builder)
     def checked(**given: Any) -> Scene:
         for word in given:
             _parameter(name, word)
-        values = {key: p.check(given.get(key, p.default)) for key, p in parameters.items()}
-        return replace(builder(**values), name=name, description=summary, parameters=values)
+        values = {key: p.check(given.get(key, p.default)) for key, p in parameters_of(builder).items()}
+        return replace(builder(**values), name=name, description=_summary(builder), parameters=values)
 
-    _SCENES[name] = _Entry(checked, summary, parameters)
+    _SCENES[name] = checked
     return checked
+
+
+def _summary(builder: Builder) -> str:
+    return inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
 
 
 def names() -> list[str]:
@@ -220,10 +215,9 @@ def describe() -> list[Description]:
     >>> describe()[0].parameters["strike"]
     100.0
     """
-    entries = sorted(_SCENES.items())
     return [
-        Description(name, entry.summary, {key: p.default for key, p in entry.parameters.items()})
-        for name, entry in entries
+        Description(name, _summary(builder), {key: p.default for key, p in parameters_of(builder).items()})
+        for name, builder in sorted(_SCENES.items())
     ]
 
 
@@ -247,7 +241,7 @@ def build(name: str, /, **parameters: Any) -> Scene:
     >>> build("murty", n=3).exact
     array([0., 0., 1.])
     """
-    return _entry(name).build(**parameters)
+    return builder_of(name)(**parameters)
 
 
 def parse(text: str) -> Scene:
@@ -272,7 +266,7 @@ def parse(text: str) -> Scene:
         raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
     name, _, settings = text.strip().partition(":")
     name = name.strip()
-    _entry(name)
+    builder_of(name)
     values: dict[str, Any] = {}
     for setting in filter(None, map(str.strip, settings.split(","))):
         key, equals, value = (part.strip() for part in setting.partition("="))
@@ -287,17 +281,13 @@ def parse(text: str) -> Scene:
 
 def builder_of(name: str) -> Builder:
     """Return the function that builds the scene of that name."""
-    return _entry(name).build
-
-
-def _entry(name: str) -> _Entry:
     if not isinstance(name, str) or name not in _SCENES:
         raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES)}")
     return _SCENES[name]
 
 
 def _parameter(scene: str, name: str) -> Parameter:
-    parameters = _SCENES[scene].parameters
+    parameters = parameters_of(_SCENES[scene])
     if name not in parameters:
         hint = did_you_mean(name, parameters) if parameters else "; it takes none"
         raise InvalidOption(f"scene {scene!r} has no parameter {name!r}{hint}")

@@ -26,9 +26,8 @@ from lcp_plugin.algorithms.interior_points.monotone_rows import monotone_rows
 from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.errors import UnsuitableProblem
 from lcp_plugin.evidence import gallery
-from lcp_plugin.evidence.stability import Atlas, Cell, atlas, exact_answers, honesty, stability_atlas
-from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exact_answer, relative_error
-from lcp_plugin.evidence.stability.honesty import lie_in
+from lcp_plugin.evidence.stability import Atlas, Cell, atlas, exact_answers, stability_atlas
+from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
 from lcp_plugin.evidence.stability.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.problem.exactly import is_exact_solution
 from lcp_plugin.solving.error_watch import BoundOrReason
@@ -181,10 +180,10 @@ def test_large_problems_are_judged_alike(error: float, monkeypatch: pytest.Monke
     result = replace(result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0))
     in_fractions = lie_in(result, None)
     assert bool(in_fractions) == (error > 2e-8)
-    monkeypatch.setattr(honesty, "LARGEST_EXACT", 1)
+    monkeypatch.setattr(exact_answers, "LARGEST_EXACT", 1)
     assert lie_in(result, None) == in_fractions
     if error < 1e-8:
-        monkeypatch.setattr(honesty, "exact_residuals", None)  # not needed
+        monkeypatch.setattr(exact_answers, "exact_residuals", None)  # not needed
         assert lie_in(result, None) == ""
 
 

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
 from ..matrix.parts import IntVector, Parts, parts
-from ..problem.exactly import exact_slack
+from ..problem.exactly import exact_residuals
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DATA_ROUNDING
 from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
@@ -113,24 +113,10 @@ def _exact_references(problem: LCP) -> list[Fraction]:
     is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
     known = [Fraction(value) if safe else Fraction(0) for value, safe in zip(most.tolist(), is_safe, strict=True)]
     if not is_safe.all():
-        for i, residual in enumerate(_exact_residuals_at_zero(problem)):
+        for i, residual in enumerate(exact_residuals(problem, problem.nearest_to_zero)):
             if not is_safe[labels[i]]:
                 known[labels[i]] = max(known[labels[i]], residual)
     return [known[label] for label in labels.tolist()]
-
-
-def _exact_residuals_at_zero(problem: LCP) -> list[Fraction]:
-    z, found = problem.nearest_to_zero.tolist(), []
-    rows = zip(
-        map(Fraction, z), exact_slack(problem, z), problem.residual_scale.tolist(),
-        problem.lower.tolist(), problem.upper.tolist(), strict=True,
-    )
-    for value, w, d, low, high in rows:
-        step = value - w / Fraction(d)
-        step = max(step, Fraction(low)) if low > -np.inf else step
-        step = min(step, Fraction(high)) if high < np.inf else step
-        found.append(abs(value - step))
-    return found
 
 
 def _no_entries(rows: int, columns: int) -> sp.csr_array:

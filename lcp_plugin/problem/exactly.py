@@ -43,6 +43,16 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 
+def exact_residuals(problem: LCP, z: FloatVector) -> list[Fraction]:
+    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z."""
+    rows = zip(
+        map(Fraction, z.tolist()), exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(),
+        problem.upper.tolist(), strict=True,
+    )
+    # The comparison of a fraction with ±∞ is exact as well.
+    return [abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper))) for x, w, d, lower, upper in rows]
+
+
 def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     """Return whether z solves the problem without any rounding.
 

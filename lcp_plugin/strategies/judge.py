@@ -17,9 +17,8 @@ from hypothesis.errors import Flaky
 from ..certificates.infeasibility import Infeasibility
 from ..checks import FloatVector
 from ..errors import InvalidOption
-from ..evidence.stability.honesty import exact_residuals
 from ..matrix import analyze
-from ..problem.exactly import exact_slack, is_exact_solution
+from ..problem.exactly import exact_residuals, exact_slack, is_exact_solution
 from ..problem.lcp import LCP
 from .dominant import p_matrices
 from .options import checked_share

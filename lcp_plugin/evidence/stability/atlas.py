@@ -26,8 +26,7 @@ from ...solving.driver import solve
 from ...solving.result import Result
 from ..contestants import checked_names
 from ..exporting import Exported
-from .exact_answers import relative_error
-from .honesty import lie_in
+from .exact_answers import lie_in, relative_error
 from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
@@ -64,7 +63,7 @@ class Cell:
         log₁₀ of true_error over condition · max(residual, 2⁻⁵²), at least 0: what the residual hid. NaN where one of
         them is missing.
     told_the_truth : bool
-        No lie, see `honesty.lie_in`.
+        No lie, see `exact_answers.lie_in`.
     note : str
         What the lie is, or why the run was refused, or how far 1 ulp moves the answer.
     """

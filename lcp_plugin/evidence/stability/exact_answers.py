@@ -1,4 +1,4 @@
-"""The exact answer of a problem whose active set is known or nearly known, and how sensitive that answer is."""
+"""The exact answer of a problem whose active set is known, its condition, and whether a result tells the truth."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...certificates.references import rounding_of_data
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
 from ...errors import UnsuitableProblem
-from ...exact.linear_systems import solve_exactly
+from ...exact.linear_systems import solved_nearby
 from ...exact.rational import power_of_two, rational_rows
+from ...exact.rounding import compensated_product
 from ...matrix.equilibration import evened, scaled
-from ...problem.exactly import exact_slack, is_exact_solution
+from ...problem.exactly import exact_residuals, exact_slack, is_exact_solution
 from ...problem.lcp import LCP
+from ...settings import Status
+from ...solving.result import Result
 
 Answer = tuple[Fraction, ...]
 States = list[int]
@@ -24,6 +29,10 @@ AT_LOWER, FREE, AT_UPPER = -1, 0, 1
 LARGEST_DENSE = 400  # up to here a condition number comes from a dense inverse
 MOST_EXCHANGES = 100
 SMALLEST_NORMAL = 2.0**-1022
+EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
+ROUNDINGS = 2.0**-48  # relative, of some operations more than a residual takes after its slack
+LARGEST_EXACT = 2000  # rows up to which all is done in fractions at once
+FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
 ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
@@ -70,23 +79,17 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     """Return z with its rows at their bounds and w = 0 on the free ones; None where their block is singular."""
     ends = {AT_LOWER: problem.lower, FREE: np.zeros(problem.n), AT_UPPER: problem.upper}
     z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
-    free = [i for i, state in enumerate(states) if state == FREE]
-    right = exact_slack(problem, z)
+    is_free = [state == FREE for state in states]
+    right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
     column = evened(problem.csr, ALIKE).column
-    rows, whole, integers = rational_rows(problem.csr), [], []
-    for i in free:
-        row = rows[i]
-        entries = [row.get(j, Fraction(0)) * power_of_two(int(column[j])) for j in free]
-        # Of powers of two, the largest denominator is a multiple of all others.
-        denominator = max([value.denominator for value in entries] + [right[i].denominator])
-        whole.append([int(value * denominator) for value in entries])
-        integers.append(int(-right[i] * denominator))
-    inner = solve_exactly(whole, integers)
-    if inner is None:
-        return None
-    for j, value in zip(free, inner, strict=True):
-        z[j] = value * power_of_two(int(column[j]))
-    return z
+    rows = [
+        {j: entry * power_of_two(int(column[j])) for j, entry in row.items() if is_free[j]}
+        for row, free in zip(rational_rows(problem.csr), is_free, strict=True) if free
+    ]
+    change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free)
+    return None if change is None else [
+        value + by * power_of_two(int(unit)) for value, by, unit in zip(z, change, column, strict=True)
+    ]
 
 
 def _exchanged(problem: LCP, states: States, z: list[Fraction]) -> States:
@@ -228,3 +231,103 @@ def nearest_double(value: Fraction) -> float:
         return float(value)
     except OverflowError:
         return np.inf if value > 0 else -np.inf
+
+
+# --- whether a result tells the truth --------------------------------------------------------------------------------
+
+
+def rounding_floors(problem: LCP, z: FloatVector) -> list[Fraction]:
+    """Return what rounding explains of each row's residual, k_i ε (|M||z| + |q|)_i/d_i and underflow, exactly."""
+    M = problem.csr
+    entries = [abs(Fraction(value) * Fraction(z[j])) for value, j in zip(M.data.tolist(), M.indices, strict=True)]
+    floors = []
+    for i, (q, d) in enumerate(zip(problem.q.tolist(), problem.residual_scale.tolist(), strict=True)):
+        row = entries[M.indptr[i] : M.indptr[i + 1]]
+        size = abs(Fraction(q)) + sum(row)
+        floors.append((len(row) + 2) * (EPSILON * size + SMALLEST) / Fraction(d) + SMALLEST)
+    return floors
+
+
+def lie_in(result: Result, exact: Answer | None) -> str:
+    """Return what is untrue in a result, or an empty text.
+
+    Parameters
+    ----------
+    result : Result
+        Of a run with the tolerance on the relative residual.
+    exact : sequence of Fraction, shape (n,), optional
+        The one solution, or None where it is not unique or does not exist.
+
+    Notes
+    -----
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a part, both exact, a PRECISION_LIMIT with a
+    row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
+    exceeded, and a z that is not finite or not within its bounds.
+    """
+    problem, z = result.certificate.problem, result.z
+    if not np.isfinite(z).all():
+        return "z is not finite"
+    if not np.array_equal(np.clip(z, problem.lower, problem.upper), z):
+        return "z lies outside its bounds"
+    if exact is not None:
+        if result.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
+            return f"{result.status.name}, but there is a solution"
+        if not _bound_holds(result, exact):
+            return "|z − z*| exceeds its rigorous bound"
+    return _lie_about_residual(result)
+
+
+def _lie_about_residual(result: Result) -> str:
+    if result.status not in (Status.SOLVED, Status.PRECISION_LIMIT):
+        return ""
+    problem = result.certificate.problem
+    if result.status is Status.SOLVED and problem.n > LARGEST_EXACT and _is_surely_solved(result):
+        return ""
+    residuals = exact_residuals(problem, result.z)
+    if result.status is Status.PRECISION_LIMIT:
+        floors = rounding_floors(problem, result.z)
+        explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
+        if result.infeasibility is not None and result.infeasibility.is_rounding:
+            explained |= max(residuals) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
+        return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
+    references = _references(problem, exact_residuals(problem, problem.nearest_to_zero))
+    is_true = all(r <= Fraction(result.tolerance) * of for r, of in zip(residuals, references, strict=True))
+    return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
+
+
+def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
+    """Return the largest value of the part of each row."""
+    from scipy.sparse.csgraph import connected_components  # not our own parts, which are judged here
+
+    pattern = sp.csr_array((np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
+    labels = connected_components(pattern, directed=True, connection="weak")[1].tolist()
+    largest: dict[int, Any] = {}
+    for label, value in zip(labels, at_zero, strict=True):
+        largest[label] = max(value, largest.get(label, value))
+    return [largest[label] for label in labels]
+
+
+def _is_surely_solved(result: Result) -> bool:
+    """Return whether bounds of the exact residuals already prove the tolerance; False says nothing."""
+    problem = result.certificate.problem
+    _, above = _residual_bounds(problem, result.z)
+    below, _ = _residual_bounds(problem, problem.nearest_to_zero)
+    references = np.array(_references(problem, below.tolist()))
+    return bool(np.all(above <= result.tolerance * references * (1.0 - ROUNDINGS)))
+
+
+def _residual_bounds(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of |r| from below and above: w with its proved radius, and a few roundings after it."""
+    with np.errstate(all="ignore"):
+        w, radius = compensated_product(problem.csr, z, problem.q)
+        residual = np.abs(scaled_residual(problem, z, w))
+        radius = radius / problem.residual_scale * (1.0 + ROUNDINGS) + ROUNDINGS * residual
+        return residual - radius, residual + radius
+
+
+def _bound_holds(result: Result, exact: Answer) -> bool:
+    bound = result.error_bound
+    if bound is None or bound.kind != "rigorous":
+        return True
+    rows = zip(result.z.tolist(), exact, bound.componentwise.tolist(), strict=True)
+    return all(abs(Fraction(z) - answer) <= limit for z, answer, limit in rows)

@@ -27,9 +27,8 @@ except ImportError:
 from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
 from .dominant import h_plus_matrices, m_matrices, not_h_matrices, p_matrices, strictly_dominant_matrices, z_matrices
 from .judge import assert_solves
-from .nonlinear import solved_nonlinear_problems
 from .problems import infeasible_lcps, lcps, solved_lcps
-from .programs import QPAnswer, complementarity_models, convex_qps
+from .programs import QPAnswer, complementarity_models, convex_qps, solved_nonlinear_problems
 
 __all__ = [
     "QPAnswer",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from ..errors import InvalidOption
 from .options import (
     ONE_FIRST,
     POSITIVE,
@@ -19,6 +18,7 @@ from .options import (
     skew_matrices,
     square,
     vectors,
+    whole_number,
 )
 
 
@@ -78,14 +78,11 @@ def definite_block(draw: st.DrawFn, n: int, options: Options) -> Matrix:
     return result
 
 
-def checked_rank(rank: int | None) -> int:
-    """Return the rank, 0 where any will do."""
-    if rank is not None and (isinstance(rank, bool) or not isinstance(rank, (int, np.integer)) or rank < 0):
-        raise InvalidOption(f"rank must be a whole number ≥ 0, got {rank!r}")
-    return int(rank or 0)
+def _smallest(rank: int | None, symmetric: bool) -> int:
+    return 0 if rank is None else whole_number(rank, "rank must be a whole number ≥ 0", 0)
 
 
-@matrices("scale", smallest=lambda rank, symmetric: checked_rank(rank))
+@matrices("scale", smallest=_smallest)
 def positive_semidefinite_matrices(
     draw: st.DrawFn, n: int, options: Options, *, rank: int | None = None, symmetric: bool = True
 ) -> Matrix:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from fractions import Fraction
@@ -10,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import seed as fixed_seed
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
@@ -21,7 +21,7 @@ from ..matrix import analyze
 from ..problem.exactly import exact_residuals, exact_slack, is_exact_solution
 from ..problem.lcp import LCP
 from .dominant import p_matrices
-from .options import checked_share
+from .options import checked_share, whole_number
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
@@ -102,9 +102,22 @@ def assert_solves(
     diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
     """
     _check_options(solver, matrices, bounds, max_examples, tolerance, error_tolerance)
-    check = functools.partial(_check, solver, may_give_up, tolerance, error_tolerance)
-    classes = p_matrices() if matrices is None else matrices
-    _run(check, _drawn_problems(classes, bounds, infeasible), max_examples, seed)
+    problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds, infeasible)
+
+    @settings(
+        max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
+        suppress_health_check=[HealthCheck.too_slow], phases=PHASES,
+    )
+    @given(problems)
+    def solver_is_right(drawn: Drawn) -> None:
+        complaint, z = _verdict(solver, drawn, may_give_up, tolerance, error_tolerance)
+        if complaint:
+            raise AssertionError(_report(solver, complaint, *drawn[:2], z))
+
+    try:
+        (solver_is_right if seed is None else fixed_seed(seed)(solver_is_right))()
+    except Flaky as error:
+        raise AssertionError("the solver does not answer the same problem twice in the same way") from error
 
 
 def _check_options(
@@ -115,8 +128,7 @@ def _check_options(
     if matrices is not None and not isinstance(matrices, st.SearchStrategy):
         raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {type(matrices).__name__}")
     checked_share("bounds", bounds)
-    if isinstance(max_examples, bool) or not isinstance(max_examples, (int, np.integer)) or max_examples < 1:
-        raise InvalidOption(f"max_examples must be a whole number ≥ 1, got {max_examples!r}")
+    whole_number(max_examples, "max_examples must be a whole number ≥ 1", 1)
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
@@ -135,54 +147,28 @@ def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: f
     return *draw(solved_lcps(classes, bounds=bounds, slack_scale=HUGE_SLACKS if kind else 0)), is_dense
 
 
-def _run(
-    check: Callable[[Drawn], None], problems: st.SearchStrategy[Drawn], max_examples: int, number: int | None
-) -> None:
-    @settings(
-        max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
-        suppress_health_check=[HealthCheck.too_slow], phases=PHASES,
-    )
-    @given(problems)
-    def solver_is_right(drawn: Drawn) -> None:
-        check(drawn)
-
-    try:
-        (solver_is_right if number is None else seed(number)(solver_is_right))()
-    except Flaky as error:
-        raise AssertionError("the solver does not answer the same problem twice in the same way") from error
-
-
-def _check(
-    solver: Solver, may_give_up: bool, tolerance: float, error_tolerance: float, drawn: Drawn
-) -> None:
+def _verdict(
+    solver: Solver, drawn: Drawn, may_give_up: bool, tolerance: float, error_tolerance: float
+) -> tuple[str, Any]:
+    """Return what is wrong, "" where nothing is, and z; the solver gets copies, which must stay as they are."""
     problem, truth, is_dense = drawn
-    z, reason = _answer_of(solver, problem, truth, is_dense)
-    if z is None:
-        has_solution = truth is not None or bool(analyze(problem.M).is_p_matrix)
-        if has_solution and not may_give_up and not isinstance(truth, Infeasibility):
-            raise _failure(solver, f"it gave up ({reason}) on a problem that has a solution", problem, truth)
-        return
-    if isinstance(truth, Infeasibility):
-        raise _failure(solver, "it claims to have solved a problem that has no solution", problem, truth, z)
-    complaint = complaint_about(problem, z, truth, tolerance, error_tolerance)
-    if complaint:
-        raise _failure(solver, complaint, problem, truth, z)
-
-
-def _answer_of(solver: Solver, problem: LCP, truth: Truth, is_dense: bool) -> tuple[Any, str]:
-    """Return what the solver says, or None and the reason; it gets copies, and they must stay as they are."""
-    M = problem.csr.toarray() if is_dense else problem.csr
-    stated = (M, problem.q, problem.lower, problem.upper)
-    given = [each.copy() for each in stated]
+    stated = (problem.csr.toarray() if is_dense else problem.csr, problem.q, problem.lower, problem.upper)
+    copies = [each.copy() for each in stated]
     reason = "returned None"
     try:
-        z = solver(*given)
+        z = solver(*copies)
     except Exception as error:  # whatever a foreign solver raises means that it gave up
         z, reason = None, f"raised {type(error).__name__}: {error}"
-    for name, now, before in zip(("M", "q", "lower", "upper"), given, stated, strict=True):
+    for name, now, before in zip(("M", "q", "lower", "upper"), copies, stated, strict=True):
         if not _is_same(now, before):
-            raise _failure(solver, f"it modified its input {name}", problem, truth)
-    return z, reason
+            return f"it modified its input {name}", None
+    if isinstance(truth, Infeasibility):
+        return "" if z is None else "it claims to have solved a problem that has no solution", z
+    if z is not None:
+        return complaint_about(problem, z, truth, tolerance, error_tolerance), z
+    if may_give_up or (truth is None and not analyze(problem.M).is_p_matrix):
+        return "", None
+    return f"it gave up ({reason}) on a problem that has a solution", None
 
 
 def _is_same(now: Any, before: Any) -> bool:
@@ -251,29 +237,20 @@ def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_toleranc
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
-def _failure(solver: Solver, complaint: str, problem: LCP, truth: Truth, z: Any = None) -> AssertionError:
-    matrix = problem.M.toarray() if sp.issparse(problem.M) else problem.M
+def _report(solver: Solver, complaint: str, problem: LCP, truth: Truth, z: Any) -> str:
+    data = problem.csr.toarray(), problem.q, problem.lower, problem.upper
+    M, q, lower, upper = (_shown(values, 4) for values in data)
     name = getattr(solver, "__name__", type(solver).__name__)
-    lines = [
-        f"{name}: {complaint}",
-        f"M = {_shown(matrix, 4)}, q = {_shown(problem.q)}, lower = {_shown(problem.lower)}, "
-        f"upper = {_shown(problem.upper)}",
-    ]
-    if z is not None:
-        values = _as_array(z)
-        if values.shape == (problem.n,) and values.dtype.kind in "biuf":
-            lines.append(f"z = {_shown(values)}, w = M z + q = {_shown(_rounded_slack(problem, values))}")
+    lines = [f"{name}: {complaint}", f"M = {M}, q = {q}, lower = {lower}, upper = {upper}"]
+    values = _as_array(z)
+    if values.shape == (problem.n,) and values.dtype.kind in "biuf":
+        with np.errstate(all="ignore"):
+            lines.append(f"z = {_shown(values)}, w = M z + q = {_shown(problem.slack(values.astype(np.float64)))}")
     if isinstance(truth, Infeasibility):
         lines.append(f"{truth}")
     elif truth is not None:
         lines.append(f"the exact answer is z = {_shown(np.array(truth, dtype=np.float64))}")
-    return AssertionError("\n".join(lines))
-
-
-def _rounded_slack(problem: LCP, z: Any) -> FloatVector:
-    with np.errstate(all="ignore"):
-        w: FloatVector = problem.M @ z.astype(np.float64) + problem.q
-    return w
+    return "\n".join(lines)
 
 
 def _shown(values: Any, indent: int = 0) -> str:

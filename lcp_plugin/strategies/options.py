@@ -56,10 +56,11 @@ def checked_options(
     margin: float = 1.0, dense: bool = True, smallest: int = 0,
 ) -> Options:
     """Return the options, or raise InvalidOption; `smallest` is the least size that has such a matrix."""
-    return Options(
-        sizes(size, smallest), entries(density), checked_scale("row_scale", row_scale),
-        checked_scale("column_scale", column_scale), checked_scale("scale", scale), checked_margin(margin), dense,
-    )
+    scales = {"row_scale": row_scale, "column_scale": column_scale, "scale": scale}
+    row, column, both = (checked_scale(*pair) for pair in scales.items())
+    if not SMALLEST_MARGIN <= margin <= 1.0 or math.frexp(margin)[0] != 0.5:
+        raise InvalidOption(f"margin must be a power of two from 2**-30 to 1, got {margin!r}")
+    return Options(sizes(size, smallest), entries(density), row, column, both, float(margin), dense)
 
 
 def matrices(
@@ -81,8 +82,8 @@ def matrices(
         @st.composite
         def drawn(draw: st.DrawFn, options: Options, chosen: dict[str, Any]) -> Any:
             n = draw(options.sizes)
-            units = drawn_units(draw, n, options)
-            return finished(build(draw, n, options, **chosen), units, options.dense)
+            row, column = drawn_units(draw, n, options.row_scale, options.column_scale, options.scale)
+            return in_units(build(draw, n, options, **chosen), row, column, dense=options.dense)
 
         def strategy(*arguments: Any, **keywords: Any) -> st.SearchStrategy[Any]:
             try:
@@ -104,15 +105,17 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
     """Return a strategy for numbers of rows, none below `smallest`."""
     if size is None:
         return st.integers(max(1, smallest), max(LARGEST_SIZE, smallest))
+    need = f"size must be a whole number ≥ {smallest} or a strategy of such"
     if isinstance(size, st.SearchStrategy):
-        return size.map(lambda n: _checked_size(n, smallest))
-    return st.just(_checked_size(size, smallest))
+        return size.map(lambda n: whole_number(n, need, smallest))
+    return st.just(whole_number(size, need, smallest))
 
 
-def _checked_size(size: Any, smallest: int) -> int:
-    if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < smallest:
-        raise InvalidOption(f"size must be a whole number ≥ {smallest} or a strategy of such, got {size!r}")
-    return int(size)
+def whole_number(value: Any, need: str, low: int, high: float = math.inf) -> int:
+    """Return the value as an int, or raise InvalidOption with what is needed where it is none from low to high."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+        raise InvalidOption(f"{need}, got {value!r}")
+    return int(value)
 
 
 def entries(density: float) -> Numbers:
@@ -132,16 +135,7 @@ def _signed(k: IntVector) -> IntVector:
 
 def checked_scale(option: str, value: int) -> int:
     """Return a largest exponent of two."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value <= LARGEST_SCALE:
-        raise InvalidOption(f"{option} must be a whole number from 0 to {LARGEST_SCALE}, got {value!r}")
-    return int(value)
-
-
-def checked_margin(margin: float) -> float:
-    """Return a power of two in [2⁻³⁰, 1]."""
-    if not SMALLEST_MARGIN <= margin <= 1.0 or math.frexp(margin)[0] != 0.5:
-        raise InvalidOption(f"margin must be a power of two from 2**-30 to 1, got {margin!r}")
-    return float(margin)
+    return whole_number(value, f"{option} must be a whole number from 0 to {LARGEST_SCALE}", 0, LARGEST_SCALE)
 
 
 def checked_share(option: str, value: float) -> float:
@@ -202,11 +196,6 @@ def _tuples(count: int, low: int, high: int) -> st.SearchStrategy[tuple[int, ...
     return st.tuples(*[st.integers(low, high)] * count)
 
 
-def exponents(n: int, scale: int) -> st.SearchStrategy[IntVector]:
-    """Return a strategy for exponents of two from −scale to scale, shape (n,)."""
-    return integer_vectors(n, Numbers(-scale, scale)) if scale else st.just(np.zeros(n, dtype=np.int64))
-
-
 def orders(n: int) -> st.SearchStrategy[IntVector]:
     """Return a strategy for permutations of 0 … n − 1 that shrinks to the identity."""
     return vectors(n, Numbers(0, LARGEST_SIZE - 1)).map(lambda keys: np.argsort(keys, kind="stable"))
@@ -246,34 +235,19 @@ def skew_matrices(n: int, values: Numbers) -> st.SearchStrategy[Matrix]:
     return square(n, values, "below").map(lambda L: L.T - L)
 
 
-def scaled(A: Matrix, row: IntVector, column: IntVector) -> Matrix:
-    """Return A with its rows and columns multiplied by powers of two."""
+def drawn_units(draw: st.DrawFn, n: int, row_scale: int, column_scale: int, scale: int = 0) -> Any:
+    """Return exponents of two of the rows and of the columns; those up to `scale` are the same in both."""
+    scales = row_scale, column_scale, scale
+    row, column, both = (
+        draw(integer_vectors(n, Numbers(-most, most))) if most else np.zeros(n, dtype=np.int64) for most in scales
+    )
+    return row + both, column + both
+
+
+def in_units(A: Matrix, row: IntVector, column: IntVector, *, dense: bool) -> Any:
+    """Return A with its rows and columns multiplied by powers of two, as it is or as CSR."""
     result: Matrix = np.ldexp(A, row[:, None] + column)
-    return result
-
-
-def delivered(matrix: Matrix, dense: bool) -> Any:
-    """Return the array itself, or as CSR."""
-    return matrix if dense else sp.csr_array(matrix)
-
-
-class Units(NamedTuple):
-    """Exponents of two of the rows and columns."""
-
-    row: IntVector
-    column: IntVector
-
-
-def drawn_units(draw: st.DrawFn, n: int, options: Options) -> Units:
-    """Return drawn units of the rows and columns."""
-    scales = options.row_scale, options.column_scale, options.scale
-    row, column, both = (draw(exponents(n, scale)) for scale in scales)
-    return Units(row + both, column + both)
-
-
-def finished(A: Matrix, units: Units, dense: bool) -> Any:
-    """Return A in these units and in the form asked for."""
-    return delivered(scaled(A, *units), dense)
+    return result if dense else sp.csr_array(result)
 
 
 def reordered(A: Matrix, order: IntVector) -> Matrix:

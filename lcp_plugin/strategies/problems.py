@@ -28,16 +28,14 @@ from .options import (
     checked_options,
     checked_scale,
     checked_share,
-    delivered,
     drawn_number,
     drawn_units,
-    exponents,
+    in_units,
     integer_vectors,
-    scaled,
     square,
     vectors,
 )
-from .rows import RowKinds, checked_kinds, drawn_rows, exact_offset, fractions_of, power_of_two_below
+from .rows import RowKinds, checked_kinds, drawn_rows, exact_offset, fractions_of, row_units
 
 Answer = tuple[Fraction, ...]
 
@@ -85,15 +83,9 @@ def lcps(
     (array([[1., 0.],
            [0., 1.]]), array([1., 1.]))
     """
-    if active is not None or degenerate is not None:
-        solved = solved_lcps(
-            matrices, active=active or 0.0, degenerate=degenerate or 0.0, bounds=bounds,
-            row_scale=row_scale, column_scale=column_scale,
-        )
-        return solved.map(lambda drawn: drawn[0])
-    kinds = checked_kinds(1 / 3, 1 / 3, bounds)
-    scales = checked_scale("row_scale", row_scale), checked_scale("column_scale", column_scale)
-    return _any_problem(_or_default(matrices), kinds, *scales)
+    is_any = active is None and degenerate is None
+    kinds = checked_kinds(*((1 / 3, 1 / 3) if is_any else (active or 0.0, degenerate or 0.0)), bounds)
+    return _problems(matrices, kinds, row_scale, column_scale, None if is_any else 0).map(lambda drawn: drawn[0])
 
 
 def solved_lcps(
@@ -152,57 +144,48 @@ def solved_lcps(
     (LCP(n=1, nonzeros=1, bounds 0 ≤ z), array([-1.]), (Fraction(1, 1),))
     """
     kinds = checked_kinds(active, degenerate, bounds)
+    return _problems(matrices, kinds, row_scale, column_scale, checked_scale("slack_scale", slack_scale))
+
+
+def _problems(
+    matrices: st.SearchStrategy[Any] | None, kinds: RowKinds, row_scale: int, column_scale: int, slack_scale: int | None
+) -> st.SearchStrategy[tuple[LCP, Answer]]:
     scales = checked_scale("row_scale", row_scale), checked_scale("column_scale", column_scale)
-    return _solved(_or_default(matrices), kinds, *scales, checked_scale("slack_scale", slack_scale))
-
-
-def _or_default(matrices: st.SearchStrategy[Any] | None) -> st.SearchStrategy[Any]:
-    return h_plus_matrices() | positive_definite_matrices() if matrices is None else matrices
+    chosen = h_plus_matrices() | positive_definite_matrices() if matrices is None else matrices
+    return _drawn(chosen, kinds, *scales, slack_scale)
 
 
 @st.composite
-def _solved(
+def _drawn(
     draw: st.DrawFn, matrices: st.SearchStrategy[Any], kinds: RowKinds,
-    row_scale: int, column_scale: int, slack_scale: int,
+    row_scale: int, column_scale: int, slack_scale: int | None,
 ) -> tuple[LCP, Answer]:
-    given = draw(matrices)
-    M = sp.csr_array(given)
-    n = M.shape[0]
-    z, slack, lower, upper = drawn_rows(draw, n, kinds)
-    lift = draw(integer_vectors(n, Numbers(0, slack_scale)))
-    q = exact_offset(M, z, slack, lift)
-    row, column = draw(exponents(n, row_scale)), draw(exponents(n, column_scale))
-    return _in_units(given, q, lower, upper, row, column), fractions_of(np.ldexp(z, -column))
-
-
-@st.composite
-def _any_problem(
-    draw: st.DrawFn, matrices: st.SearchStrategy[Any], kinds: RowKinds, row_scale: int, column_scale: int
-) -> LCP:
+    """Return a problem and the z that solves it; without a scale of the slacks q is anything, and z means nothing."""
     given = draw(matrices)
     n = given.shape[0]
-    _, _, lower, upper = drawn_rows(draw, n, kinds)
-    largest = np.max(abs(_array(given)), axis=1, initial=0.0)
-    units = [float(power_of_two_below(Fraction(value))) for value in largest.tolist()]
-    q = np.array(units) * draw(vectors(n, SIGNED))
-    row, column = draw(exponents(n, row_scale)), draw(exponents(n, column_scale))
-    return _in_units(given, q, lower, upper, row, column)
+    z, slack, lower, upper = drawn_rows(draw, n, kinds)
+    if slack_scale is None:
+        q = row_units(given) * draw(vectors(n, SIGNED))
+    else:
+        q = exact_offset(given, z, slack, draw(integer_vectors(n, Numbers(0, slack_scale))))
+    row, column = drawn_units(draw, n, row_scale, column_scale)
+    return _in_units(given, q, lower, upper, row, column), fractions_of(np.ldexp(z, -column))
 
 
 def _in_units(given: Any, q: FloatVector, lower: FloatVector, upper: FloatVector, row: Any, column: Any) -> LCP:
     """Return the problem with rows multiplied by 2^row and unknowns measured in 2^−column, as dense as given."""
     M = _array(given)
     with np.errstate(over="ignore"):
-        moved, offset = scaled(M, row, column), np.ldexp(q, row)
-        is_exact = np.array_equal(scaled(moved, -row, -column), M) and np.array_equal(np.ldexp(offset, -row), q)
+        moved, offset = in_units(M, row, column, dense=True), np.ldexp(q, row)
+        back = in_units(moved, -row, -column, dense=True)
+        is_exact = np.array_equal(back, M) and np.array_equal(np.ldexp(offset, -row), q)
     if not is_exact:
         raise InvalidProblem(
             "row_scale and column_scale move an entry of M or q beyond the range of doubles, given entries up to "
             f"{abs(M).max(initial=0.0):g} in size; draw matrices or use options with smaller scales"
         )
-    return LCP(
-        delivered(moved, not sp.issparse(given)), offset, lower=np.ldexp(lower, -column), upper=np.ldexp(upper, -column)
-    )
+    form = sp.csr_array(moved) if sp.issparse(given) else moved
+    return LCP(form, offset, lower=np.ldexp(lower, -column), upper=np.ldexp(upper, -column))
 
 
 def _array(given: Any) -> Matrix:
@@ -282,16 +265,19 @@ def _infeasible(draw: st.DrawFn, options: Options, monotone: bool, share: float)
     product = np.zeros(n) if monotone else _drawn_product(draw, options, lower, upper)
     q = draw(vectors(n, SIGNED))
     surplus = options.margin * drawn_number(draw, POSITIVE)
-    units = drawn_units(draw, n, options)
+    row, column = drawn_units(draw, n, options.row_scale, options.column_scale)
     M = draw(square(n, options.entries))
     M[pivot] = 0.0
     M[pivot] = y[pivot] * (product - y @ M)
     highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
     q[pivot] = 0.0
     q[pivot] = y[pivot] * (-highest - y @ q - surplus)
-    given = delivered(M @ M.T if monotone else M, options.dense)
-    problem = _in_units(given, q, lower, upper, *units)
-    return problem, _proof(problem, np.ldexp(y, -units.row))
+    given = M @ M.T if monotone else M
+    problem = _in_units(given if options.dense else sp.csr_array(given), q, lower, upper, row, column)
+    exact = fractions_of(np.ldexp(y, -row))
+    largest = max(map(abs, exact))
+    normal = tuple(value / largest for value in exact)
+    return problem, Infeasibility(problem, np.array([float(value) for value in normal]), normal)
 
 
 def _drawn_bounds(draw: st.DrawFn, n: int, pivot: int, share: float) -> tuple[FloatVector, FloatVector]:
@@ -324,10 +310,3 @@ def _drawn_product(draw: st.DrawFn, options: Options, lower: FloatVector, upper:
     one_sided = np.where(above, -abs(values), np.where(below, abs(values), values))
     product: FloatVector = np.where(below & above, 0.0, one_sided)
     return product
-
-
-def _proof(problem: LCP, y: FloatVector) -> Infeasibility:
-    exact = fractions_of(y)
-    largest = max(map(abs, exact))
-    normal = tuple(value / largest for value in exact)
-    return Infeasibility(problem, np.array([float(value) for value in normal]), normal)

@@ -92,23 +92,31 @@ def drawn_rows(draw: st.DrawFn, n: int, kinds: RowKinds) -> Rows:
     return first, second, third, fourth
 
 
-def exact_offset(M: sp.csr_array, z: FloatVector, slack: FloatVector, lift: IntVector) -> FloatVector:
+def exact_offset(matrix: Any, z: FloatVector, slack: FloatVector, lift: IntVector) -> FloatVector:
     """Return q = w − M z, shape (n,), or raise InvalidProblem where a double cannot hold it.
 
     w_i is the small integer slack_i times the power of two just below row i's largest entry, so that it fits the row,
     times 2 to the power lift_i, as far as a double has room for that.
     """
-    q = []
-    for i, product in enumerate(exact_products(M, z)):
-        sizes = [Fraction(value) for value in np.abs(M.data[M.indptr[i] : M.indptr[i + 1]]).tolist()] or [Fraction(1)]
-        w = _lifted(Fraction(slack[i]) * power_of_two_below(max(sizes)), product, int(lift[i]))
+    M, q = sp.csr_array(matrix), []
+    for i, (product, unit) in enumerate(zip(exact_products(M, z), row_units(M), strict=True)):
+        w = _lifted(Fraction(slack[i]) * Fraction(unit), product, int(lift[i]))
+        sizes = abs(M.data[M.indptr[i] : M.indptr[i + 1]])
         q.append(exact_double(
             w - product,
-            f"q = w − M z is not free of rounding in row {i} of M, whose entries lie between {float(min(sizes)):g} and "
-            f"{float(max(sizes)):g} in size; draw short entries of similar size and scale by row_scale and "
-            "column_scale of the strategy for the problems",
+            f"q = w − M z is not free of rounding in row {i} of M, whose entries lie between "
+            f"{sizes.min(initial=np.inf):g} and {sizes.max(initial=0.0):g} in size; draw short entries of similar size "
+            "and scale by row_scale and column_scale of the strategy for the problems",
         ))
     return np.array(q)
+
+
+def row_units(M: Any) -> FloatVector:
+    """Return the largest power of two that is at most the largest entry of each row in size, 1 for 0; shape (n,)."""
+    largest = np.max(abs(M.toarray() if sp.issparse(M) else M), axis=1, initial=0.0)
+    mantissa, exponent = np.frexp(largest)
+    units: FloatVector = np.ldexp(1.0, np.where(mantissa == 0.0, 0, exponent - 1))
+    return units
 
 
 def exact_products(M: Any, z: FloatVector) -> list[Fraction]:
@@ -138,11 +146,6 @@ def exact_double(exact: Fraction, complaint: str) -> float:
     if math.isnan(value) or Fraction(value) != exact:
         raise InvalidProblem(complaint)
     return value
-
-
-def power_of_two_below(value: Fraction) -> Fraction:
-    """Return the largest power of two that is at most the value, 1 for 0."""
-    return Fraction(2) ** (math.frexp(value)[1] - 1) if value else Fraction(1)
 
 
 def fractions_of(values: Any) -> tuple[Fraction, ...]:

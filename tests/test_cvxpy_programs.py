@@ -16,7 +16,7 @@ from campaigns import cvxpy_programs
 
 from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
-from lcp_plugin.conversions.substitution import substitute_definitions
+from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.modeling import qp_solver, user_terms
 from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
 

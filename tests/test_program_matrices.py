@@ -12,10 +12,10 @@ import scipy.sparse as sp
 from campaigns.convex_programs import SOLVABLE, program
 
 from lcp_plugin import solve
-from lcp_plugin.conversions.blocks import as_csr
 from lcp_plugin.conversions.constraints import enclosed_sum_of_two
+from lcp_plugin.conversions.program_matrices import as_csr
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, attempts, lcp_from_qp
-from lcp_plugin.conversions.substitution import substitute_definitions
+from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.errors import InvalidProblem
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
@@ -51,7 +51,7 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
         for name in ("q", "lower", "upper"):
             np.testing.assert_array_equal(getattr(ours.problem, name), getattr(theirs.problem, name))
         z = rng.normal(size=ours.problem.n)
-        left, right = ours.recover(z), theirs.recover(z)
+        left, right = (one.problem.origin.recover(z) for one in (ours, theirs))
         for name in ("x", "multipliers"):
             np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
         for name in ("primal_residual", "dual_residual", "complementarity", "row_residual", "objective"):

@@ -25,9 +25,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import BoolVector, FloatVector
-from ..conversions.constraints import fold_simple_rows
 from ..conversions.program import QuadraticProgram
 from ..conversions.program_matrices import largest_entries
+from ..conversions.reductions import fold_simple_rows
 from ..deadline import is_over
 from ..exact.linear_systems import independent_rows, solved_nearby
 from ..exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows

@@ -1,4 +1,4 @@
-"""The constraints of a quadratic program as one list of rows; the units of its data; rows that are only bounds."""
+"""The constraints of a quadratic program as one list of rows; the units of its data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from ..checks import FloatVector
 from ..exact.rounding import compensated_pair, compensated_product, upper_end
 from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import LinearConstraints
-from .presolve import like
 from .program_matrices import Indices, ProgramMatrices
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
 SHARE = 0.1  # of a larger tolerance
-OWN = -1  # the variable's own bound, not a row's
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,91 +151,3 @@ def enclosed_sum_of_two(
         rest = np.where(low == 0.0, missed, missed + EPSILON * np.abs(whole))
         radius = np.where(rest == 0.0, radius, np.nextafter(radius + rest, np.inf) * (1.0 + EPSILON))
         return np.where(np.isfinite(radius), whole + np.copysign(radius, whole), np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class FoldedRows:
-    """A program with its singleton rows folded into its bounds, and the way back for multipliers.
-
-    Attributes
-    ----------
-    program, folded : QuadraticProgram
-        Before and after; the same object where no row went.
-    left : ndarray of int
-        Rows of [G; A] that remain.
-    lower_row, upper_row : ndarray of int, shape (n,)
-        The row of [G; A] that gives the bound, or −1.
-    coefficient : ndarray, shape (rows of G + rows of A,)
-        The only entry of a singleton row; 1 elsewhere.
-    """
-
-    program: QuadraticProgram
-    folded: QuadraticProgram
-    left: Indices
-    lower_row: Indices
-    upper_row: Indices
-    coefficient: FloatVector
-
-    def contradict(self) -> bool:
-        """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
-        rows = self.folded.constraints.within_bounds
-        with np.errstate(invalid="ignore"):
-            return bool((rows.missing / rows.weights > CONSTRAINTS).any())
-
-    def unfold(self, multipliers: Any) -> Any:
-        """Return the multipliers of all constraints of the program, from those of the folded one.
-
-        What a bound has, its row gets. Of doubles, or of Fractions: these without rounding.
-        """
-        rows, lower, upper = np.split(multipliers, [self.left.size, self.left.size + self.program.n])
-        every = np.zeros(self.coefficient.size, dtype=multipliers.dtype)
-        every[self.left] = rows
-        own = []
-        for owner, share, sign in ((self.lower_row, lower, -1), (self.upper_row, upper, 1)):
-            moved = np.flatnonzero((owner != OWN) & (share != 0))
-            every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], multipliers)
-            own.append(np.where(owner == OWN, share, 0))
-        return np.concatenate([every, *own])
-
-
-def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
-    """Return the program's bounds and rows with singleton, empty and unlimited rows gone.
-
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
-    singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
-    """
-    matrices, right = program.matrices, np.concatenate([program.h, program.b])
-    is_equality, (rows, columns, coefficient, counts) = matrices.is_equality[: right.size], matrices.singletons
-    with np.errstate(over="ignore"):
-        limits = right[rows] / coefficient[rows]
-    is_finite = np.isfinite(limits)
-    rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
-    above, below = (is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0))
-    upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
-    negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
-    lower = -negated + 0.0  # no negative zeros
-    contradicts = lower > upper
-    lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
-    lower_row[contradicts] = upper_row[contradicts] = OWN
-
-    stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & (counts == 0) | (right == np.inf))
-    stays[rows[~contradicts[columns]]] = False
-    left = np.flatnonzero(stays)
-    folded = program if left.size == right.size else program.with_matrices(
-        matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
-        right[left[left >= program.h.size]], lower, upper,
-    )
-    return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
-
-
-def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:
-    """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
-    tightest, owner = own.copy(), np.full(own.size, OWN)
-    order = np.lexsort((limits, columns))
-    columns = columns[order]
-    first = np.flatnonzero(np.diff(columns, prepend=-1))
-    order, columns = order[first], columns[first]
-    is_tighter = limits[order] < own[columns]
-    order, columns = order[is_tighter], columns[is_tighter]
-    tightest[columns], owner[columns] = limits[order], rows[order]
-    return tightest, owner

@@ -21,8 +21,8 @@ from ..kernels.floats import EPSILON
 from ..matrix.equilibration import evened
 from ..problem.farkas import FarkasProgram, Multipliers, linear_program
 from ..problem.linear_constraints import DECISIVE, LinearConstraints
-from .constraints import FoldedRows, fold_simple_rows
 from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible
+from .reductions import FoldedRows, fold_simple_rows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram

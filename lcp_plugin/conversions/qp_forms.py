@@ -13,11 +13,11 @@ from ..checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..matrix.definiteness import is_diagonal
 from ..matrix.factors import factor_fits
+from ..problem.farkas import linear_program
 from ..problem.lcp import LCP
-from .constraints import FoldedRows
-from .least_multipliers import least_multipliers
-from .program_matrices import Indices, is_kept_dense
+from .program_matrices import Indices, as_csr, is_kept_dense
 from .qp_solution import QPSolution
+from .reductions import FoldedRows, Substitution
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -26,6 +26,11 @@ WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
+CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
+ACTIVE = 1e-7  # of the unit of a row
+LARGEST = 5000  # variables and rows of a program that is worth a linear program
+LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s
+RANK = 1e-12  # beside the largest singular value: what should depend on each other is independent by rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,16 +39,22 @@ class QPOrigin:
 
     Attributes
     ----------
-    program : QuadraticProgram
     rows : FoldedRows
         The program with its simple rows folded into bounds, ``rows.folded``, whose conditions the problem states.
+    substitution : Substitution or None
+        What was put in before that.
     form : str
         "direct", "dual" or "kkt".
     """
 
-    program: QuadraticProgram
     rows: FoldedRows
+    substitution: Substitution | None = None
     form: ClassVar[str]
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program that was given."""
+        return self.rows.program if self.substitution is None else self.substitution.program
 
     def problem(self) -> LCP:
         """Return the complementarity problem of this form."""
@@ -67,6 +78,7 @@ class QPOrigin:
         x, y = self._split(answer)
         rows, folded = self.program.constraints, self.rows.folded
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
+            x = x if self.substitution is None else self.substitution.expanded(x)
             return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         found = self._with_bounds(x, y)
@@ -78,7 +90,7 @@ class QPOrigin:
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
-        rows, folded = self.program.constraints, self.rows.folded
+        folded = self.rows.folded
         # What the bounds have to balance, μ_lower − μ_upper.
         reduced_cost = folded.P @ x + folded.c + y @ folded.matrices.rows
         of_P, of_rows = folded.matrices.magnitudes
@@ -86,7 +98,10 @@ class QPOrigin:
         reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
-        return QPSolution(self.program, x, *rows.split(self.rows.unfold(np.concatenate([y, at_lower, at_upper]))))
+        every = self.rows.unfold(np.concatenate([y, at_lower, at_upper]))
+        if self.substitution is not None:
+            x, every = self.substitution.restored(x, every)
+        return QPSolution(self.program, x, *self.program.constraints.split(every))
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.
@@ -117,7 +132,7 @@ class DirectForm(QPOrigin):
         return LCP(program.matrices.hessian, program.c, lower=program.lower, upper=program.upper)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
-        return checked_answer(answer, self.program.n), np.zeros(0)
+        return checked_answer(answer, self.rows.program.n), np.zeros(0)
 
 
 class KKTForm(QPOrigin):
@@ -135,7 +150,7 @@ class KKTForm(QPOrigin):
         )
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
-        n = self.program.n
+        n = self.rows.program.n
         z = checked_answer(answer, n + self.rows.left.size)
         return z[:n], z[n:].copy()
 
@@ -153,11 +168,11 @@ class DualForm(QPOrigin):
         """
         left = self.rows.left.size
         size = left + sum(part.size for part in _bound_rows(self.rows.folded))
-        if not left or not (self.program.P.diagonal() > 0.0).all():
+        if not left or not (self.rows.program.P.diagonal() > 0.0).all():
             return False
         if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
             return False
-        return not self.rows.contradict() and self.program.matrices.condition <= WELL_CONDITIONED
+        return not self.rows.contradict() and self.rows.program.matrices.condition <= WELL_CONDITIONED
 
     def _is_smaller(self, size: int) -> bool:
         of_P, of_rows = self.rows.folded.matrices.entries
@@ -165,16 +180,16 @@ class DualForm(QPOrigin):
 
     def _is_laplacian(self) -> bool:
         """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
-        if self.rows.folded.matrices.most_rows > 2 or not is_diagonal(self.program.P):
+        if self.rows.folded.matrices.most_rows > 2 or not is_diagonal(self.rows.program.P):
             return False
         C = self._constraints[0]
-        counts = np.bincount(C.indices, minlength=self.program.n)
-        signs = np.bincount(C.indices, np.sign(C.data), minlength=self.program.n)
+        counts = np.bincount(C.indices, minlength=self.rows.program.n)
+        signs = np.bincount(C.indices, np.sign(C.data), minlength=self.rows.program.n)
         return bool(np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))))
 
     def _is_all_that_fits(self, size: int) -> bool:
-        left, n = self.rows.left.size, self.program.n
-        if size > left + n or not is_diagonal(self.program.P) or left + n <= DENSE_UP_TO_SIZE:
+        left, n = self.rows.left.size, self.rows.program.n
+        if size > left + n or not is_diagonal(self.rows.program.P) or left + n <= DENSE_UP_TO_SIZE:
             return False
         return not factor_fits(self.rows.folded.matrices.kkt.csr)
 
@@ -184,22 +199,22 @@ class DualForm(QPOrigin):
         m, free = self.rows.folded.h.size, self.rows.folded.b.size + _bound_rows(self.rows.folded)[0].size
         lower = np.zeros(d.size)
         lower[m : m + free] = -np.inf
-        q = d + C @ self._solve(self.program.c)
+        q = d + C @ self._solve(self.rows.program.c)
         return LCP(self._delassus(), q, lower=lower)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         C, d = self._constraints
         z = checked_answer(answer, d.size)
-        return -self._solve(self.program.c + C.T @ z), z[: self.rows.left.size].copy()
+        return -self._solve(self.rows.program.c + C.T @ z), z[: self.rows.left.size].copy()
 
     def _delassus(self) -> Any:
         """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse."""
         C, d = self._constraints
-        P = self.program.P
+        P = self.rows.program.P
         if is_diagonal(P):
             half = C @ sp.diags_array(1.0 / np.sqrt(P.diagonal()))
             return _kept_as_suits(half @ half.T)
-        width = max(1, ENTRIES_AT_ONCE // max(self.program.n, 1))
+        width = max(1, ENTRIES_AT_ONCE // max(self.rows.program.n, 1))
         parts = []
         for start in range(0, d.size, width):
             # A column of P⁻¹Cᵀ is exactly zero on the blocks of P that the constraint does not touch.
@@ -215,7 +230,7 @@ class DualForm(QPOrigin):
         return every.matrix[listed], every.limit[listed]
 
     def _solve(self, right: Any) -> Any:
-        solver = self.program.matrices.solver
+        solver = self.rows.program.matrices.solver
         if solver is None:
             raise UnsuitableMatrix(
                 'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
@@ -254,3 +269,73 @@ def _bound_rows(program: QuadraticProgram) -> list[Indices]:
 def _kept_as_suits(M: sp.csr_array) -> Any:
     """Return a small, full matrix as an ndarray."""
     return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
+
+
+def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> FloatVector | None:
+    """Return multipliers of G and A of the least Σ|y_i| + Σ|μ_j|, μ those of bounds; None where these cancel nothing.
+
+    Only those of active constraints differ from 0. Nothing is judged here: look at the residuals.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+    y : array, shape (rows of G + rows of A,)
+        Some multipliers; None is returned where their terms are at most 100 times as large as the gradient.
+
+    Notes
+    -----
+    Where active rows depend on each other, or variables are fixed, multipliers are not unique, and a method ends with
+    any: those of 5e12 cancel to what some of 1e3 say at once, less their rounding.
+
+    One linear program, then least squares on the multipliers that it leaves: their error is that of rounding, where
+    the linear program's is 1e-9. Σ|·| is at most the number of nonzeros times the largest of any others.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> twice = QuadraticProgram(np.eye(1), [0.0], A=[[1.0], [2.0]], b=[1.0, 2.0])
+    >>> least_multipliers(twice, np.ones(1), np.array([-1e9 - 1.0, 5e8]))
+    array([ 0. , -0.5])
+    """
+    rows, count = program.matrices.rows, y.size
+    gradient = np.asarray(program.P @ x + program.c)
+    size = float(np.abs(gradient).max(initial=0.0))
+    terms = program.matrices.row_sizes[:count] * np.abs(y)
+    if not terms.max(initial=0.0) > CANCELS * size or not 0.0 < size < np.inf or program.n + count > LARGEST:
+        return None
+    limits, is_equality = program.constraints.limit[:count], program.constraints.is_equality[:count]
+    unit = program.constraints.unit[:count]
+    with np.errstate(invalid="ignore"):
+        active = is_equality | (limits - rows @ x <= ACTIVE * unit)
+        at_lower = x - program.lower <= ACTIVE * (1.0 + np.abs(x))
+        at_upper = program.upper - x <= ACTIVE * (1.0 + np.abs(x))
+    listed, found = np.flatnonzero(active), np.zeros(count)
+    columns = sp.csc_array(as_csr(rows)[listed].T)
+    identity = sp.eye_array(program.n, format="csc")
+    free = is_equality[listed]
+    parts = [columns, -columns[:, np.flatnonzero(free)],
+             -identity[:, np.flatnonzero(at_lower)], identity[:, np.flatnonzero(at_upper)]]
+    matrix = sp.csc_array(sp.hstack(parts, format="csc"))
+    answer = linear_program(np.ones(matrix.shape[1]), matrix, -gradient / size, (0.0, None), (None, None))
+    if answer is None:
+        return None
+    found[listed] = answer.x[: listed.size]
+    found[listed[free]] -= answer.x[listed.size : listed.size + int(free.sum())]
+    _, _, below, above = np.split(answer.x, np.cumsum([part.shape[1] for part in parts[:3]]))
+    is_balanced = np.zeros(program.n, dtype=bool)
+    is_balanced[np.flatnonzero(at_lower)[below > 0.0]] = is_balanced[np.flatnonzero(at_upper)[above > 0.0]] = True
+    return _polished(program, gradient, size * found, is_balanced)
+
+
+def _polished(
+    program: QuadraticProgram, gradient: FloatVector, y: FloatVector, is_balanced: BoolVector
+) -> FloatVector:
+    """Return the multipliers near y, 0 where they are 0, that leave least of the gradient where no bound takes it."""
+    used, left = np.flatnonzero(y), np.flatnonzero(~is_balanced)
+    if used.size and used.size * left.size <= LARGEST_DENSE:
+        block = as_csr(program.matrices.rows)[used][:, left].toarray().T
+        y = y.copy()
+        for _ in range(2):  # the second takes off what the first has rounded
+            y[used] -= np.linalg.lstsq(block, gradient[left] + block @ y[used], rcond=RANK)[0]
+    is_inequality = ~program.constraints.is_equality[: y.size]
+    return np.where(is_inequality, np.maximum(y, 0.0), y)

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from .blocks import as_csr
 from .constraints import constraint_tolerance, enclosed_sum_of_two
+from .program_matrices import as_csr
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram

@@ -14,11 +14,9 @@ from ..checks import checked_vector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..problem.lcp import LCP
-from .constraints import fold_simple_rows
 from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
 from .qp_forms import FORMS, DualForm
-from .qp_solution import QPSolution
-from .substitution import Substitution, substitute_definitions
+from .reductions import Substitution, fold_simple_rows, substitute_definitions
 
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 FILLED = 1.2  # times the entries of the program as it stands
@@ -136,15 +134,17 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
-    """Return what `lcp_from_qp` does, of a program known to be convex."""
+def optimality_conditions(
+    program: QuadraticProgram, form: str = "auto", substitution: Substitution | None = None
+) -> LCP:
+    """Return what `lcp_from_qp` does, of a program known to be convex, or of what a substitution leaves of it."""
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
-    rows = fold_simple_rows(program)
-    dual = DualForm(program, rows)
+    rows = fold_simple_rows(program if substitution is None else substitution.reduced)
+    dual = DualForm(rows, substitution)
     if form == "auto":
         form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
-    origin = dual if form == "dual" else FORMS[form](program, rows)
+    origin = dual if form == "dual" else FORMS[form](rows, substitution)
     problem = origin.problem()
     problem.origin = origin
     return problem
@@ -152,16 +152,10 @@ def optimality_conditions(program: QuadraticProgram, form: str = "auto") -> LCP:
 
 
 class Attempt(NamedTuple):
-    """A complementarity problem that states a program, the way back, and why it is tried."""
+    """A complementarity problem that states a program, and why it is tried."""
 
     problem: LCP
-    substitution: Substitution | None
     because: str
-
-    def recover(self, answer: Any) -> QPSolution:
-        """Return the program's solution that an answer of the problem stands for."""
-        solution: QPSolution = self.problem.origin.recover(answer)
-        return solution if self.substitution is None else self.substitution.recover(solution)
 
 
 def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iterator[Attempt]:
@@ -180,15 +174,14 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
     substitution = substitute_definitions(program)
-    smaller = program if substitution is None else substitution.reduced
-    problem = optimality_conditions(smaller)
+    problem = optimality_conditions(program, "auto", substitution)
     if problem.origin.form == "kkt" and needs_diagonal:
         with suppress(UnsuitableMatrix):
-            problem = optimality_conditions(smaller, "dual")
+            problem = optimality_conditions(program, "dual", substitution)
     form = f"the {problem.origin.form} form"
-    found = [Attempt(problem, substitution, form if substitution is None else f"{form}, defined variables put in")]
+    found = [Attempt(problem, form if substitution is None else f"{form}, defined variables put in")]
     if substitution is not None or problem.origin.form == "dual":
-        plain = Attempt(optimality_conditions(program, "kkt"), None, "the KKT form of the program as it stands")
+        plain = Attempt(optimality_conditions(program, "kkt"), "the KKT form of the program as it stands")
         # A wide A in ‖A x − b‖² fills AᵀA, which nobody needs to factorise.
         fills_in = problem.origin.form == "kkt" and problem.nonzeros > FILLED * plain.problem.nonzeros
         found.insert(0 if fills_in else 1, plain)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
 
 from ..checks import FloatVector
-from ..conversions.substitution import put_in
+from ..conversions.reductions import put_in
 from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import activity
 

@@ -307,7 +307,7 @@ def _runs(
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
                 break
-            solution, has_run = attempt.recover(result), True
+            solution, has_run = attempt.problem.origin.recover(result), True
             yield _Run(result, solution, because)
             if solution.is_stationary(goal) or ended_by_caller(result, options):
                 return

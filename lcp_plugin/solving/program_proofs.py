@@ -128,7 +128,7 @@ class ProgramProofs:
             left = seconds_left()
             limit = left if math.isfinite(left) else None
             result = solve(attempt.problem, tolerance=tolerance, max_seconds=limit, **options)
-            solution = attempt.recover(result)
+            solution = attempt.problem.origin.recover(result)
             yield solution
             if _residual(solution) <= OWN_TOLERANCE or is_over():
                 return

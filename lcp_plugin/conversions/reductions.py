@@ -62,9 +62,8 @@ class Definitions:
     kept, kept_rows : ndarray of int
         The variables and the rows of A that stay.
     columns : ndarray of int
-        Of the variables that stay, those that define something.
+        Of the variables that stay, those that D is kept for: where it is an ndarray, those that define something.
     D : ndarray or CSR array
-        Its columns of these only.
     reduced : ProgramMatrices
     """
 
@@ -89,9 +88,9 @@ class Definitions:
         kept, kept_rows = np.delete(np.arange(A.shape[1]), defined), np.delete(np.arange(A.shape[0]), rows)
         D = sp.csr_array(A[rows][:, kept])
         D.data = D.data / -pivots[row_numbers(D)]
-        columns = np.flatnonzero(np.bincount(D.indices, minlength=kept.size))
-        D = sp.csr_array(D[:, columns])
-        D = D.toarray() if is_full(D.nnz, D.shape) else D
+        columns, used = np.arange(kept.size), np.flatnonzero(np.bincount(D.indices, minlength=kept.size))
+        if is_full(D.nnz, (defined.size, used.size)):
+            columns, D = used, D[:, used].toarray()
         P = _without(matrices.P, kept, defined, columns, D)
         G, others = (rectangular_matrix(part[:, kept], "rows", None, None) for part in (matrices.G, A[kept_rows]))
         return cls(rows, defined, pivots, kept, kept_rows, columns, D, ProgramMatrices(P, G, others))

@@ -15,8 +15,7 @@ from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.algorithms.splittings.modulus import MAOR, MGS, MJ, MSOR
 from lcp_plugin.algorithms.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
-from lcp_plugin.algorithms.splittings.projected_splitting import NPSplitting
-from lcp_plugin.algorithms.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
+from lcp_plugin.algorithms.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR, NPSplitting
 from lcp_plugin.evidence import gallery
 
 STEPS = 30

@@ -47,7 +47,7 @@ REGISTRY = {
     "npgs": "splittings.projected_type:NPGS",
     "npsor": "splittings.projected_type:NPSOR",
     "npaor": "splittings.projected_type:NPAOR",
-    "npsplitting": "splittings.projected_splitting:NPSplitting",
+    "npsplitting": "splittings.projected_type:NPSplitting",
     "pj": "splittings.projected_relaxation:PJ",
     "pgs": "splittings.projected_relaxation:PGS",
     "psor": "splittings.projected_relaxation:PSOR",

@@ -19,7 +19,6 @@ from .paper_tables import paper_options
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
-    "projected_splitting": "projected-type (NP)",
     "projected_relaxation": "projected relaxation (P)",
     "modulus": "modulus (M)",
     "multigrid": "multigrid",

@@ -20,22 +20,12 @@ from ...certificates.convergence import MODULUS, IterationFacts
 from ...checks import FloatVector, is_number, real_vector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...problem.lcp import LCP
-from ..base import (
-    SWEEPS,
-    Algorithm,
-    Step,
-    check_choice,
-    check_number,
-    check_positive,
-    directions,
-    inverse_residual_scale,
-    require_positive_diagonal,
-    row_splits,
-)
+from ..base import Step, check_positive, inverse_residual_scale, require_positive_diagonal
+from . import Splitting
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ModulusBased(Algorithm):
+class ModulusBased(Splitting):
     """(αΩ + D − βL) x⁺ = [(1−α)D + (α−β)L + αU] x + α[(Ω − M)|x| − 2q], z = lower + max(x, 0).
 
     Parameters
@@ -57,20 +47,15 @@ class ModulusBased(Algorithm):
 
     assumption: ClassVar[str] = "positive diagonal, only lower bounds"
     converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
-    cost: ClassVar[str] = "1 pass"
     reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
 
     omega: float | ArrayLike = 1.0
     sweep: str = "forward"
 
     def __post_init__(self) -> None:
-        check_choice(self, "sweep", SWEEPS)
+        super().__post_init__()
         if self._has_one_omega:
             check_positive(self, "omega")
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (α, β)."""
-        raise NotImplementedError
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, Ω and the sweep."""
@@ -83,32 +68,19 @@ class ModulusBased(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ...kernels import splitting_sweeps as kernels
+        from ...kernels.splitting_sweeps import modulus_sweep, packed
 
-        M = problem.csr
         _require_lower_bounds_only(problem, self.name)
         diagonal = require_positive_diagonal(problem, self.name)
-        alpha, beta = self.splitting()
+        weights = self.splitting()
         omega = self._omega(problem, diagonal)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is seen in the residual
-            inverse_pivot = 1.0 / (alpha * omega + diagonal)
+            inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
-        rows = kernels.packed(q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot)
-        passes = directions(self.sweep)
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
-        z, x, new = z0, z0 - problem.lower, np.empty_like(z0)
-        unwanted = np.empty_like(z0) if len(passes) > 1 else z
-        work = 1.0
-        while True:
-            for k, backward in enumerate(passes):
-                residual, squares = kernels.modulus_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, rows, alpha, beta, backward, x, new,
-                    unwanted if k else z,
-                )
-                if k == 0:
-                    yield Step(z, residual, squares**0.5, None, work)
-                x, new = new, x
-            work = float(len(passes))
+        rows = packed(q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot)
+        yield from self.swept(
+            problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0, is_euclidean=True
+        )
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
         if self._has_one_omega:
@@ -160,15 +132,6 @@ class MAOR(ModulusBased):
     relaxation: float = 0.85
     acceleration: float = 0.5
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
-        check_number(self, "acceleration")
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (relaxation, acceleration)."""
-        return float(self.relaxation), float(self.acceleration)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MSOR(ModulusBased):
@@ -191,14 +154,6 @@ class MSOR(ModulusBased):
     name: ClassVar[str] = "msor"
     relaxation: float = 0.85
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (relaxation, relaxation)."""
-        return float(self.relaxation), float(self.relaxation)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MGS(ModulusBased):
@@ -214,10 +169,6 @@ class MGS(ModulusBased):
 
     name: ClassVar[str] = "mgs"
 
-    def splitting(self) -> tuple[float, float]:
-        """Return (1, 1)."""
-        return 1.0, 1.0
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MJ(ModulusBased):
@@ -232,7 +183,4 @@ class MJ(ModulusBased):
     """
 
     name: ClassVar[str] = "mj"
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (1, 0)."""
-        return 1.0, 0.0
+    is_coupled: ClassVar[bool] = False

@@ -16,25 +16,40 @@ from ...errors import InvalidOption
 from ...matrix.pivots import pivot_weight
 from ...matrix.symmetry import has_symmetric_entries
 from ...problem.lcp import LCP
-from ..base import (
-    SWEEPS,
-    Algorithm,
-    Step,
-    check_choice,
-    check_number,
-    check_positive,
-    directions,
-    inverse_residual_scale,
-    require_positive_diagonal,
-    row_splits,
-)
-from .adaptive_relaxation import AdaptiveRelaxation
+from ..base import Step, check_positive, directions, inverse_residual_scale, require_positive_diagonal, row_splits
+from . import Splitting
 
-CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+# The automatic relaxation of PSOR.
+FIRST_WAIT, LONGEST_WAIT = 8, 4096
+LARGEST = 1.998
+WORTHWHILE = 0.05  # smallest step towards 2, as a share of 2 − ω, that pays for a new transient
+RECORD = 0.9
+LONGEST_TRIAL = 4  # stretches
+HUMP = 40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
 
 
 @dataclass(frozen=True, kw_only=True)
-class _InPlace(Algorithm):
+class _Relaxation(Splitting):
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii)."""
+
+    assumption: ClassVar[str] = "positive diagonal"
+    converges_on: ClassVar[str] = "H₊"
+    reference: ClassVar[str] = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+
+    sweep: str = "forward"
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return ω and β, None where they are found during the run, and the sweep."""
+        require_positive_diagonal(problem, self.name)
+        omega, beta = self.weights()
+        return IterationFacts(family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep)
+
+    def weights(self) -> tuple[float, float] | tuple[None, None]:
+        """Return (ω, β), or None for each where they are to be found during the run."""
+        return self.splitting()
+
+
+class _InPlace(_Relaxation):
     """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
 
     On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
@@ -42,27 +57,7 @@ class _InPlace(Algorithm):
     made larger, so that it converges on every positive definite one, see `pivot_weight`.
     """
 
-    assumption: ClassVar[str] = "positive diagonal"
-    cost: ClassVar[str] = "1 pass"
-    reference: ClassVar[str] = CRYER
     runs_on_ranks: ClassVar[bool] = True
-
-    sweep: str = "forward"
-
-    def __post_init__(self) -> None:
-        check_choice(self, "sweep", SWEEPS)
-
-    def fixed_relaxation(self) -> float | None:
-        """Return ω, or None where it is to be found during the run."""
-        raise NotImplementedError
-
-    def facts(self, problem: LCP) -> IterationFacts:
-        """Return ω, None where it is found during the run, and the sweep."""
-        require_positive_diagonal(problem, self.name)
-        fixed = self.fixed_relaxation()
-        return IterationFacts(
-            family=PROJECTED_RELAXATION, relaxation=fixed, acceleration=fixed, sweep=self.sweep
-        )
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
@@ -70,7 +65,7 @@ class _InPlace(Algorithm):
 
         M, peers = problem.matrix.csr_rows, problem.peers
         pivots = require_positive_diagonal(problem, self.name)
-        fixed = self.fixed_relaxation()
+        fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
         if not peers.is_empty and has_symmetric_entries(problem.matrix):
@@ -119,8 +114,8 @@ class PSOR(_InPlace):
 
     relaxation: float | str = "auto"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_weights(self) -> None:
+        """Raise unless ω is "auto" or in (0, 2)."""
         if not isinstance(self.relaxation, str):
             check_positive(self, "relaxation", below=2.0)
         elif self.relaxation != "auto":
@@ -130,9 +125,9 @@ class PSOR(_InPlace):
         """Return a multiple of the root of npsor's, as relaxation has it at best, and some in any case."""
         return max(PSOR_PASSES, PSOR_GAIN * math.sqrt(sweeps))
 
-    def fixed_relaxation(self) -> float | None:
-        """Return ω, or None for "auto"."""
-        return None if isinstance(self.relaxation, str) else float(self.relaxation)
+    def weights(self) -> tuple[float, float] | tuple[None, None]:
+        """Return (ω, ω), or None for each where ω is "auto"."""
+        return (None, None) if isinstance(self.relaxation, str) else self.splitting()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,56 +143,21 @@ class PGS(_InPlace):
     name: ClassVar[str] = "pgs"
     converges_on: ClassVar[str] = "SPD, H₊"
 
-    def fixed_relaxation(self) -> float | None:
-        """Return 1."""
-        return 1.0
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Simultaneous(Algorithm):
+class _Simultaneous(_Relaxation):
     """z⁺ = mid(lower, upper, z − D⁻¹(ω w + β Σ m_ij (z⁺_j − z_j))), the sum over the rows done before row i."""
-
-    assumption: ClassVar[str] = "positive diagonal"
-    cost: ClassVar[str] = "1 pass"
-    sweep: str = "forward"
-
-    def __post_init__(self) -> None:
-        check_choice(self, "sweep", SWEEPS)
-
-    def weights(self) -> tuple[float, float]:
-        """Return (ω, β)."""
-        raise NotImplementedError
-
-    def facts(self, problem: LCP) -> IterationFacts:
-        """Return ω, β and the sweep."""
-        require_positive_diagonal(problem, self.name)
-        omega, beta = self.weights()
-        return IterationFacts(family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from ...kernels import splitting_sweeps as kernels
+        from ...kernels.splitting_sweeps import packed, splitting_sweep
 
-        M = problem.csr
-        omega, beta = self.weights()
+        omega, beta = self.splitting()
         with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
             step = omega / require_positive_diagonal(problem, self.name)
-        rows = kernels.packed(
+        rows = packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step, np.ones(problem.n)
         )
-        passes = directions(self.sweep)
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
-        z, new = z0, np.empty_like(z0)
-        work = 1.0
-        while True:
-            for k, backward in enumerate(passes):
-                residual, _ = kernels.splitting_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, rows, beta / omega, False, backward, z, new
-                )
-                if k == 0:
-                    yield Step(z, residual, work=work)
-                z, new = new, z
-            work = float(len(passes))
+        yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,19 +176,9 @@ class PAOR(_Simultaneous):
 
     name: ClassVar[str] = "paor"
     converges_on: ClassVar[str] = "H₊ for 0 ≤ β ≤ ω < 2/(1+ρ)"
-    reference: ClassVar[str] = CRYER
 
     relaxation: float = 1.0
     acceleration: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
-        check_number(self, "acceleration")
-
-    def weights(self) -> tuple[float, float]:
-        """Return (relaxation, acceleration)."""
-        return float(self.relaxation), float(self.acceleration)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,12 +192,7 @@ class PJ(_Simultaneous):
     """
 
     name: ClassVar[str] = "pj"
-    converges_on: ClassVar[str] = "H₊"
-    reference: ClassVar[str] = CRYER
-
-    def weights(self) -> tuple[float, float]:
-        """Return (1, 0)."""
-        return 1.0, 0.0
+    is_coupled: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,15 +212,119 @@ class GFP(_Simultaneous):
     """
 
     name: ClassVar[str] = "gfp"
+    is_coupled: ClassVar[bool] = False
     converges_on: ClassVar[str] = "H₊ for ω < 2/(1+ρ)"
     reference: ClassVar[str] = "Fang 2021, doi:10.3934/math.2021691"
 
     relaxation: float = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
 
-    def weights(self) -> tuple[float, float]:
-        """Return (relaxation, 0)."""
-        return float(self.relaxation), 0.0
+class AdaptiveRelaxation:
+    """ω from the size Σ|z⁺ − z| of the increments, by trials that are undone where they do not pay.
+
+    A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive
+    definite matrix SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best.
+    A trial with that ω lasts a few times 1/(2 − ω) sweeps, longer while its increments are still large, and ends
+    with one Gauss–Seidel sweep. If its
+    increment is a new record (0.9 of the last), the trial is kept, μ is estimated anew, and the next one
+    begins; otherwise z goes back to where the trial began and the next Gauss–Seidel phase is twice as long.
+
+    So the iteration converges wherever projected Gauss–Seidel does. Either infinitely many trials are kept: then
+    the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
+    all trials are undone: then what remains is Gauss–Seidel itself.
+
+    References
+    ----------
+    Hageman, Young: *Applied Iterative Methods*, Academic Press 1981, chapter 9.
+    """
+
+    def __init__(self) -> None:
+        self.relaxation = 1.0
+        self._omega = 1.0
+        self._wait = FIRST_WAIT
+        self._record = math.inf
+        self._sizes: list[float] = []
+        self._checkpoint: FloatVector | None = None
+        self._is_final_sweep = False
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether a trial is under way: a residual that rises now says nothing."""
+        return self._checkpoint is not None
+
+    def after(self, size: float, z: FloatVector) -> float:
+        """Return ω for the next sweep, given Σ|z⁺ − z| of the last one; z is put back where a trial failed."""
+        self._sizes.append(size)
+        if self._checkpoint is None:
+            if len(self._sizes) >= self._wait:
+                self._end_phase(z)
+        elif self._is_final_sweep:
+            self._end_trial(size, z)
+        elif not size <= self._record * HUMP / (2.0 - self._omega):
+            self._undo(z)
+        elif self._is_time_to_prove(size):
+            self._is_final_sweep = True
+            self.relaxation = 1.0
+        return self.relaxation
+
+    def _is_time_to_prove(self, size: float) -> bool:
+        """Return whether the trial has had its time, or three times as long where its increments are still large."""
+        stretch = math.ceil(4.0 / (2.0 - self._omega)) + 8
+        sweeps = len(self._sizes)
+        return sweeps >= stretch and (size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * stretch)
+
+    def _end_phase(self, z: FloatVector) -> None:
+        """Begin a trial where Gauss–Seidel contracts and a larger ω could do better; else another phase."""
+        rate = self._rate(self._sizes)
+        self._record = min(self._record, self._sizes[-1])
+        self._omega = best_relaxation(rate, 1.0)
+        if self._omega > 1.0 + WORTHWHILE and self._record > 0.0:
+            self._begin_trial(z)
+        else:
+            self._wait = min(2 * self._wait, LONGEST_WAIT)
+            self._sizes = []
+
+    def _begin_trial(self, z: FloatVector) -> None:
+        self._checkpoint = z.copy()
+        self._sizes = []
+        self._is_final_sweep = False
+        self.relaxation = self._omega
+
+    def _end_trial(self, size: float, z: FloatVector) -> None:
+        if not size <= RECORD * self._record:
+            self._undo(z)
+            return
+        self._record, self._wait = size, FIRST_WAIT
+        wanted = best_relaxation(self._rate(self._sizes[:-1]), self._omega)
+        if wanted > self._omega + WORTHWHILE * (2.0 - self._omega):
+            self._omega = wanted
+        self._begin_trial(z)
+
+    def _undo(self, z: FloatVector) -> None:
+        if self._checkpoint is not None:
+            np.copyto(z, self._checkpoint)
+        self._checkpoint, self._sizes, self.relaxation = None, [], 1.0
+        self._wait = min(2 * self._wait, LONGEST_WAIT)
+
+    @staticmethod
+    def _rate(sizes: list[float]) -> float:
+        """Return the contraction a sweep over the second half; the first half is transient."""
+        half = len(sizes) // 2
+        if not sizes[-1 - half] > 0.0:
+            return 0.0
+        rate: float = (sizes[-1] / sizes[-1 - half]) ** (1.0 / half)
+        return rate
+
+
+def best_relaxation(rate: float, omega: float) -> float:
+    """Return ω* by Young's formula from the contraction observed at ω, or ω itself where that tells nothing.
+
+    Examples
+    --------
+    >>> round(best_relaxation(0.96, 1.0), 3)
+    1.667
+    """
+    if not omega - 1.0 < rate < 1.0:  # beyond ω* the rate is ω − 1, whatever μ
+        return omega
+    mu_squared = ((rate + omega - 1.0) / omega) ** 2 / rate
+    return min(2.0 / (1.0 + math.sqrt(1.0 - mu_squared)), LARGEST) if mu_squared < 1.0 else omega

@@ -12,63 +12,83 @@ as soon as it is computed, so that the rows after it already see the projected v
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
-from ...certificates.convergence import PROJECTED_TYPE, IterationFacts
+from ...certificates.convergence import PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
+from ...certificates.quotients import euclidean_norm
+from ...certificates.row_residuals import scaled_residual
 from ...checks import FloatVector
-from ...errors import InvalidOption, UnsuitableMatrix
+from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ...matrix.factors import sparse_lu
+from ...matrix.row_sums import automatic_factors, part_of, split_factors
 from ...problem.lcp import LCP
 from ..base import (
-    SWEEPS,
     Algorithm,
     Step,
     check_choice,
-    check_number,
     check_positive,
-    directions,
+    has_positive_diagonal,
     inverse_residual_scale,
     row_splits,
 )
-from .automatic_scaling import automatic_factors, scaled_rows
+from . import Splitting
 
 SCALINGS = ("auto", "diagonal", None)
+NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
 
 
-def row_scaling(problem: LCP, scaling: str | None, factor: float, coupling: float, sweep: str) -> FloatVector:
-    """Return the diagonal of S, shape (n,): ones, factor/d, or θ/d with automatic θ; see `scaled_rows` for d."""
-    if scaling is None:
-        return np.ones(problem.own)
-    return scaled_rows(problem, automatic_factors(problem.matrix, coupling, sweep) if scaling == "auto" else factor)
+@dataclass(frozen=True, kw_only=True)
+class _Scaled(Algorithm):
+    """What all NP iterations have: a row scaling S, and a last projected Gauss–Seidel sweep."""
 
+    scaling: str | None = "auto"
+    scaling_factor: float = 1.0
 
-def check_scaling(algorithm: Algorithm, scaling: str | None, factor: float) -> None:
-    """Raise unless the two options make sense, and make it together."""
-    check_choice(algorithm, "scaling", SCALINGS)
-    check_positive(algorithm, "scaling_factor")
-    if scaling != "diagonal" and factor != 1.0:
-        raise InvalidOption(
-            f'{algorithm.name}: scaling_factor={factor!r} needs scaling="diagonal"; with {scaling!r} it does nothing'
-        )
+    reference: ClassVar[str] = REFERENCE
 
+    def __post_init__(self) -> None:
+        check_choice(self, "scaling", SCALINGS)
+        check_positive(self, "scaling_factor")
+        if self.scaling != "diagonal" and self.scaling_factor != 1.0:
+            raise InvalidOption(
+                f'{self.name}: scaling_factor={self.scaling_factor!r} needs scaling="diagonal"; '
+                f"with {self.scaling!r} it does nothing"
+            )
 
-def clean_up_sweep(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return z after one projected Gauss–Seidel sweep: components that should be active are then at their bound."""
-    from ...kernels import splitting_sweeps as kernels
+    def row_scaling(self, problem: LCP, automatic: Callable[[], FloatVector | float]) -> FloatVector:
+        """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
 
-    M = problem.matrix.csr_rows
-    rows = kernels.packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
-    cleaned = problem.matrix.whole(z.copy())
-    kernels.relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
-    return cleaned[: problem.own]
+        The scale of the residual stands for m_ii where that is no use. A diagonal that is small beside its row is of
+        use: so it is in an H₊-matrix whose columns differ in unit.
+        """
+        if self.scaling is None:
+            return np.ones(problem.own)
+        factors = automatic() if self.scaling == "auto" else self.scaling_factor
+        inverse = inverse_residual_scale(problem.matrix)
+        with np.errstate(over="ignore", divide="ignore"):
+            if problem.residual_scale is not problem.diagonal:
+                inverse = np.where(has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse)
+            return np.minimum(factors * inverse, np.finfo(np.float64).max)
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
+        from ...kernels.splitting_sweeps import packed, relaxation_sweep
+
+        M = problem.matrix.csr_rows
+        rows = packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
+        cleaned = problem.matrix.whole(z.copy())
+        relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
+        return cleaned[: problem.own]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectedType(Algorithm):
+class ProjectedType(_Scaled, Splitting):
     """(D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r_S(z) by forward substitution, each component projected at once.
 
     Parameters
@@ -90,70 +110,44 @@ class ProjectedType(Algorithm):
     and the theorem holds for every such choice.
     """
 
-    scaling: str | None = "auto"
-    scaling_factor: float = 1.0
     sweep: str = "forward"
 
     assumption: ClassVar[str] = "d/α + d + 2 > 0"
     runs_on_ranks: ClassVar[bool] = True
     converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
-    cost: ClassVar[str] = "1 pass"
-    reference: ClassVar[str] = REFERENCE
 
     def __post_init__(self) -> None:
-        check_scaling(self, self.scaling, self.scaling_factor)
-        check_choice(self, "sweep", SWEEPS)
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (α, β)."""
-        raise NotImplementedError
+        _Scaled.__post_init__(self)
+        Splitting.__post_init__(self)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from ...kernels import splitting_sweeps as kernels
+        from ...kernels.splitting_sweeps import packed, splitting_sweep
 
-        M, peers, own = problem.matrix.csr_rows, problem.peers, problem.own
-        asks_peers = not peers.is_empty
         alpha, beta = self.splitting()
-        step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
-        rows = kernels.packed(
+        step = self._step(problem)
+        rows = packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
-            peers.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
+            problem.peers.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
         )
-        passes = directions(self.sweep)
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
-        z = problem.matrix.whole(z0)
-        new = np.empty_like(z)
-
-        def advance(backward: bool) -> tuple[float, float]:
-            if asks_peers:
-                peers.fetch(z)
-                new[own:] = z[own:]  # what others hold is as it was
-            norms: tuple[float, float] = kernels.splitting_sweep(
-                M.indptr, splits[backward], M.indices, M.data, rows, beta / alpha, True, backward, z, new
-            )
-            return norms
-
-        work = 1.0
-        while True:
-            residual, squares = advance(passes[0])
-            euclidean = peers.total(squares)**0.5 if self.scaling is None else None
-            yield Step(z[:own] if asks_peers else z, peers.largest(residual), euclidean, None, work)
-            z, new = new, z
-            for backward in passes[1:]:
-                advance(backward)
-                z, new = new, z
-            work = float(len(passes))
+        yield from self.swept(
+            problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0),
+            is_euclidean=self.scaling is None,
+        )
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise where a pivot is not positive."""
         alpha, beta = self.splitting()
-        step = row_scaling(problem, self.scaling, self.scaling_factor, beta / alpha, self.sweep)
+        step = self._step(problem)
         self._inverse_pivot(problem, step * problem.diagonal, alpha)
         return IterationFacts(
             family=PROJECTED_TYPE, relaxation=alpha, acceleration=beta, sweep=self.sweep, scaling=step,
             is_scaled=self.scaling is not None,
         )
+
+    def _step(self, problem: LCP) -> FloatVector:
+        alpha, beta = self.splitting()
+        return self.row_scaling(problem, lambda: automatic_factors(problem.matrix, beta / alpha, self.sweep))
 
     def _inverse_pivot(self, problem: LCP, scaled_diagonal: FloatVector, alpha: float) -> FloatVector:
         with np.errstate(over="ignore", divide="ignore"):
@@ -171,10 +165,6 @@ class ProjectedType(Algorithm):
         huge = np.isinf(pivot)
         inverse[huge] = 1.0 / scaled_diagonal[huge] / (1.0 / alpha + 1.0)
         return inverse
-
-    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
-        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
-        return clean_up_sweep(problem, z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,15 +202,6 @@ class NPAOR(ProjectedType):
     relaxation: float = 1.7
     acceleration: float = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
-        check_number(self, "acceleration")
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (relaxation, acceleration)."""
-        return self.relaxation, self.acceleration
-
 
 @dataclass(frozen=True, kw_only=True)
 class NPSOR(ProjectedType):
@@ -244,14 +225,6 @@ class NPSOR(ProjectedType):
     name: ClassVar[str] = "npsor"
     relaxation: float = 1.7
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "relaxation")
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (relaxation, relaxation)."""
-        return self.relaxation, self.relaxation
-
 
 @dataclass(frozen=True, kw_only=True)
 class NPGS(ProjectedType):
@@ -266,10 +239,6 @@ class NPGS(ProjectedType):
     """
 
     name: ClassVar[str] = "npgs"
-
-    def splitting(self) -> tuple[float, float]:
-        """Return (1, 1)."""
-        return 1.0, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,7 +259,92 @@ class NPJ(ProjectedType):
 
     name: ClassVar[str] = "npj"
     converges_on: ClassVar[str] = "H₊"
+    is_coupled: ClassVar[bool] = False
 
-    def splitting(self) -> tuple[float, float]:
-        """Return (1, 0)."""
-        return 1.0, 0.0
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NPSplitting(_Scaled):
+    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
+
+    Parameters
+    ----------
+    splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
+        𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
+        diagonal, or the product of incomplete factors, is a good 𝓜 too.
+    scaling, scaling_factor
+        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
+
+    Raises
+    ------
+    UnsuitableMatrix
+        Where S(𝓜 + D) + 2I is singular.
+    """
+
+    name: ClassVar[str] = "npsplitting"
+    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
+    cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
+
+    splitting: Any = "tridiagonal"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.splitting, str):
+            check_choice(self, "splitting", NAMED_SPLITTINGS)
+        super().__post_init__()
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, each with its residual."""
+        while not problem.n:  # SuperLU refuses a matrix without rows
+            yield Step(z0, 0.0, 0.0, work=0.0)
+        splitting = self._matrix(problem)
+        step = self._scaling(problem)
+        scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
+        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        entries = max(problem.nonzeros, 1)
+        work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
+        z = z0
+        while True:
+            with np.errstate(all="ignore"):  # what overflows is seen in the residual
+                w = problem.slack(z)
+                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
+                euclidean = euclidean_norm(natural) if self.scaling is None else None
+            yield Step(z, residual, euclidean, None, work)
+            with np.errstate(all="ignore"):
+                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            work = (factor.nnz + problem.nonzeros) / entries
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return 𝓜, S, and whether 𝓜 is a part of M."""
+        splitting = self._matrix(problem)
+        return IterationFacts(
+            family=PROJECTED_SPLITTING, scaling=self._scaling(problem), is_scaled=self.scaling is not None,
+            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
+        )
+
+    def _scaling(self, problem: LCP) -> FloatVector:
+        is_named = isinstance(self.splitting, str)
+        return self.row_scaling(problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0)
+
+    def _matrix(self, problem: LCP) -> sp.csr_array:
+        M = problem.csr
+        if isinstance(self.splitting, str):
+            return part_of(problem.matrix, self.splitting)
+        need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
+        shape = getattr(self.splitting, "shape", None)
+        if shape is not None and shape != M.shape:
+            raise InvalidOption(f"{need}, got shape {shape}")
+        try:
+            # The checks of a problem's matrix are the checks of 𝓜.
+            return LCP(self.splitting, np.zeros(problem.n)).csr
+        except InvalidProblem as error:
+            raise InvalidOption(f"{need}: {error}") from error
+
+    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
+        try:
+            return sparse_lu(matrix)
+        except RuntimeError as error:
+            hint = ', or scaling="auto"' if self.scaling is None else ""
+            raise UnsuitableMatrix(
+                f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"
+            ) from error

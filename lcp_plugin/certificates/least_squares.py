@@ -22,18 +22,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..deadline import is_over
 from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
 from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares, UnitLeastSquares
 from .definite_bounds import smallest_eigenvalue_bound
+from .dual_bounds import least_squares
 
 Ball = tuple[FloatVector, FloatVector]
 """Value and radius: what is meant lies within."""
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
-REPAIR_STEPS = 300  # of conjugate gradients for a p; more than A of condition 100 needs
+REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
@@ -68,11 +68,9 @@ class Enclosures:
             return compensated_product(self._rows, x, -problem.b)
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
-        from ..kernels.least_squares_sums import radii
-
         sums = self._sums(x, NOTHING, by_rows=True)
         sums[1] += np.abs(problem.b)
-        return sums[0] - problem.b, radii(sums, self._terms_of_a_row)
+        return sums[0] - problem.b, _radii(sums, self._terms_of_a_row)
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
@@ -93,23 +91,25 @@ class Enclosures:
             return value, OUTWARD * (radius + abs(self._columns) @ slip)
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
-        from ..kernels.least_squares_sums import radii
-
         sums = self._sums(weighted, slip, by_rows=False)
-        return sums[0], radii(sums, self._terms_of_a_column)
+        return sums[0], _radii(sums, self._terms_of_a_column)
 
     def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
         """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0; B is A, or else Aᵀ."""
         from ..kernels.least_squares_sums import along_rows, down_columns
 
-        A, (m, n) = self.problem.A, self.problem.shape
+        B = self.problem.A if by_rows else self.problem.A.T
         if self.problem.is_sparse:
-            return _sums_of_sparse(A if by_rows else A.T, v, slip)
-        if not A.flags.c_contiguous:
-            return down_columns(A.T, v, NOTHING) if by_rows else along_rows(A.T, v, slip)
-        if by_rows or m <= ROWS_AT_ONCE:
-            return along_rows(A, v, slip) if by_rows else down_columns(A, v, slip)
-        return sum((down_columns(block, v[rows], slip[rows]) for rows, block in self.problem.blocks()), np.zeros(n))
+            return _sums_of_sparse(B, v, slip)
+        sums, part = np.zeros((2, 4, B.shape[0]))
+        if B.flags.c_contiguous:
+            along_rows(B, v, slip, sums)
+            return sums
+        for begin in range(0, B.shape[1], ROWS_AT_ONCE):
+            rows = slice(begin, begin + ROWS_AT_ONCE)
+            down_columns(B.T[rows], v[rows], slip[rows], part)
+            sums += part
+        return sums
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -147,6 +147,15 @@ class Enclosures:
             return int(np.bincount(problem.A.indices, minlength=1).max())
         is_by_rows = bool(problem.A.flags.c_contiguous)
         return min(m, ROWS_AT_ONCE) + m // ROWS_AT_ONCE + 1 if is_by_rows else m
+
+
+def _radii(sums: Any, terms: int) -> FloatVector:
+    """Return by how much rounding, and slip, may have moved sums of so many terms."""
+    from ..kernels.least_squares_sums import radii
+
+    radius = np.empty(sums.shape[1])
+    radii(sums, terms, radius)
+    return radius
 
 
 def _sums_of_sparse(B: Any, v: FloatVector, slip: FloatVector) -> Any:
@@ -263,84 +272,54 @@ def _times(slope: FloatVector, room: FloatVector) -> FloatVector:
 def _repaired_gap(
     enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
 ) -> float:
-    """Return the bound for y + δp; p is to push the columns whose sign is in doubt, or else all of them."""
-    problem = enclosures.problem
+    """Return the bound for y + δp with the least δ that gives all columns the sign that they need.
+
+    p is to push the columns whose sign is in doubt, or else all of them.
+    """
+    problem, exactly = enclosures.problem, np.zeros(y.size)
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = wanted * slope[0] / problem.column_units
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
-    for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
-        gap = _pushed_gap(enclosures, x, residual, y, slope, wanted, _pushing(problem, pushed))
-        if gap < np.inf:
-            return gap
-    return np.inf
-
-
-def _pushed_gap(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball, wanted: FloatVector,
-    push: FloatVector,
-) -> float:
-    """Return the bound for the y + δp with the least δ that gives all columns the sign that they need."""
-    problem, exactly = enclosures.problem, np.zeros(y.size)
-    moved, slip = enclosures.transposed(push, exactly)
     missing = np.maximum(slope[1] - wanted * slope[0], 0.0)
-    least = wanted * moved - slip
     lacking = (wanted != 0.0) & (missing > 0.0)
-    if not (least[lacking] > 0.0).all():
-        return np.inf
-    share = float(np.max(missing[lacking] / least[lacking], initial=0.0))
-    for _ in range(PUSHES):
-        share *= 1.0 + 2.0**-10
-        repaired = y + share * push
-        gap = _gap(problem, x, residual, repaired, enclosures.gradient(x, (repaired, exactly)), problem.ridge)
-        if gap < np.inf:
-            return gap
-        share *= 2.0
+    for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
+        push = _pushing(problem, pushed)
+        moved, slip = enclosures.transposed(push, exactly)
+        least = wanted * moved - slip
+        share = float(np.max(missing[lacking] / least[lacking], initial=0.0))
+        for _ in range(PUSHES if (least[lacking] > 0.0).all() else 0):
+            share *= 1.0 + 2.0**-10
+            repaired = y + share * push
+            gap = _gap(problem, x, residual, repaired, enclosures.gradient(x, (repaired, exactly)), problem.ridge)
+            if gap < np.inf:
+                return gap
+            share *= 2.0
     return np.inf
 
 
 def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
-    """Return p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0."""
-    push, is_near = _pushing_by_steps(problem, wanted)
-    return push if is_near or not problem.is_cheap_to_copy else _pushing_by_factor(problem, wanted)
+    """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0.
 
+    Its signs are looked at where it is used.
+    """
+    unit, columns, root = UnitLeastSquares(problem), np.flatnonzero(wanted), problem.root_weights
+    if not columns.size:
+        return np.zeros(root.size)
+    if problem.is_cheap_to_copy:  # however ill-conditioned A is
+        push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
+    else:
+        from scipy.sparse.linalg import LinearOperator, lsmr
 
-def _pushing_by_steps(problem: LeastSquares, wanted: FloatVector) -> tuple[FloatVector, bool]:
-    """Return what conjugate gradients on AᵀWA arrive at, and whether that is near enough."""
-    units, push = problem.column_units, np.zeros(problem.shape[0])
-    left = wanted
-    direction, size = left.copy(), float(left @ left)
-    for _ in range(min(REPAIR_STEPS, 2 * wanted.size + 1)):
-        if np.max(np.abs(left), initial=0.0) <= ENOUGH:
-            return push, True
-        if is_over():
-            break
-        product = problem.product(direction / units)
-        curvature = float(problem.weighted(product) @ product)
-        if not 0.0 < curvature < np.inf:
-            break
-        push = push + (size / curvature) * product
-        back = problem.transposed(problem.weighted(product)) / units
-        left = np.where(wanted != 0.0, left - (size / curvature) * back, 0.0)
-        before, size = size, float(left @ left)
-        direction = left + (size / before) * direction
-    return push, False
+        def back(pull: FloatVector) -> FloatVector:
+            full = np.zeros(wanted.size)
+            full[columns] = pull
+            return unit.product(full)
 
-
-def _pushing_by_factor(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
-    """Return the shortest such p, however ill-conditioned A is; the signs are looked at where it is used."""
-    from scipy.linalg import LinAlgError, lstsq
-
-    columns, root = np.flatnonzero(wanted), problem.root_weights
-    entries: Any = UnitLeastSquares(problem).entries()
-    dense = entries.toarray() if sp.issparse(entries) else entries
-    push = np.zeros(root.size)
-    try:
-        found = lstsq(dense[:, columns].T, wanted[columns], lapack_driver="gelsy", check_finite=False)[0]
-    except (LinAlgError, ValueError):
-        return push
-    np.divide(found, root, out=push, where=root > 0.0)
-    return push
+        shape, enough = (columns.size, root.size), ENOUGH / math.sqrt(columns.size)
+        across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
+        push = lsmr(across, wanted[columns], atol=0.0, btol=enough, conlim=0.0, maxiter=REPAIR_STEPS)[0]
+    return np.divide(push, root, out=np.zeros(root.size), where=root > 0.0)
 
 
 def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:
@@ -355,14 +334,13 @@ def _convexity(problem: LeastSquares) -> FloatVector | None:
     if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
         return None
     unit = UnitLeastSquares(problem)
-    gram, terms = np.diag(unit.ridge), problem.shape[0] + 16
-    for rows, _ in problem.blocks():
-        entries: Any = unit.entries(rows)
-        part = entries.T @ entries
-        gram += part.toarray() if sp.issparse(part) else part
+    gram = unit.gram()
+    dense: Any = gram.toarray() if sp.issparse(gram) else gram
+    dense.flat[:: n + 1] += unit.ridge
+    terms = problem.shape[0] + 16
     # Columns are shorter than 2: no entry is wrong by more than 4 γ, nor an eigenvalue by more than n times that.
     slip = 8.0 * n * (gamma(2 * terms) + EPSILON)
-    bound = smallest_eigenvalue_bound(Matrix(0.5 * (gram + gram.T)))
+    bound = smallest_eigenvalue_bound(Matrix(0.5 * (dense + dense.T)))
     if bound is None or not bound.is_rigorous:
         return None
     least = bound.value - slip * float(bound.scale.max()) ** 2

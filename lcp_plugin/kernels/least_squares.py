@@ -27,14 +27,14 @@ from .compilation import (
 from .floats import EPSILON
 from .least_squares_sums import (
     OUTWARD,
-    add_ridge,
-    find_largest,
+    part_of_columns,
+    part_of_largest,
+    part_of_radii,
+    part_of_residuals,
+    part_of_ridge,
+    part_of_rows,
+    part_of_squares,
     power_above,
-    residual_sizes,
-    sum_along_rows,
-    sum_down_columns,
-    sum_squares,
-    write_radii,
 )
 
 PULL = 16.0 * EPSILON  # of the lengths of a column and the right-hand side: less is rounding
@@ -54,17 +54,17 @@ def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-un
     _find_units(A, weights, ridge, root, units, of_columns)
     rounds = _minimum(A, b, root, ridge, lower, upper, units, most, x, work, of_columns, sets)
     nothing = x[:0]
-    sum_along_rows(A, x, nothing, of_rows[:4])
+    part_of_rows(A, x, nothing, of_rows[:4])
     for i in range(m):
         of_rows[1, i] += abs(b[i])
         residual[i] = of_rows[0, i] - b[i]
     slip, right = of_rows[5], of_rows[6]
-    write_radii(of_rows[:4], n, slip)
+    part_of_radii(of_rows[:4], n, slip)
     for i in range(m):
         slip[i], right[i] = weights[i] * slip[i], weights[i] * b[i]
     sums, radius = of_columns[:4], of_columns[5]
-    sum_down_columns(A, right, nothing, sums)
-    write_radii(sums, m, radius)
+    part_of_columns(A, right, nothing, sums)
+    part_of_radii(sums, m, radius)
     plain = scaled = 0.0
     for j in range(n):
         plain = max(plain, abs(sums[0, j]) - radius[j])
@@ -73,10 +73,10 @@ def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-un
         return x, residual, np.inf, rounds
     for i in range(m):
         right[i] = weights[i] * residual[i]
-    sum_down_columns(A, right, slip, sums)
-    write_radii(sums, m, radius)
-    add_ridge(sums[0], radius, ridge, x)
-    of_plain, of_scaled, _ = residual_sizes(sums[0], radius, x, lower, upper, units, True)
+    part_of_columns(A, right, slip, sums)
+    part_of_radii(sums, m, radius)
+    part_of_ridge(sums[0], radius, ridge, x)
+    of_plain, of_scaled, _ = part_of_residuals(sums[0], radius, x, lower, upper, units, True)
     return x, residual, OUTWARD * max(of_plain / plain, of_scaled / scaled), rounds
 
 
@@ -88,10 +88,10 @@ def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untype
         root[i] = math.sqrt(weights[i])
     for j in range(units.size):
         units[j] = squares[j] = 0.0
-    find_largest(units, A, root)
+    part_of_largest(units, A, root)
     for j in range(units.size):
         units[j] = power_above(units[j])
-    sum_squares(squares, A, root, units, room[1])
+    part_of_squares(squares, A, root, units, room[1])
     for j in range(units.size):
         units[j] = power_above(np.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
 

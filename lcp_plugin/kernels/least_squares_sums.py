@@ -1,6 +1,6 @@
 """Compiled sums of least squares: products with proved errors, and how optimal a point is.
 
-Each is a kernel, and the part of kernels that does its work in arrays of the caller.
+Each is a kernel, and a part of the kernel of small problems, which does its work in arrays of its own.
 """
 
 from __future__ import annotations
@@ -16,17 +16,8 @@ OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of on
 LARGEST_EXPONENT = 500
 
 
-@compiled
-def along_rows(A, v, slip):  # type: ignore[no-untyped-def]
-    """Return the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
-    sums = np.empty((4, A.shape[0]))
-    sum_along_rows(A, v, slip, sums)
-    return sums
-
-
-@compiled_part
-def sum_along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
-    """Write what `along_rows` returns."""
+def _along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    """Write the rows A v, |A||v|, |A| slip, and 1 where a term of them is not 0, underflow or not; A by rows."""
     m, n = A.shape
     last = n - n % 4
     for i in range(m):
@@ -45,17 +36,8 @@ def sum_along_rows(A, v, slip, sums):  # type: ignore[no-untyped-def]
         sums[3, i] = sums[1, i] > 0.0 or _has_term(A[i], v, slip)
 
 
-@compiled
-def down_columns(A, v, slip):  # type: ignore[no-untyped-def]
-    """Return the same for Aᵀ, A by rows."""
-    sums = np.empty((4, A.shape[1]))
-    sum_down_columns(A, v, slip, sums)
-    return sums
-
-
-@compiled_part
-def sum_down_columns(A, v, slip, sums):  # type: ignore[no-untyped-def]
-    """Write what `down_columns` returns."""
+def _down_columns(A, v, slip, sums):  # type: ignore[no-untyped-def]
+    """Write the same for Aᵀ, A by rows."""
     m, n = A.shape
     value, size, spread = sums[0], sums[1], sums[2]
     for j in range(n):
@@ -80,18 +62,11 @@ def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
     return has_some
 
 
-@compiled
-def largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
+def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
     """Return ‖mid(x − upper, x − lower, g)‖∞, that in units of the columns, and if all are at most twice the radius.
 
     They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
     """
-    return residual_sizes(gradient, radius, x, lower, upper, units, is_enclosed)
-
-
-@compiled_part
-def residual_sizes(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
-    """Return what `largest_residuals` does."""
     plain = scaled = 0.0
     is_at_floor = True
     for j in range(x.size):
@@ -114,29 +89,15 @@ def power_above(size):  # type: ignore[no-untyped-def]
     return math.ldexp(1.0, min(max(math.frexp(size)[1], -LARGEST_EXPONENT), LARGEST_EXPONENT))
 
 
-@compiled
-def raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
+def _raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
     """Raise `largest` to the largest entries of the columns of diag(root) A, A by rows."""
-    find_largest(largest, A, root)
-
-
-@compiled_part
-def find_largest(largest, A, root):  # type: ignore[no-untyped-def]
-    """Write what `raise_to_largest` does."""
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             largest[j] = max(largest[j], abs(A[i, j] * root[i]))
 
 
-@compiled
-def add_squares(squares, A, root, units):  # type: ignore[no-untyped-def]
-    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows."""
-    sum_squares(squares, A, root, units, np.empty(units.size))
-
-
-@compiled_part
-def sum_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
-    """Write what `add_squares` does."""
+def _add_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
+    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows; write the inverse."""
     for j in range(units.size):
         inverse[j] = 1.0 / units[j]
     for i in range(A.shape[0]):
@@ -145,34 +106,27 @@ def sum_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-de
             squares[j] += part * part
 
 
-@compiled
-def radii(sums, terms):  # type: ignore[no-untyped-def]
-    """Return by how much rounding, and slip, may have moved such sums of so many terms."""
-    radius = np.empty(sums.shape[1])
-    write_radii(sums, terms, radius)
-    return radius
-
-
-@compiled_part
-def write_radii(sums, terms, radius):  # type: ignore[no-untyped-def]
-    """Write what `radii` returns."""
+def _radii(sums, terms, radius):  # type: ignore[no-untyped-def]
+    """Write to `radius` by how much rounding, and slip, may have moved such sums of so many terms."""
     k = (2 * terms + 8) * UNIT
     for j in range(radius.size):
         rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1, j] + sums[2, j])
         radius[j] = rounding + OUTWARD * sums[2, j] + (terms + 1) * TINY * (sums[3, j] > 0.0)
 
 
-@compiled
-def with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
+def _with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
     """Add ridge x to a value, and what that rounds to its radius."""
-    add_ridge(value, radius, ridge, x)
-
-
-@compiled_part
-def add_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
-    """Write what `with_ridge` does."""
     if ridge > 0.0:
         for j in range(x.size):
             value[j] += ridge * x[j]
             slip = 4.0 * EPSILON * (abs(value[j]) + ridge * abs(x[j])) + TINY * (x[j] != 0.0)
             radius[j] = OUTWARD * (radius[j] + slip)
+
+
+along_rows, down_columns, largest_residuals, radii, with_ridge, raise_to_largest, add_squares = map(compiled, (
+    _along_rows, _down_columns, _largest_residuals, _radii, _with_ridge, _raise_to_largest, _add_squares,
+))
+part_of_rows, part_of_columns, part_of_residuals, part_of_radii, part_of_ridge, part_of_largest, part_of_squares = map(
+    compiled_part,
+    (_along_rows, _down_columns, _largest_residuals, _radii, _with_ridge, _raise_to_largest, _add_squares),
+)

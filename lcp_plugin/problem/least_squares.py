@@ -22,10 +22,12 @@ from ..checks import (
     read_only,
     real_array,
 )
+from ..deadline import is_over
 from ..errors import InvalidOption, InvalidProblem
 
 COPIED_UP_TO = 10**6  # places of A
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
+ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -203,6 +205,24 @@ class UnitLeastSquares:
         """Return Aᵀy."""
         return self.problem.transposed(y if self.problem.weights is None else self._root * y) / self.columns
 
+    def gram(self) -> Any:
+        """Return AᵀA: a CSR array where A is sparse and large, else an ndarray, NaN where time ended before."""
+        if self.problem.is_sparse and not self.problem.is_cheap_to_copy:
+            entries = self.entries()
+            return sp.csr_array(entries.T @ entries)
+        m, n = self.problem.shape
+        gram = np.zeros((n, n))
+        for begin in range(0, m, ROWS * n + 1):
+            block = self.dense(slice(begin, begin + ROWS * n + 1))
+            gram += block.T @ block if not is_over() else np.nan
+        return gram
+
+    def dense(self, rows: slice = slice(None)) -> FloatVector:
+        """Return those rows of A as a new ndarray."""
+        entries = self.entries(rows)
+        dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
+        return dense
+
     def entries(self, rows: slice = slice(None)) -> Any:
         """Return those rows of A, which must have entries: a new ndarray or CSR array."""
         if self.problem.is_dense:
@@ -277,4 +297,4 @@ def _add_squares(squares: FloatVector, block: Any, root: FloatVector, unit: Floa
         entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
         squares += np.bincount(block.indices, entries * entries, minlength=block.shape[1])
     else:
-        add_squares(squares, np.ascontiguousarray(block), root, unit)
+        add_squares(squares, np.ascontiguousarray(block), root, unit, np.empty_like(unit))

@@ -13,10 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import BoolVector, FloatVector
-from ...deadline import is_over
 from ...kernels.floats import EPSILON
 from ...matrix.factors import LARGEST_DENSE, cholesky, factor_fits, factorise
-from ...problem.least_squares import UnitLeastSquares
+from ...problem.least_squares import ROWS, UnitLeastSquares
 from .point import Point
 
 Solve = Callable[[FloatVector], FloatVector]
@@ -28,7 +27,6 @@ GROWTH = 16.0  # of the shift where rounding left no factor
 LARGEST_SHIFT = 1e-3
 DUAL_SHIFT = 1e-12  # for more columns than rows, where the formula of the inverse divides rounding by it
 MOST_STEPS = 30
-ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 RANK = 4.0 * EPSILON  # times the larger dimension: singular values below this share of the largest are 0
 
 
@@ -51,27 +49,14 @@ class Faces:
     def of(cls, problem: UnitLeastSquares) -> Faces | None:
         """Return the faces; None where a factor would be too large, overflows, or time ended before."""
         m, n = problem.problem.shape
-        if problem.problem.is_sparse and not problem.problem.is_cheap_to_copy:
-            return cls._of_sparse(problem)
-        if n > LARGEST_DENSE:
+        is_sparse = problem.problem.is_sparse and not problem.problem.is_cheap_to_copy
+        if _is_filling(problem.entries()) if is_sparse else n > LARGEST_DENSE:
             return None
-        if m < n:
-            return cls(problem, _dense(problem.entries()), is_wide=True)
-        gram, at_once = np.zeros((n, n)), ROWS * n + 1
-        for begin in range(0, m, at_once):
-            if is_over():
-                return None
-            block = _dense(problem.entries(slice(begin, min(begin + at_once, m))))
-            gram += block.T @ block
-        return cls(problem, gram) if np.isfinite(gram).all() else None
-
-    @classmethod
-    def _of_sparse(cls, problem: UnitLeastSquares) -> Faces | None:
-        entries = problem.entries()
-        if _gram_size(entries) > LARGER * entries.nnz + entries.shape[1]:
-            return None
-        gram = sp.csr_array(entries.T @ entries)
-        return cls(problem, gram) if np.isfinite(gram.data).all() and factor_fits(gram) else None
+        if m < n and not is_sparse:
+            return cls(problem, problem.dense(), is_wide=True)
+        gram = problem.gram()
+        has_factor = np.isfinite(gram.data if is_sparse else gram).all() and (not is_sparse or factor_fits(gram))
+        return cls(problem, gram) if has_factor else None
 
     def product(self, d: FloatVector) -> FloatVector:
         """Return (AᵀA + ridge) d."""
@@ -150,7 +135,7 @@ class Faces:
         from scipy.linalg import LinAlgError, lstsq
 
         problem = self.problem
-        block, right, root = _dense(problem.entries())[:, columns], -point.residual, np.sqrt(problem.ridge[columns])
+        block, right, root = problem.dense()[:, columns], -point.residual, np.sqrt(problem.ridge[columns])
         if root.any():
             block, right = np.vstack([block, np.diag(root)]), np.concatenate([right, -root * point.x[columns]])
         try:
@@ -166,13 +151,9 @@ def _positive(matrix: FloatVector, diagonal: FloatVector) -> Any:
     return cholesky(matrix, overwrite=True)
 
 
-def _gram_size(entries: Any) -> float:
-    """Return about how many entries AᵀA has."""
+def _is_filling(entries: Any) -> bool:
+    """Return whether AᵀA has too many more entries than A, about."""
     n = entries.shape[1]
     looked_at = np.unique(np.linspace(0, n - 1, min(n, LOOKED_AT)).astype(np.intp))
-    return float((entries.T @ entries[:, looked_at]).nnz * n / max(looked_at.size, 1))
-
-
-def _dense(entries: Any) -> FloatVector:
-    dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
-    return dense
+    size = (entries.T @ entries[:, looked_at]).nnz * n / max(looked_at.size, 1)
+    return bool(size > LARGER * entries.nnz + n)

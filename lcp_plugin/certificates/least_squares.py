@@ -25,7 +25,7 @@ from ..checks import FloatVector
 from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
-from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares, UnitLeastSquares
+from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares
 from .definite_bounds import smallest_eigenvalue_bound
 from .dual_bounds import least_squares
 
@@ -34,7 +34,8 @@ Ball = tuple[FloatVector, FloatVector]
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
-ENOUGH = 0.5  # of the 1 that (AᵀWp)_j is to be, in units of column j
+IS_NEAR = 1  # what LSMR says then
+ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
 NOTHING = np.empty(0)
@@ -303,22 +304,22 @@ def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
 
     Its signs are looked at where it is used.
     """
-    unit, columns, root = UnitLeastSquares(problem), np.flatnonzero(wanted), problem.root_weights
+    unit, columns, root = problem.unit, np.flatnonzero(wanted), problem.root_weights
     if not columns.size:
         return np.zeros(root.size)
-    if problem.is_cheap_to_copy:  # however ill-conditioned A is
+    from scipy.sparse.linalg import LinearOperator, lsmr
+
+    def back(pull: FloatVector) -> FloatVector:
+        full = np.zeros(wanted.size)
+        full[columns] = pull
+        return np.asarray(unit.product(full))
+
+    shape, enough = (columns.size, root.size), ENOUGH / math.sqrt(columns.size)
+    across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
+    steps = min(REPAIR_STEPS, 2 * columns.size + 1)
+    push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=enough, conlim=0.0, maxiter=steps)
+    if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
         push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
-    else:
-        from scipy.sparse.linalg import LinearOperator, lsmr
-
-        def back(pull: FloatVector) -> FloatVector:
-            full = np.zeros(wanted.size)
-            full[columns] = pull
-            return unit.product(full)
-
-        shape, enough = (columns.size, root.size), ENOUGH / math.sqrt(columns.size)
-        across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
-        push = lsmr(across, wanted[columns], atol=0.0, btol=enough, conlim=0.0, maxiter=REPAIR_STEPS)[0]
     return np.divide(push, root, out=np.zeros(root.size), where=root > 0.0)
 
 
@@ -333,7 +334,7 @@ def _convexity(problem: LeastSquares) -> FloatVector | None:
     n = problem.shape[1]
     if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
         return None
-    unit = UnitLeastSquares(problem)
+    unit = problem.unit
     gram = unit.gram()
     dense: Any = gram.toarray() if sp.issparse(gram) else gram
     dense.flat[:: n + 1] += unit.ridge

@@ -153,6 +153,12 @@ class LeastSquares:
             return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge))))
 
     @cached_property
+    def unit(self) -> UnitLeastSquares:
+        """The problem in the units of the methods."""
+        with np.errstate(all="ignore"):
+            return UnitLeastSquares(self)
+
+    @cached_property
     def root_weights(self) -> FloatVector:
         """√weights, shape (m,)."""
         return np.ones(self.shape[0]) if self.weights is None else np.sqrt(self.weights)
@@ -178,13 +184,11 @@ class UnitLeastSquares:
     def __init__(self, problem: LeastSquares) -> None:
         self.problem = problem
         self._root, self.columns = problem.root_weights, problem.column_units
-        with np.errstate(over="ignore"):
-            sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
+        sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
         self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes)))
-        with np.errstate(over="ignore", under="ignore"):
-            self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
-            self.b = self._root * problem.b / self.size
-            self.ridge = problem.ridge / self.columns / self.columns
+        self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
+        self.b = self._root * problem.b / self.size
+        self.ridge = problem.ridge / self.columns / self.columns
 
     def from_caller(self, x: FloatVector) -> FloatVector:
         """Return x in these units."""

@@ -22,7 +22,7 @@ from ..checks import FloatVector, read_only
 from ..deadline import OutOfTimeError, time_limit
 from ..peers.alone import Peers
 from ..policy.pacing import Progress
-from ..problem.least_squares import LeastSquares, UnitLeastSquares
+from ..problem.least_squares import LeastSquares
 from ..settings import Settings, Status
 from .least_squares_result import LeastSquaresResult, point_nearer, result_of
 from .state import Clock
@@ -148,11 +148,6 @@ class _Run:
         self.progress = Progress(problem.shape[1], settings.max_iterations)
 
     @cached_property
-    def unit(self) -> UnitLeastSquares:
-        """The problem in the units of the methods."""
-        return UnitLeastSquares(self.problem)
-
-    @cached_property
     def sharp(self) -> Enclosures | None:
         """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
         return Enclosures(self.problem, is_sharp=True) if self.problem.is_cheap_to_copy else None
@@ -182,7 +177,7 @@ class _Run:
             if not problem.is_cheap_to_copy:
                 patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
                 yield islice(projected_steps(self._incumbent()), patience)
-            if (faces := Faces.of(self.unit)) is not None:
+            if (faces := Faces.of(problem.unit)) is not None:
                 self.faces = faces
                 yield block_pivot_steps(self._incumbent(), faces)
                 yield _in_turn(interior_steps(self._incumbent(), faces), faces)
@@ -193,14 +188,14 @@ class _Run:
         if self.faces is None or (self.judged is not None and self.judged.is_at_rounding_level):
             return
         *_, refined = islice(active_set_steps(point, self.faces), ROUNDS)
-        judged = self._judgement(self.unit.to_caller(refined.x))
+        judged = self._judgement(self.problem.unit.to_caller(refined.x))
         if judged.value <= self.settings.tolerance:
             self.judged = judged
 
     def _incumbent(self) -> Point:
         """Return the best point so far, its residual computed afresh."""
-        x = self.unit.from_caller(self.start) if self.best is None else self.best.x
-        return Point(self.unit, np.clip(x, self.unit.lower, self.unit.upper))
+        x = self.problem.unit.from_caller(self.start) if self.best is None else self.best.x
+        return Point(self.problem.unit, np.clip(x, self.problem.unit.lower, self.problem.unit.upper))
 
     def _reason_to_end(self, point: Point) -> Status | None:
         """Take note of a point; return the reason to end, if there is one."""
@@ -208,7 +203,7 @@ class _Run:
         if size < self.best_size:
             self.best_size, self.best = size, point
         if size <= self.aim:
-            if self._is_solved_by(self.unit.to_caller(point.x)):
+            if self._is_solved_by(self.problem.unit.to_caller(point.x)):
                 return Status.SOLVED
             self.aim = NARROWER * size
         self.clock.read()
@@ -223,7 +218,7 @@ class _Run:
 
     def _measured(self, point: Point) -> float:
         """Return the optimality of a point as its own residual says, rounding left aside."""
-        unit, columns = self.unit, self.unit.columns
+        unit, columns = self.problem.unit, self.problem.unit.columns
         scaled = point.natural_residual
         below, above = (point.x - unit.upper) / columns, (point.x - unit.lower) / columns
         plain = np.clip(point.gradient * columns, below, above)
@@ -246,7 +241,7 @@ class _Run:
         most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
         if duality_gap(problem, judged.x) <= most:
             return True
-        nearer = point_nearer(self.unit, judged.x, self.iteration)
+        nearer = point_nearer(problem, judged.x, self.iteration)
         if duality_gap(problem, judged.x, nearer) <= most:
             return True
         is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
@@ -265,12 +260,12 @@ class _Run:
         """Return whether the best point is as good as rounding allows."""
         if self.best is None:
             return False
-        return Optimality.of(self.enclosures, self.unit.to_caller(self.best.x)).is_at_rounding_level
+        return Optimality.of(self.enclosures, self.problem.unit.to_caller(self.best.x)).is_at_rounding_level
 
     def result(self, reason: Status) -> LeastSquaresResult:
         """Return the result: the judgement names the status."""
         if not self.is_solved:
-            self._is_solved_by(self.start if self.best is None else self.unit.to_caller(self.best.x))
+            self._is_solved_by(self.start if self.best is None else self.problem.unit.to_caller(self.best.x))
         judged = cast(Optimality, self.judged)
         if self.is_solved:
             reason = Status.SOLVED

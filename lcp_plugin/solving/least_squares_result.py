@@ -14,7 +14,7 @@ from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import duality_gap
 from ..checks import FloatVector, read_only, restored
 from ..errors import NotConverged
-from ..problem.least_squares import LeastSquares, UnitLeastSquares
+from ..problem.least_squares import LeastSquares
 from ..settings import Settings, Status
 
 MOST_STEPS_FOR_GAP = 300
@@ -78,7 +78,7 @@ class LeastSquaresResult:
         (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").
         """
         with np.errstate(all="ignore"):
-            nearer = point_nearer(UnitLeastSquares(self.problem), self.x, self.nit)
+            nearer = point_nearer(self.problem, self.x, self.nit)
             return duality_gap(self.problem, self.x, nearer)
 
     @property
@@ -136,8 +136,9 @@ def result_of(
     )
 
 
-def point_nearer(unit: UnitLeastSquares, x: FloatVector, steps: int) -> FloatVector:
+def point_nearer(problem: LeastSquares, x: FloatVector, steps: int) -> FloatVector:
     """Return a point nearer to the answer than x, which about as many steps led to."""
+    unit = problem.unit
     start = Point(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
     points = islice(projected_steps(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
     return unit.to_caller(min(points, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0))).x)

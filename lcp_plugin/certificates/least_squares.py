@@ -320,7 +320,7 @@ def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
     push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=enough, conlim=0.0, maxiter=steps)
     if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
         push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
-    return np.divide(push, root, out=np.zeros(root.size), where=root > 0.0)
+    return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
 
 
 def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:

@@ -11,11 +11,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms.least_squares.active_set import active_set_steps
-from ..algorithms.least_squares.block_pivots import block_pivot_steps
-from ..algorithms.least_squares.faces import Faces
-from ..algorithms.least_squares.interior_steps import interior_steps
-from ..algorithms.least_squares.point import Point
+from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_steps, interior_steps
+from ..algorithms.least_squares.faces import Faces, Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
 from ..checks import FloatVector, read_only

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from ..algorithms.least_squares.point import Point
+from ..algorithms.least_squares.faces import Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import duality_gap
 from ..checks import FloatVector, read_only, restored

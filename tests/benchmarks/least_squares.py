@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.algorithms.least_squares.faces import Faces
-from lcp_plugin.algorithms.least_squares.point import Point
+from lcp_plugin.algorithms.least_squares.faces import Faces, Point
 from lcp_plugin.algorithms.least_squares.projected_steps import projected_steps
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.problem.least_squares import LeastSquares, UnitLeastSquares

@@ -25,7 +25,7 @@ class DenseNewtonMatrix(NewtonMatrix):
     """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
 
     def __init__(self, M: FloatVector, is_symmetric: bool, signs: FloatVector | None = None) -> None:
-        super().__init__(M)
+        super().__init__(M.shape[0], M)
         self.signs = self.signs if signs is None else read_only(signs)
         self._factorise = cholesky if is_symmetric else dense_lu
         self._buffer = np.empty_like(M)
@@ -53,7 +53,7 @@ class SparseNewtonMatrix(NewtonMatrix):
     """
 
     def __init__(self, M: sp.csr_array) -> None:
-        super().__init__(M)
+        super().__init__(M.shape[0], M)
         # Entries as CSR of M + diag, which is CSC of its transpose; the diagonal is always stored.
         union = sp.csr_array(abs(M) + sp.eye_array(self.n, format="csr"))
         keys = self._keys(union)

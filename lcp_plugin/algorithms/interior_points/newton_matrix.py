@@ -32,9 +32,8 @@ class NewtonMatrix(ABC):
         −1 on the rows whose z is a multiplier of others, else 1.
     """
 
-    def __init__(self, M: Any) -> None:
-        self.M = M
-        self.n = M.shape[0]
+    def __init__(self, n: int, M: Any = None) -> None:
+        self.n, self.M = n, M
         self.work = 0.0
         self.signs = read_only(np.ones(self.n))
         self.regularisation = self._least = REGULARISATION
@@ -42,6 +41,10 @@ class NewtonMatrix(ABC):
         self.share, self._share_before = 0.0, np.inf
         self._may_sharpen = True
         self._diagonal = np.zeros(self.n)
+
+    def product(self, z: FloatVector) -> FloatVector:
+        """Return M z."""
+        return np.asarray(self.M @ z)
 
     def factorise(self, diagonal: FloatVector) -> bool:
         """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""

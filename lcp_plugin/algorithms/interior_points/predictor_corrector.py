@@ -111,7 +111,7 @@ class PredictorCorrector:
     def step(self) -> bool:
         """Make one predictor–corrector step; return False where nothing can be factorised or is finite any more."""
         desk, facts, kernels, matrix = self._desk, self._facts, self._kernels, self.matrix
-        desk[kernels.LEFT] = matrix.M @ self.z
+        desk[kernels.LEFT] = matrix.product(self.z)
         if not kernels.begin(desk, facts) or not matrix.factorise(desk[kernels.DIAGONAL]):
             return False
         phase = kernels.advance(desk, facts, kernels.BEGUN)

@@ -32,7 +32,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
     """
 
     def __init__(self, M: sp.csr_array, signs: FloatVector, symbolic: Symbolic | None = None) -> None:
-        super().__init__(M)
+        super().__init__(M.shape[0], M)
         self.signs = read_only(signs)
         self.symbolic = symbolic if symbolic is not None and symbolic.fits(M) else Symbolic.of(M)
         self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)

@@ -19,7 +19,7 @@ from collections.abc import Generator, Iterator
 
 import numpy as np
 
-from .point import Point
+from .faces import Point
 
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises

@@ -25,10 +25,11 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.algorithms.interior_points.monotone_rows import monotone_rows
 from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.errors import UnsuitableProblem
-from lcp_plugin.evidence import gallery
-from lcp_plugin.evidence.stability import Atlas, Cell, atlas, exact_answers, stability_atlas
-from lcp_plugin.evidence.stability.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
-from lcp_plugin.evidence.stability.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
+from lcp_plugin.evidence import exact_answers, gallery
+from lcp_plugin.evidence import stability as atlas
+from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
+from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
+from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.problem.exactly import is_exact_solution
 from lcp_plugin.solving.error_watch import BoundOrReason
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

@@ -17,9 +17,9 @@ import numpy as np
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.evidence.exact_answers import lie_in
 from lcp_plugin.evidence.stability import stability_atlas
-from lcp_plugin.evidence.stability.exact_answers import lie_in
-from lcp_plugin.evidence.stability.stresses import Case, planted, rescaled
+from lcp_plugin.evidence.stresses import Case, planted, rescaled
 
 SPREADS = (0, 3, 30, 100, 300)
 

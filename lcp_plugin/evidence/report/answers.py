@@ -1,9 +1,9 @@
-"""Our answers beside those of others: the paper's tables, convex solvers, and what `certify` proves of each."""
+"""Answers held against others: exact ones (the atlas), the paper's tables, convex solvers, and what is proved."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -13,7 +13,78 @@ from ..cross_check import cross_validate
 from ..exporting import finite_content
 from ..gallery import parse
 from ..paper_tables import cells
-from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many
+from ..stability import Atlas, Cell, stability_atlas
+from ..stresses import FAMILIES
+from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many, percent
+
+# --- The stability atlas ---------------------------------------------------------------------------------------
+
+TOO_LONG_FOR_QUICK = ("sizes",)
+
+
+class Stability(Section):
+    """Algorithms against families of stress."""
+
+    kind = "atlas"
+    anchor = "stability"
+    place = 4
+    title = "Stability atlas"
+    short = "Stability"
+
+    def work(self, effort: Effort) -> dict[str, Compute]:
+        """Return one part a family."""
+        families = [one for one in FAMILIES if not (effort.is_quick and one in TOO_LONG_FOR_QUICK)]
+        return {family: partial(_stressed, family, effort) for family in families}
+
+    def tell(self, collected: Collected) -> Iterator[Finding]:
+        """Yield the lies, the share of SOLVED, and the errors that a small residual hides."""
+        atlas = _whole(collected)
+        runs = f"{many(len(atlas.cells), 'run')} on stiff, extreme and degenerate problems"
+        text = (f"{runs}: {many(len(atlas.lies), 'lie')}; of the {len(atlas.well_posed)} well-posed ones "
+                f"{percent(atlas.solved_share)} are SOLVED.")
+        if atlas.misleading:
+            well_posed = sum(cell.is_well_posed for cell in atlas.misleading)
+            text += (f" {len(atlas.misleading)} of the SOLVED ones hide an error of more than a thousandth behind a "
+                     f"small residual, {well_posed} of them well-posed.")
+        yield Finding("Stability", text)
+
+    def draw(self, collected: Collected) -> dict[str, Any]:
+        """Return the table of algorithms against families, and every cell worth a word."""
+        atlas = _whole(collected)
+        families = list(dict.fromkeys(cell.family for cell in atlas.cells))
+        cells: dict[str, dict[str, list[Cell]]] = {}
+        for cell in atlas.cells:
+            cells.setdefault(cell.algorithm, {family: [] for family in families})[cell.family].append(cell)
+        return {
+            "atlas": atlas, "families": families, "absent": [one for one in FAMILIES if one not in families],
+            "rows": {name: [_tally(own) for own in row.values()] for name, row in cells.items()},
+            "misleading": sorted(atlas.misleading, key=lambda cell: cell.condition),
+        }
+
+    def files(self, collected: Collected) -> dict[str, str]:
+        """Return every cell."""
+        return {"stability.csv": _whole(collected).to_csv()}
+
+
+def _stressed(family: str, effort: Effort, say: Say) -> dict[str, Any]:
+    def progress(done: int, total: int, label: str) -> None:
+        say(f"{done} of {total}, {label}")
+
+    return stability_atlas(stresses=[family], quick=effort.is_quick, progress=progress).to_content()
+
+
+def _whole(collected: Collected) -> Atlas:
+    """Return the atlas of all families."""
+    return sum(map(Atlas.from_content, collected.of("atlas")), Atlas((), ()))
+
+
+def _tally(cells: Sequence[Cell]) -> dict[str, Any] | None:
+    if not cells:
+        return None
+    solved = sum(cell.status == "SOLVED" for cell in cells)
+    lies = sum(not cell.told_the_truth for cell in cells)
+    return {"solved": solved, "count": len(cells), "lies": lies, "share": solved / len(cells)}
+
 
 # --- The paper's tables ---------------------------------------------------------------------------------------
 

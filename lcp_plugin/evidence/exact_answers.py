@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.references import rounding_of_data
-from ...certificates.row_residuals import scaled_residual
-from ...checks import FloatVector
-from ...errors import UnsuitableProblem
-from ...exact.linear_systems import solved_nearby
-from ...exact.rational import power_of_two, rational_rows
-from ...exact.rounding import compensated_product
-from ...matrix.equilibration import evened, scaled
-from ...problem.exactly import exact_residuals, exact_slack, is_exact_solution
-from ...problem.lcp import LCP
-from ...settings import Status
-from ...solving.result import Result
+from ..certificates.references import rounding_of_data
+from ..certificates.row_residuals import scaled_residual
+from ..checks import FloatVector
+from ..errors import UnsuitableProblem
+from ..exact.linear_systems import solved_nearby
+from ..exact.rational import power_of_two, rational_rows
+from ..exact.rounding import compensated_product
+from ..matrix.equilibration import evened, scaled
+from ..problem.exactly import exact_residuals, exact_slack, is_exact_solution
+from ..problem.lcp import LCP
+from ..settings import Status
+from ..solving.result import Result
 
 Answer = tuple[Fraction, ...]
 States = list[int]

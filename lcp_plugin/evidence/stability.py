@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...algorithms import REGISTRY
-from ...errors import (
+from ..algorithms import REGISTRY
+from ..errors import (
     ConvergenceWarning,
     InvalidOption,
     LCPError,
@@ -22,11 +22,11 @@ from ...errors import (
     UnsuitableProblem,
     did_you_mean,
 )
-from ...solving.driver import solve
-from ...solving.result import Result
-from ..contestants import checked_names
-from ..exporting import Exported
+from ..solving.driver import solve
+from ..solving.result import Result
+from .contestants import checked_names
 from .exact_answers import lie_in, relative_error
+from .exporting import Exported
 from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]

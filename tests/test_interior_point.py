@@ -10,17 +10,11 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms.interior_points.interior_linear_algebra import (
-    DenseNewtonMatrix,
-    SparseNewtonMatrix,
-    equilibration,
-    scaled_by,
-)
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint, _Search
+from lcp_plugin.algorithms.interior_points.newton_matrix import DenseNewtonMatrix, SparseNewtonMatrix
 from lcp_plugin.algorithms.interior_points.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
-from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, signs_of
-from lcp_plugin.algorithms.interior_points.suited_matrix import suited
-from lcp_plugin.algorithms.interior_points.symbolic import Symbolic
+from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic, signs_of
+from lcp_plugin.algorithms.interior_points.suited_matrix import equilibration, scaled_by, suited
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.kernels import triangles

@@ -22,7 +22,7 @@ from hypothesis import given, settings
 
 from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.algorithms.interior_points.monotone_rows import monotone_rows
+from lcp_plugin.algorithms.interior_points.suited_matrix import monotone_rows
 from lcp_plugin.algorithms.pivots.canonical_box import canonical_box
 from lcp_plugin.errors import UnsuitableProblem
 from lcp_plugin.evidence import exact_answers, gallery

@@ -1,7 +1,7 @@
 """LDLᵀ of sparse quasi-definite matrices S (M + diag), S = diag(signs), their order and pattern known.
 
 Row by row: row k of L solves with the rows before it, as in qdldl. `order`, `starts` … `at` are the pattern of a
-:class:`lcp_plugin.algorithms.interior_points.symbolic.Symbolic`, `values` L in that pattern, `pivots` D.
+:class:`lcp_plugin.algorithms.interior_points.quasidefinite.Symbolic`, `values` L in that pattern, `pivots` D.
 """
 
 from __future__ import annotations

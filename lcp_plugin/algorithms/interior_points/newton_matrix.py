@@ -1,8 +1,11 @@
-"""What every Newton matrix of an interior point does: regularise, factorise, and refine the regularisation away."""
+"""Newton matrices of interior points, M + diag: regularised, factorised, and the regularisation refined away.
+
+M is given, equilibrated, and not modified. Dense: Cholesky or LU. Sparse: LU by SuperLU; LDLᵀ of quadratic programs is
+in :mod:`.quasidefinite`.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -10,14 +13,16 @@ import scipy.sparse as sp
 
 from ...checks import FloatVector, read_only
 from ...kernels.floats import REFINED, REFINEMENTS, STABLE, USEFUL
+from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
 SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
 SMALLEST = 1e-300
 WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
+PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
 
 
-class NewtonMatrix(ABC):
+class NewtonMatrix:
     """M + diag(diagonal), factorised once an iteration; M itself is given, equilibrated, and not modified.
 
     Attributes
@@ -101,10 +106,75 @@ class NewtonMatrix(ABC):
     def _entries(self) -> float:
         return float(self.M.nnz if sp.issparse(self.M) else self.M.size)
 
-    @abstractmethod
     def _try(self, diagonal: FloatVector) -> bool:
         """Factorise M + diag(diagonal); return whether that succeeded."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _apply(self, right: FloatVector) -> FloatVector:
         """Return the factor's answer to one right-hand side."""
+        raise NotImplementedError
+
+
+class DenseNewtonMatrix(NewtonMatrix):
+    """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
+
+    def __init__(self, M: FloatVector, is_symmetric: bool, signs: FloatVector | None = None) -> None:
+        super().__init__(M.shape[0], M)
+        self.signs = self.signs if signs is None else read_only(signs)
+        self._factorise = cholesky if is_symmetric else dense_lu
+        self._buffer = np.empty_like(M)
+        self._factor: Any = None
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        np.copyto(self._buffer, self.M)
+        self._buffer.flat[:: self.n + 1] += diagonal
+        self._factor = self._factorise(self._buffer, overwrite=True)
+        self.work += self.n**3 / (6.0 if self._factorise is cholesky else 3.0)
+        return self._factor is not None
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += self._factor.solve_work
+        x: FloatVector = self._factor.solve(right)
+        return x
+
+
+class SparseNewtonMatrix(NewtonMatrix):
+    """LU by SuperLU, ordered once by the pattern of M + Mᵀ, pivots from the diagonal.
+
+    The symmetric part of M + diag is positive definite, so every pivot on the diagonal is positive. Where a solve shows
+    a factor to be useless, pivoting is allowed.
+    """
+
+    def __init__(self, M: sp.csr_array) -> None:
+        super().__init__(M.shape[0], M)
+        self._ordered, self._order = M, np.arange(self.n)
+        self._factor: Any = None
+        self._factor_order = self._order
+        self._factor_work = 0.0
+        self._pivoting = 0
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        for pivoting in range(self._pivoting, len(PIVOTS)):
+            rows, is_first = self._ordered + sp.diags_array(diagonal[self._order]), not self._factor_work
+            try:  # CSR of the matrix is CSC of its transpose
+                self._factor = sparse_lu(
+                    rows.T, permc_spec="MMD_AT_PLUS_A" if is_first else "NATURAL", diag_pivot_thresh=PIVOTS[pivoting],
+                    options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
+                )
+            except RuntimeError:
+                continue
+            self._factor_order = self._order
+            if is_first:  # rows and columns stay in the order that was found
+                self._factor_work, self._order = sparse_work(self._factor), np.argsort(self._factor.perm_c)
+                self._ordered = self.M[self._order][:, self._order]
+            self.work += self._factor_work
+            if self.is_useful(diagonal):
+                self._pivoting = pivoting
+                return True
+        return False
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += float(self._factor.nnz)
+        x = np.empty_like(right)
+        x[self._factor_order] = self._factor.solve(right[self._factor_order], trans="T")
+        return x

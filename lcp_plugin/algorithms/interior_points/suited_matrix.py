@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from ...checks import FloatVector, read_only
 from ...crossovers import DENSE_NEWTON_UP_TO
 from ...matrix.matrix import Matrix, fact
+from ...matrix.structure import compressed_rows
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
-from .interior_linear_algebra import equilibration, rows_scaled_by, scaled_by
-from .monotone_rows import monotone_rows
-from .quasidefinite import signs_of
-from .symbolic import Symbolic
+from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
+EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
+RUIZ_PASSES = 8
+CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
+LARGEST_SEARCH = 20_000  # rows up to which a tree through the pattern is followed row by row
+LARGEST_EXPONENT = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class SuitedMatrix:
     M : canonical CSR array or ndarray, shape (n, n)
         Dense where it is symmetric and not too sparse for that.
     row_factors : ndarray, shape (n,), or None
-        Powers of two, as of :func:`~.monotone_rows.monotone_rows`.
+        Powers of two, as of `monotone_rows`.
     unit : ndarray, shape (n,)
         Powers of two.
     signs : ndarray, shape (n,), or None
@@ -106,3 +109,108 @@ def suited(matrix: Matrix, kept: NDArray[np.intp] | None = None) -> SuitedMatrix
 def _known_parts(matrix: Matrix) -> dict[bytes | None, SuitedMatrix]:
     """Return the part that was asked for last; one, as each may be as large as the matrix."""
     return {}
+
+
+def equilibration(M: Any) -> FloatVector | None:
+    """Return c, powers of two, shape (n,), such that c_i m_ij c_j has rows and columns of even size; None for c = 1.
+
+    The same factors on both sides keep a monotone matrix monotone and a symmetric one symmetric.
+    """
+    n = M.shape[0]
+    c = np.ones(n)
+    if not n:
+        return None
+    if not sp.issparse(M):
+        diagonal = M.diagonal()
+        if diagonal.min() > 0.0:
+            if diagonal.max() <= EVEN * diagonal.min():
+                return None
+            return _power_of_two(1.0 / np.sqrt(diagonal))
+    from ...kernels.rows import even
+
+    even(*compressed_rows(M), RUIZ_PASSES, c)
+    return _power_of_two(c)
+
+
+def scaled_by(M: Any, c: FloatVector) -> Any:
+    """Return c_i m_ij c_j."""
+    scaled = rows_scaled_by(M, c)
+    if sp.issparse(M):
+        scaled.data *= c[M.indices]
+    else:
+        scaled *= c
+    return scaled
+
+
+def rows_scaled_by(M: Any, r: FloatVector) -> Any:
+    """Return r_i m_ij."""
+    if not sp.issparse(M):
+        return r[:, None] * M
+    return sp.csr_array((np.repeat(r, np.diff(M.indptr)) * M.data, M.indices, M.indptr), shape=M.shape)
+
+
+def _power_of_two(c: FloatVector) -> FloatVector:
+    rounded: FloatVector = np.ldexp(1.0, np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64))
+    return rounded
+
+
+def monotone_rows(M: Any) -> FloatVector | None:
+    """Return r, powers of two, shape (n,), such that diag(r) M may be monotone although M is not; else None.
+
+    M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and only what is so clearly is changed. Tried are the
+    factors that make M symmetric, if there are any, and those that make its diagonal 1.
+
+    Examples
+    --------
+    >>> monotone_rows(np.array([[2.0, -1.0], [-64.0, 128.0]]))
+    array([1.      , 0.015625])
+    >>> monotone_rows(np.array([[2.0, -1.0], [-1.0, 2.0]])) is None
+    True
+    """
+    diagonal = M.diagonal()
+    if not diagonal.size or diagonal.min() <= 0.0:
+        return None
+    rows = sp.csr_array(M)
+    exponents = np.zeros(diagonal.size)
+    if _may_be_monotone(rows, exponents):
+        return None
+    candidates = [_symmetrising(rows)] if diagonal.size <= LARGEST_SEARCH else []
+    for exponents in (*candidates, -np.rint(np.log2(diagonal))):
+        if np.abs(exponents).max() <= LARGEST_EXPONENT and _may_be_monotone(rows, exponents):
+            factors: FloatVector = np.ldexp(1.0, exponents.astype(np.int64))
+            return factors
+    return None
+
+
+def _may_be_monotone(M: sp.csr_array, exponents: FloatVector) -> bool:
+    scaled = M.copy()
+    with np.errstate(all="ignore"):
+        scaled.data = np.ldexp(M.data, np.repeat(exponents, np.diff(M.indptr)).astype(np.int64))
+        root = np.sqrt(scaled.diagonal())
+        both = sp.coo_array(scaled + scaled.T)
+        allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
+        return bool(np.all(np.abs(both.data) <= allowed))
+
+
+def _symmetrising(M: sp.csr_array) -> FloatVector:
+    """Return the exponents r of 2^r_i m_ij = 2^r_j m_ji along a tree through each connected part of the pattern."""
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    mutual = sp.csr_array(pattern * pattern.T)
+    size = _logarithms(M)
+    ratio = sp.csr_array(mutual * size) - sp.csr_array(mutual * size.T)  # log₂ of m_ij/m_ji
+    exponents = np.zeros(M.shape[0])
+    count, part = connected_components(mutual, directed=False)
+    first = np.full(count, -1)
+    first[part[::-1]] = np.arange(M.shape[0])[::-1]
+    for start in first.tolist():
+        order, before = breadth_first_order(mutual, start, directed=False)
+        for i in order[1:].tolist():
+            exponents[i] = exponents[before[i]] - ratio[i, before[i]]
+    return np.rint(exponents)
+
+
+def _logarithms(M: sp.csr_array) -> sp.csr_array:
+    """Return log₂|m_ij| in the pattern of M."""
+    return sp.csr_array((np.log2(np.abs(M.data)), M.indices, M.indptr), shape=M.shape)

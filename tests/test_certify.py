@@ -35,9 +35,9 @@ from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoint
 from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
 from lcp_plugin.conversions.quadratic_program import lcp_from_qp
-from lcp_plugin.modeling.qp_solver import solve_quadratic_program
 from lcp_plugin.modeling.user_terms import size_of
 from lcp_plugin.solving.program_proofs import SMALL, ProgramProofs, distances
+from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 from lcp_plugin.strategies import convex_qps
 
 INF = np.inf
@@ -759,7 +759,7 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         asked.append(options["tolerance"])
         return solve(problem, *args, **options)
 
-    monkeypatch.setattr("lcp_plugin.solving.program_proofs.solve", counted)
+    monkeypatch.setattr("lcp_plugin.solving.quadratic_program.solve", counted)
     program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
     assert asked == [1e-9]
@@ -773,7 +773,7 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         limits.append(options["max_seconds"])
         return solve(problem, *args, **options)
 
-    monkeypatch.setattr("lcp_plugin.solving.program_proofs.solve", counted)
+    monkeypatch.setattr("lcp_plugin.solving.quadratic_program.solve", counted)
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits
     assert max(limits) <= 30.0

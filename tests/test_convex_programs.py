@@ -20,8 +20,8 @@ from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.exact.linear_systems import solved_nearby
-from lcp_plugin.modeling.qp_solver import solve_quadratic_program
 from lcp_plugin.modeling.registration import build
+from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 
 INF = np.inf
 INTERIOR = InteriorPoint()

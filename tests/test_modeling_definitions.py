@@ -11,7 +11,7 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import ComplementarityProblem, box, complements
-from lcp_plugin.modeling.equations import KnownRanges
+from lcp_plugin.modeling.equations import Affine, known_ranges
 from lcp_plugin.modeling.registration import build
 
 N = 6
@@ -168,15 +168,14 @@ def test_known_ranges_hold_what_satisfies_the_model() -> None:
         low = generator.choice([-np.inf, -1.0, 0.0], paired)
         high = np.maximum(low, 0.0) + generator.choice([0.0, 1.0, np.inf], paired)
         matrix = sp.csr_array(np.hstack([coefficients, np.diag(pivots)]))
-        known = KnownRanges(paired + defined)
         bounds = [np.concatenate([side, np.zeros(defined)]) for side in (low, high)]
-        with np.errstate(all="ignore"):
-            known.of_equations(matrix, offset, *bounds, np.arange(paired + defined) < paired)
+        rows = Affine(matrix, offset, np.zeros(defined, dtype=np.int64))
+        known = known_ranges(rows, np.zeros(defined), *bounds, np.arange(paired + defined) < paired)
         reached = np.clip(generator.normal(0.0, 3.0, (60, paired)), low, high)
         ends = zip(np.maximum(low, -1e3), np.minimum(high, 1e3), strict=True)
         corners = np.array(list(product(*ends)))
         values = -(np.vstack([reached, corners]) @ coefficients.T + offset) / pivots
-        inside_low, inside_high = known.low[paired:], known.high[paired:]
+        inside_low, inside_high = known[0][paired:], known[1][paired:]
         assert (values >= inside_low - 1e-12).all()
         assert (values <= inside_high + 1e-12).all()
         for ends, best in ((inside_low, values.min(axis=0)), (inside_high, values.max(axis=0))):

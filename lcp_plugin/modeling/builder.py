@@ -15,7 +15,7 @@ from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
 from ._compat import attribute_bounds, attribute_expressions
-from .equations import Affine, Elimination, KnownRanges, eliminate_definitions, is_definition, matched_for_monotony
+from .equations import Affine, Elimination, eliminate_definitions, is_definition, known_ranges, matched_for_monotony
 from .extract import AffineMap, affine_map
 from .model import BoundSource, Model, Report, Sources
 from .nonlinear_expressions import nonlinear_nodes
@@ -244,7 +244,7 @@ class Builder:
         before = (pairs.matrix, equations.matrix)
         free = np.flatnonzero(~self.is_paired)
         self.check_square(free, equations.offset.size)
-        self.drop_implied_bounds(free, equations)
+        self.drop_implied_bounds(free)
         elimination, left, pairs = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
         kept = elimination.kept
         place = np.zeros(self.count, dtype=np.int64)
@@ -303,25 +303,29 @@ class Builder:
                 part = columns[end - function.offset.size : end]
                 self.reports.append(Report(function.constraint, part, function.shape, False))
 
-    def drop_implied_bounds(self, free: NDArray[np.int64], equations: Affine) -> None:
+    def drop_implied_bounds(self, free: NDArray[np.int64]) -> None:
         """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
         bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
         if not bounded.size:
             return
-        known = KnownRanges(self.count)
-        with np.errstate(all="ignore"):
-            for columns, function, sign in self.pairs:
-                if (single := _single_columns(function)) is not None:
-                    has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
-                    known.of_signed(*single, function.offset, sign * (has_low.astype(float) - has_high))
-            known.of_equations(equations.matrix, equations.offset, self.lower, self.upper, self.is_paired)
-        wrong = bounded[known.contradict(self.lower, self.upper)[bounded]]
+        affine = [pair for pair in self.pairs if not pair[1].nodes]
+        columns = np.concatenate([*(columns for columns, _, _ in affine), np.zeros(0, dtype=np.int64)])
+        has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
+        # What has both bounds, or none, leaves the sign of its function open.
+        signs = np.concatenate([*(sign for _, _, sign in affine), np.zeros(0)])
+        signs = np.where(has_low == has_high, np.nan, signs * np.where(has_low, 1.0, -1.0))
+        equations = [function for function in self.equations if not function.nodes]
+        rows = self.affine([*(function for _, function, _ in affine), *equations])
+        signs = np.append(signs, np.zeros(rows.offset.size - signs.size))
+        low, high, rounding = known_ranges(rows, signs, self.lower, self.upper, self.is_paired)
+        wrong = bounded[((low > self.upper + rounding) | (high < self.lower - rounding))[bounded]]
         if wrong.size:
             raise UnsupportedModel(
                 f"equations and pairs keep {self._entry(wrong[0])} outside its bounds, {self.lower[wrong[0]]:g} and "
                 f"{self.upper[wrong[0]]:g}: no point satisfies the model; correct one of them"
             )
-        left = bounded[~known.imply(self.lower, self.upper)[bounded]]
+        is_implied = (low >= self.lower - rounding) & (high <= self.upper + rounding)
+        left = bounded[~is_implied[bounded]]
         if left.size:
             entry = self._entry(left[0])
             raise UnsupportedModel(

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bip
 from ..checks import FloatVector
 from ..conversions.reductions import put_in
 from ..kernels.floats import EPSILON
+from ..matrix.structure import row_numbers
 from ..problem.linear_constraints import activity
 
 Indices = NDArray[np.int64]
@@ -150,55 +151,39 @@ def _pivots(
     return rows[place[fits]], part.indices[fits].astype(np.int64)
 
 
-class KnownRanges:
-    """Where each unknown must lie, its own bounds aside; every number up to rounding of the caller's data."""
+def known_ranges(
+    rows: Affine, signs: FloatVector, lower: FloatVector, upper: FloatVector, is_paired: Mask
+) -> tuple[FloatVector, FloatVector, FloatVector]:
+    """Return where rows say that an unknown must lie, from where to where, and what rounding of the data may change.
 
-    def __init__(self, count: int) -> None:
-        self.low, self.high = np.full(count, -np.inf), np.full(count, np.inf)
-        self.rounding = np.zeros(count)
+    A row says something of an unknown beside which all its others belong to pairs: these stay within `lower` and
+    `upper`; the bounds of the others are not believed.
 
-    def narrow(self, columns: Indices, low: FloatVector, high: FloatVector, size: FloatVector) -> None:
-        """Take in that the unknowns in `columns` lie in [low, high], from numbers of that size."""
-        np.maximum.at(self.low, columns, low)
-        np.minimum.at(self.high, columns, high)
-        np.maximum.at(self.rounding, columns, ROUNDING * size)
-
-    def of_signed(self, columns: Indices, weights: FloatVector, offset: FloatVector, sign: FloatVector) -> None:
-        """Take in that weights · u + offset is ≥ 0 where `sign` is 1, ≤ 0 where it is −1; nothing where it is 0."""
-        edge, towards = -offset / weights, sign * weights
-        self.narrow(
-            columns, np.where(towards > 0.0, edge, -np.inf), np.where(towards < 0.0, edge, np.inf), np.abs(edge)
-        )
-
-    def of_equations(
-        self, matrix: sp.csr_array, offset: FloatVector, lower: FloatVector, upper: FloatVector, is_paired: Mask
-    ) -> None:
-        """Take in what follows from matrix · (all unknowns) + offset = 0 where all but one of a row belong to pairs.
-
-        Those stay within `lower` and `upper`; the bounds of the others are not believed.
-        """
-        rows, count = np.repeat(np.arange(offset.size), np.diff(matrix.indptr)), offset.size
-        is_open = ~is_paired[matrix.indices] & (matrix.data != 0.0)
-        known = matrix.copy()
-        known.data[is_open] = 0.0
-        known.eliminate_zeros()
+    Parameters
+    ----------
+    signs : array
+        1 for a row that is ≥ 0, −1 for one that is ≤ 0, 0 for an equation, NaN for a row that says nothing.
+    """
+    matrix, place, count = rows.matrix, row_numbers(rows.matrix), rows.offset.size
+    is_open = ~is_paired[matrix.indices] & (matrix.data != 0.0)
+    known = matrix.copy()
+    known.data[is_open] = 0.0
+    known.eliminate_zeros()
+    alone = np.flatnonzero(is_open & (np.bincount(place[is_open], minlength=count)[place] == 1))
+    pivot, row, column = matrix.data[alone], place[alone], matrix.indices[alone]
+    low, high, rounding = np.full(lower.size, -np.inf), np.full(lower.size, np.inf), np.zeros(lower.size)
+    with np.errstate(all="ignore"):
         least, most = activity(known, lower, upper)
+        ends = np.stack([
+            np.where(signs[row] >= 0.0, -(most + rows.offset)[row], -np.inf),
+            np.where(signs[row] <= 0.0, -(least + rows.offset)[row], np.inf),
+        ]) / pivot
         farthest = np.max([np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)], axis=0)
-        size = abs(known) @ farthest + np.abs(offset)
-        alone = np.flatnonzero(is_open & (np.bincount(rows[is_open], minlength=count)[rows] == 1))
-        pivot, row = matrix.data[alone], rows[alone]
-        low, high = -(most + offset)[row] / pivot, -(least + offset)[row] / pivot
-        self.narrow(matrix.indices[alone], np.minimum(low, high), np.maximum(low, high), size[row] / np.abs(pivot))
-
-    def imply(self, lower: FloatVector, upper: FloatVector) -> Mask:
-        """Return for which unknowns lower ≤ z ≤ upper says nothing new."""
-        implied: Mask = (self.low >= lower - self.rounding) & (self.high <= upper + self.rounding)
-        return implied
-
-    def contradict(self, lower: FloatVector, upper: FloatVector) -> Mask:
-        """Return for which unknowns lower ≤ z ≤ upper cannot be met."""
-        wrong: Mask = (self.low > upper + self.rounding) | (self.high < lower - self.rounding)
-        return wrong
+        size = (abs(known) @ farthest + np.abs(rows.offset))[row] / np.abs(pivot)
+        np.maximum.at(low, column, ends.min(axis=0))
+        np.minimum.at(high, column, ends.max(axis=0))
+        np.maximum.at(rounding, column, ROUNDING * size)
+    return low, high, rounding
 
 
 def matching(block: sp.csr_array) -> Indices:

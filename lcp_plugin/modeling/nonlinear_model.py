@@ -34,11 +34,10 @@ def nonlinear_model(builder: Builder) -> Model:
     """
     functions = [*(function for _, function, _ in builder.pairs), *builder.equations]
     program = _program(builder, functions)
-    affine = builder.affine([function for function in builder.equations if not function.nodes])
     free = np.flatnonzero(~builder.is_paired)
     pairs = sum(columns.size for columns, _, _ in builder.pairs)
     builder.check_square(free, program.size - pairs)
-    builder.drop_implied_bounds(free, affine)
+    builder.drop_implied_bounds(free)
     columns = np.concatenate([*(columns for columns, _, _ in builder.pairs), np.zeros(0, dtype=np.int64)])
     signs = np.concatenate([*(sign for _, _, sign in builder.pairs), np.zeros(0)])
     if free.size:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,20 +15,15 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from ..checks import FloatVector
-from ..conversions.program import refuse_nonconvex
+from ..conversions.program import QuadraticProgram
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import QuadraticProgram, attempts
-from ..errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ..errors import InvalidProblem, UnsupportedModel
 from ..settings import Status
-from ..solving.driver import solve as solve_lcp
-from ..solving.result import Result, Sample, StageRecord
+from ..solving.quadratic_program import ended_by_caller, kkt_goal, solve_quadratic_program
+from ..solving.result import Result
 from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
 
-KKT_TOLERANCE = 1e-6
-TIGHTER = 1e-4
-PROVES_ITSELF = "feasibility"  # the stage that looks for a proof on the complementarity problem
-ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
@@ -245,108 +239,6 @@ def _status(
     if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
         return str(settings.OPTIMAL)
     return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)
-
-
-def solve_quadratic_program(
-    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
-    **options: Any,
-) -> tuple[Result, QPSolution]:
-    """Return the run and the answer with the smallest residuals in the program's own terms.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-        Convex; merely convex and linear programs included.
-    algorithm, tolerance, **options
-        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
-        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
-        and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
-        As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
-        one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
-
-    guess : array, optional
-        An earlier run's z: the start where it has the right length.
-
-    Raises
-    ------
-    UnsupportedModel
-        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
-    """
-    refuse_nonconvex(program)
-    runs = list(_runs(program, algorithm, tolerance, guess, options))
-    best = min(runs, key=lambda run: _error(run.solution))
-    return replace(best.result, stages=_stages(runs, best)), best.solution
-
-
-class _Run(NamedTuple):
-    """A run on one form of a program, what it says of the program, and why it was made."""
-
-    result: Result
-    solution: QPSolution
-    because: str
-
-
-def _runs(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> Iterator[_Run]:
-    """Yield runs until one has the program's own residuals small enough, the caller ends them, or a proof does."""
-    goal, own_callback = kkt_goal(tolerance), options.pop("callback", None)
-    has_run, refusal, refutes = False, None, options.get("refute", True)
-
-    def callback(sample: Sample, z: FloatVector) -> bool:
-        is_told = own_callback is not None and bool(own_callback(sample, z))
-        return is_told or (refutes and sample.label == PROVES_ITSELF and program.refutation(goal) is not None)
-
-    for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
-        for factor, because in ((1.0, attempt.because), (TIGHTER, "a smaller tolerance")):
-            start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
-            try:
-                result = solve_lcp(
-                    attempt.problem, algorithm, tolerance=factor * tolerance, callback=callback, **{**start, **options}
-                )
-            except (UnsuitableMatrix, UnsuitableProblem) as error:
-                refusal = refusal or error
-                break
-            solution, has_run = attempt.problem.origin.recover(result), True
-            yield _Run(result, solution, because)
-            if solution.is_stationary(goal) or ended_by_caller(result, options):
-                return
-            guess = result.z
-            options.pop("z0", None)
-            if not result.is_solved:  # a smaller tolerance would change nothing
-                if refutes and program.refutation(goal) is not None:
-                    return
-                break
-    if not has_run:
-        raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
-
-
-def _stages(runs: list[_Run], best: _Run) -> tuple[StageRecord, ...]:
-    """Return the stages of all runs, as of one: why another run was made, its first stage says."""
-    stages: list[StageRecord] = []
-    for run in runs:
-        first = len(stages)
-        stages += [stage if run is best else stage._replace(remark="") for stage in run.result.stages]
-        if 0 < first < len(stages):
-            reasons = [reason for reason in (run.because, stages[first].because) if reason]
-            stages[first] = stages[first]._replace(because="; ".join(reasons))
-    return tuple(stages)
-
-
-def kkt_goal(tolerance: float) -> float:
-    """Return the size of a program's own residuals that is called optimal at this tolerance of the run."""
-    return max(KKT_TOLERANCE, 10.0 * tolerance)
-
-
-def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
-    """Return whether a limit that the caller set, or the caller, ended the run."""
-    limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
-    return result.status is Status.INTERRUPTED or limits.get(result.status) in options
-
-
-def _error(solution: QPSolution) -> float:
-    error = max(solution.residual, solution.row_residual)
-    return math.inf if math.isnan(error) else error
 
 
 QPSolver = _LCPQuadraticSolver()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,19 +22,17 @@ from ..conversions.program import QuadraticProgram
 from ..conversions.qp_certificates import proof_of_no_minimum
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import Attempt, attempts
 from ..deadline import is_over, seconds_left, time_limit
 from ..errors import LCPError
 from ..exact.rational import enclosures
 from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import quotient_above, sum_above
 from ..kernels.floats import EPSILON
-from .driver import solve
 from .given_multipliers import LOOSE, multiplier_error
+from .quadratic_program import program_runs
 
 OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
 SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
-MORE = 10  # times the iterations of a first solution: what a sharper one may take
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 OUTWARD = 1.0 + 2.0**-30
@@ -105,34 +103,12 @@ class ProgramProofs:
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
         found: list[QPSolution] = []
-        until = SHARE * seconds_left()  # what it is to prove takes time as well
-        with suppress(LCPError), time_limit(until):  # a form may overflow
-            for attempt in attempts(self.program):
-                if is_over():
-                    break
-                with suppress(LCPError):
-                    for solution in self._solutions(attempt):
-                        found.append(solution)
-                    if found[-1].is_stationary(ALMOST):
-                        break
+        # What it is to prove takes time as well; a form may overflow.
+        with suppress(LCPError), time_limit(SHARE * seconds_left()):
+            # A tolerance beside what acts in the complementarity problem may be far below the program's own.
+            for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
+                found.append(run.solution)
         return min(found, key=_residual, default=None)
-
-    @staticmethod
-    def _solutions(attempt: Attempt) -> Iterator[QPSolution]:
-        """Yield the solution of one form, and a sharper one that starts there where the first leaves room for it.
-
-        A tolerance beside what acts in the complementarity problem may be far below the program's own.
-        """
-        options: dict[str, Any] = {}
-        for tolerance in (ALMOST, OWN_TOLERANCE):
-            left = seconds_left()
-            limit = left if math.isfinite(left) else None
-            result = solve(attempt.problem, tolerance=tolerance, max_seconds=limit, **options)
-            solution = attempt.problem.origin.recover(result)
-            yield solution
-            if _residual(solution) <= OWN_TOLERANCE or is_over():
-                return
-            options = {"z0": result.z, "max_iterations": MORE * max(result.iterations, MORE)}
 
     @cached_property
     def own_lower(self) -> float:

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
-from lcp_plugin.modeling.qp_solver import solve_quadratic_program
+from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 
 PLANTED = (
     "strictly convex", "rank-deficient", "linear", "condition 1e8", "condition 1e10", "equations, free", "redundant",

@@ -96,27 +96,25 @@ def error_against_time(
     yardstick = Yardstick.of(scene, max_seconds)
     left_out = [*yardstick.left_out, *_march(scene)]
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    runs: dict[str, _Runs] = {}
+    runs: list[tuple[Contestant, list[_Recorder]]] = []
     for one in contestants(algorithms):
         say(f"{one.label}, warm-up")
         reason = _refusal(scene, one)
         if reason:
             left_out.append((one.label, reason))
         else:
-            runs[one.label] = _Runs(one)
+            runs.append((one, []))
     for turn in range(repeats):
-        for label, kept in runs.items():
-            say(f"{label}, run {turn + 1} of {repeats}")
-            recorder = _Recorder(yardstick.measure if turn == 0 else None, max_work)
-            problem = fresh(scene.problem)
-            result = measured_run(problem, kept.contestant.algorithm, recorder, z0=scene.start, **limits)
-            kept.add(recorder, result, yardstick)
+        for one, kept in runs:
+            say(f"{one.label}, run {turn + 1} of {repeats}")
+            kept.append(_Recorder(_unmeasured if turn else yardstick.measure, max_work))
+            kept[-1].end(measured_run(fresh(scene.problem), one.algorithm, kept[-1], z0=scene.start, **limits))
     points, more = _references(scene, references, max_seconds, yardstick, say)
-    answers = [kept.certificate for kept in runs.values() if kept.certificate is not None]
+    answers = [kept[0].certificate for _, kept in runs]
     return Report(
         title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
         error_kind=yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
-        curves=tuple(kept.curve() for kept in runs.values()), references=points, left_out=(*left_out, *more),
+        curves=tuple(_curve(*run) for run in runs), references=points, left_out=(*left_out, *more),
     )
 
 
@@ -194,8 +192,7 @@ class Yardstick:
             bound, reason = _bound(problem, scene.start, max_seconds)
             if bound is not None:
                 return cls(BOUND, _with_residual(problem, bound), (unknown,))
-        own = lambda z: Certificate.of(problem, z).relative_residual  # noqa: E731
-        return cls(RESIDUAL, _with_residual(problem, own), (unknown, (BOUND, reason)))
+        return cls(RESIDUAL, _with_residual(problem, None), (unknown, (BOUND, reason)))
 
 
 def distance(z: FloatVector, exact: FloatVector) -> float:
@@ -203,8 +200,13 @@ def distance(z: FloatVector, exact: FloatVector) -> float:
     return float(np.max(np.abs(z - exact), initial=0.0))
 
 
-def _with_residual(problem: LCP, error: Measure) -> Callable[[FloatVector], tuple[float, float]]:
-    return lambda z: (error(z), Certificate.of(problem, z).relative_residual)
+def _with_residual(problem: LCP, error: Measure | None) -> Callable[[FloatVector], tuple[float, float]]:
+    """Return what measures an error and the relative residual, which is the error where there is no other."""
+    def measured(z: FloatVector) -> tuple[float, float]:
+        residual = Certificate.of(problem, z).relative_residual
+        return residual if error is None else error(z), residual
+
+    return measured
 
 
 def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple[Measure | None, str]:
@@ -229,55 +231,46 @@ def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple
 # --- Running --------------------------------------------------------------------------------------------------
 
 
+def _unmeasured(z: FloatVector) -> tuple[float, float]:
+    return math.nan, math.nan
+
+
 class _Recorder(WorkLimit):
     """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
 
-    def __init__(self, measure: Callable[[FloatVector], tuple[float, float]] | None, max_work: float) -> None:
+    def __init__(self, measure: Callable[[FloatVector], tuple[float, float]], max_work: float) -> None:
         super().__init__(max_work)
         self.measure = measure
-        self.taken: list[Point] = []
+        self.points: list[Point] = []
         self._next = 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
         if sample.iteration >= self._next:
             self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
-            error, residual = self.measure(z) if self.measure is not None else (math.nan, math.nan)
-            self.taken.append(Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual))
+            error, residual = self.measure(z)
+            self.points.append(Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual))
         return super().__call__(sample, z)
 
+    def end(self, result: Result) -> None:
+        """Take in what the run ended with; its answer is the last point, instead of a sample of the same iteration."""
+        self.certificate = result.certificate
+        self.status = "MAX_WORK" if self.is_over and not result.is_solved else result.status.name
+        if len(self.points) > 1 and self.points[-1].iteration >= result.iterations:
+            self.points.pop()
+        error, residual = self.measure(result.z)
+        self.points.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
 
-class _Runs:
-    """The runs of one contestant: the first with its errors, every one with its seconds."""
 
-    def __init__(self, contestant: Contestant) -> None:
-        self.contestant = contestant
-        self.first: list[Point] = []
-        self.seconds: list[dict[tuple[int, bool], float]] = []
-        self.certificate: Certificate | None = None
-        self.status = ""
-
-    def add(self, recorder: _Recorder, result: Result, yardstick: Yardstick) -> None:
-        """Take in one run; its answer is the last point."""
-        if not self.seconds:
-            self.certificate = result.certificate
-            self.status = "MAX_WORK" if recorder.is_over and not result.is_solved else result.status.name
-            self.first = [one for one in recorder.taken if one.iteration < result.iterations or one.iteration == 0]
-            error, residual = yardstick.measure(result.z)
-            self.first.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
-        times = {(one.iteration, False): one.seconds for one in recorder.taken}
-        self.seconds.append(times | {(result.iterations, True): result.seconds})
-
-    def curve(self) -> Curve:
-        """Return the curve of those iterations that every run reached."""
-        points = []
-        for k, one in enumerate(self.first):
-            place = (one.iteration, k == len(self.first) - 1)
-            seconds = [run[place] for run in self.seconds if place in run]
-            if len(seconds) == len(self.seconds):
-                low, middle, high = map(float, np.percentile(seconds, (25.0, 50.0, 75.0)))
-                points.append(one._replace(seconds=middle, seconds_low=low, seconds_high=high))
-        note = "; ".join(filter(None, (self.contestant.note, _CLOCKED if self.status == "MAX_SECONDS" else "")))
-        return Curve(self.contestant.label, self.contestant.family, self.status, tuple(points), note)
+def _curve(contestant: Contestant, runs: Sequence[_Recorder]) -> Curve:
+    """Return the errors of the first run over the seconds of all, at those iterations that every run reached."""
+    times = [{(one.iteration, one is run.points[-1]): one.seconds for one in run.points} for run in runs]
+    points = []
+    for place, one in zip(times[0], runs[0].points, strict=True):
+        if all(place in run for run in times):
+            low, middle, high = map(float, np.percentile([run[place] for run in times], (25.0, 50.0, 75.0)))
+            points.append(one._replace(seconds=middle, seconds_low=low, seconds_high=high))
+    note = "; ".join(filter(None, (contestant.note, _CLOCKED if runs[0].status == "MAX_SECONDS" else "")))
+    return Curve(contestant.label, contestant.family, runs[0].status, tuple(points), note)
 
 
 _CLOCKED = "ended by the clock, so that the last point depends on the machine"

@@ -241,16 +241,24 @@ def _checked(
 
 def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:
     """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
-    limit = MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS
+    told, certified, error, residual = False, None, math.nan, math.nan
     try:
-        result = _strictly_solved(case, name, limit)
-    except UnsuitableProblem as error:
-        return f"{name} on {case.stress}", str(error)
-    except UnsuitableMatrix as error:
-        return _without_answer(family, case, name, REFUSED, str(error))
-    except Exception as error:  # whatever a run raises belongs into the atlas
-        return _without_answer(family, case, name, ERROR, f"{type(error).__name__}: {error}")
-    return _judged(family, case, name, result)
+        result = _strictly_solved(case, name, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS)
+    except UnsuitableProblem as refusal:
+        return f"{name} on {case.stress}", str(refusal)
+    except UnsuitableMatrix as refusal:
+        status, told, note = REFUSED, True, str(refusal)
+    except Exception as failure:  # whatever a run raises belongs into the atlas
+        status, note = ERROR, f"{type(failure).__name__}: {failure}"
+    else:
+        lie = lie_in(result, None if case.has_line else case.exact)
+        status, told, note = result.status.name, not lie, lie or _movement(case)
+        residual, bound = result.certificate.relative_residual, result.error_bound
+        if case.exact is not None and np.isfinite(result.z).all():
+            error = relative_error(result.z, case.exact, case.units, has_line=case.has_line)
+        certified = None if bound is None else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
+    lost = _digits_lost(error, case.condition, residual)
+    return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, told, note)
 
 
 def _strictly_solved(case: Case, name: str, limit: int) -> Result:
@@ -259,26 +267,6 @@ def _strictly_solved(case: Case, name: str, limit: int) -> Result:
         warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
         is_bounded = case.problem.n <= LARGEST_BOUNDED
         return solve(case.problem, name, z0=case.start, max_iterations=limit, error_bound=is_bounded)
-
-
-def _without_answer(family: str, case: Case, name: str, status: str, note: str) -> Cell:
-    nan = math.nan
-    return Cell(name, case.stress, family, case.condition, status, nan, nan, None, nan, status == REFUSED, note)
-
-
-def _judged(family: str, case: Case, name: str, result: Result) -> Cell:
-    exact = case.exact
-    lie = lie_in(result, None if case.has_line else exact)
-    error = math.nan
-    if exact is not None and np.isfinite(result.z).all():
-        error = relative_error(result.z, exact, case.units, has_line=case.has_line)
-    residual = result.certificate.relative_residual
-    bound = result.error_bound
-    certified = None if bound is None else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
-    return Cell(
-        name, case.stress, family, case.condition, result.status.name, error, residual, certified,
-        _digits_lost(error, case.condition, residual), not lie, lie or _movement(case),
-    )  # fmt: skip
 
 
 def _digits_lost(error: float, condition: float, residual: float) -> float:

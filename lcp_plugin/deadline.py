@@ -1,6 +1,7 @@
-"""How many seconds a run has left, and how work of other libraries that cannot be divided into steps obeys that.
+"""The clock of a run, the seconds it has left, and how work of other libraries that cannot be divided obeys that.
 
-Compilation counts against no limit, in whichever run inside a run it happens.
+Compilation counts against no limit, in whichever run inside a run it happens. Locks between threads are open in the
+child of a fork: it has one thread, and nobody else in it could let go.
 """
 
 from __future__ import annotations
@@ -15,13 +16,56 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakSet
 
-from .locks import Lock
+if TYPE_CHECKING:
+    from .peers.alone import Peers
 
 T = TypeVar("T")
 AT_LEAST = 0.1  # seconds
 SLICE = 0.1  # seconds between two looks at the clock, and at Ctrl-C where that does not end a wait
+
+
+class Lock:
+    """A reentrant lock, free in the child of a fork whoever held it in the parent.
+
+    What it guards must be whole at every moment: computed first, then stored at once.
+
+    Examples
+    --------
+    >>> lock = Lock()
+    >>> with lock.held():
+    ...     print("alone")
+    alone
+    """
+
+    def __init__(self) -> None:
+        self.renew()
+        _all.add(self)
+
+    def renew(self) -> None:
+        """Become free; for a process in which no other thread is left."""
+        self._lock = threading.RLock()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold it, in a ``with`` statement."""
+        with self._lock:
+            yield
+
+
+_all: WeakSet[Lock] = WeakSet()
+
+
+def _renew_all() -> None:
+    for lock in _all:
+        lock.renew()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_all)
+
 
 _until: ContextVar[float] = ContextVar("until", default=math.inf)  # on the clock that compilation stops
 _is_enforced: ContextVar[bool] = ContextVar("is_enforced", default=False)
@@ -58,6 +102,49 @@ def compiling() -> Iterator[None]:
         yield
     finally:
         own.seconds = before + time.perf_counter() - began
+
+
+class Clock:
+    """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
+
+    Those are not counted in runs inside this one either. On several ranks these are the seconds of the slowest one, and
+    Ctrl-C is heard on any of them.
+
+    Attributes
+    ----------
+    elapsed : float
+        Seconds that count against the limit, up to the last reading.
+    hears : callable
+        Tells whether this rank was asked to end by Ctrl-C.
+    is_interrupted : bool
+        Whether one of them was, before the last reading.
+    """
+
+    def __init__(self, peers: Peers) -> None:
+        self._compilation = compilation()  # of the thread that runs; others may read
+        self._began = time.perf_counter() - self._compilation.seconds
+        self._paused = self.elapsed = 0.0
+        self._peers, self.is_interrupted = peers, False
+        self.hears: Callable[[], bool] = bool
+
+    def read(self) -> float:
+        """Return the seconds of the run up to now."""
+        self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
+        seconds = self.elapsed - self._paused
+        if not self._peers.is_alone:
+            seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
+            self.is_interrupted = wishes > 0.0
+        return seconds
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Take off what happens inside a ``with`` statement: the algorithm did not need it."""
+        own = self._compilation
+        began = time.perf_counter() - own.seconds
+        try:
+            yield
+        finally:
+            self._paused += time.perf_counter() - own.seconds - began
 
 
 class NewKernels:

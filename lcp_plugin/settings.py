@@ -121,6 +121,18 @@ class Settings:
         return min(self.absolute_tolerance / self.goal * BELOW, LARGEST) if self.absolute_tolerance else 0.0
 
     @property
+    def is_unobserved(self) -> bool:
+        """True where nobody wants more of the way than that it ends within the tolerance on the relative residual."""
+        is_plain = self.measure == "relative" and not self.is_on_error
+        return is_plain and not (self.record or self.error_bound or self.verbose)
+
+    def accept(self, certificate: Any) -> bool:
+        """Return whether a certificate shows the residual that is asked for."""
+        if self.absolute_tolerance:
+            return bool(certificate.relative_above(self.least_reference) <= self.goal)
+        return bool(certificate.measured(self.measure) <= self.tolerance)
+
+    @property
     def is_on_error(self) -> bool:
         """True where SOLVED asks for a proven bound of the error."""
         return bool(self.tolerance_on == "error")

@@ -194,7 +194,7 @@ class FakeClock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("lcp_plugin.solving.state.time.perf_counter", lambda: self.now)
+        monkeypatch.setattr("lcp_plugin.deadline.time.perf_counter", lambda: self.now)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +238,7 @@ def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    "place", ["driver.policy_for", "driver.checked_start", "driver.Judge.final", "driver.Judge.verdict"]
+    "place", ["driver.policy_for", "driver.checked_start", "judge.Judge.final", "judge.Judge.verdict"]
 )
 def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
@@ -369,8 +369,9 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
-PASSED_BY = {  # the automatic choice sprints here, and its first choice is not that of a named method
-    "auto": ("solving.driver.Run.__init__", "solving.driver.CommonUnits.of", "policy.choice.Single.first"),
+PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
+    "auto": ("solving.driver.Run.__init__", "solving.driver.CommonUnits.of", "policy.choice.Single.first",
+             "solving.driver.warn_where_known_to_be_uncovered"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }
@@ -380,7 +381,7 @@ PASSED_BY = {  # the automatic choice sprints here, and its first choice is not 
 @pytest.mark.parametrize(
     ("place", "options"),
     [
-        ("solving.driver.sprinted", {}),
+        ("solving.driver.fused", {}),
         ("solving.driver.Run.__init__", {}),
         ("solving.driver.CommonUnits.of", {}),
         ("solving.driver.warn_where_known_to_be_uncovered", {}),

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from lcp_plugin import LCP, analyze
+from lcp_plugin.deadline import Lock
 from lcp_plugin.kernels import compilation
-from lcp_plugin.locks import Lock
 from lcp_plugin.matrix.matrix import Matrix, fact
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a fork beside threads is tried where it is common")

@@ -574,8 +574,8 @@ def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch)
         with compiling():
             now[0] += 70.0
 
-    monkeypatch.setattr("lcp_plugin.solving.state.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("lcp_plugin.solving.linear_steps.sprinted", compiles)
+    monkeypatch.setattr("lcp_plugin.deadline.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("lcp_plugin.solving.linear_steps.fused", compiles)
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
     assert now[0] > 70.0
     solved(result)

@@ -26,8 +26,7 @@ from typing import Any, cast
 import numpy as np
 from platformdirs import user_cache_path
 
-from ..deadline import NEW_KERNELS, compiling
-from ..locks import Lock
+from ..deadline import NEW_KERNELS, Lock, compiling
 
 with compiling():  # loading the compiler takes most of a second
     from numba import config, njit, types, vectorize

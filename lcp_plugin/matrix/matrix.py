@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
+from ..deadline import Lock
 from ..errors import UnsuitableProblem
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
-from ..locks import Lock
 from ..peers.alone import ALONE, Peers
 
 P = ParamSpec("P")

@@ -41,6 +41,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -122,8 +123,12 @@ class Auto:
     name = chosen = "auto"
 
     def __init__(self, *, refutes: bool = True, looks_at_cases: bool = True) -> None:
-        self._refutes, self.looks_at_cases, self._retries = refutes, looks_at_cases, Retries()
+        self._refutes, self.looks_at_cases = refutes, looks_at_cases
         self._direct: Turns | None = None
+
+    @cached_property
+    def _retries(self) -> Retries:
+        return Retries()
 
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
@@ -253,6 +258,12 @@ def _triangle(problem: LCP) -> str | None:
     from ..matrix.structure import triangular_form
 
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+
+
+def name_of(policy: Policy, stages: Sequence[Any]) -> str:
+    """Return what ran: the policy, and the chain of what it chose, as records of stages, where that says more."""
+    chain = [stage.name for stage in stages]
+    return policy.name if "".join(chain) in ("", policy.name) else f"{policy.name}: {', '.join(chain)}"
 
 
 def policy_for(

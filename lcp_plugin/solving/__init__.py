@@ -1,1 +1,1 @@
-"""solve(): the clock, the incumbent, the ledger and the judge of a run; batches."""
+"""solve(): a run, its incumbent and its judge; batches."""

@@ -12,6 +12,7 @@ from ..algorithms import Algorithm
 from ..algorithms.base import Plan
 from ..algorithms.short_road import Answers, run
 from ..certificates.residuals import Certificate
+from ..deadline import Clock
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..kernels.threads import in_chunks
 from ..peers.alone import ALONE
@@ -23,10 +24,8 @@ from .all_cases import Excluded, excluded
 from .batch_items import Group, Items, Stacked
 from .batch_result import BatchResult
 from .batch_units import GroupInCommonUnits, by_parts
-from .driver import solve
+from .driver import fused_result, solve
 from .result import Result
-from .sprint import arrival, is_unwatched
-from .state import Clock
 
 
 @cache
@@ -93,7 +92,7 @@ class BatchRun:
         tiny = _tiny()
         self.first = self.policy.first(tiny)
         plan = self.first.algorithm.short_plan()
-        if plan is None or not is_unwatched(self.settings) or self.wishes.get("callback") is not None:
+        if plan is None or not self.settings.is_unobserved or self.wishes.get("callback") is not None:
             return None
         return plan
 
@@ -161,7 +160,7 @@ class BatchRun:
         assert sprint is not None
         share = self.seconds / self.items.count
         certificate = Certificate.enclosed(self.items.problem(k), sprint.z, sprint.residual)
-        return arrival(certificate, self.policy, self.first, sprint, self.settings, share)
+        return fused_result(certificate, self.policy, self.first, sprint, self.settings, share)
 
     @property
     def _reason(self) -> Status:

@@ -18,7 +18,7 @@ from ..matrix.parts import IntVector, parts
 from ..problem.lcp import LCP
 from ..settings import Settings
 from .batch_items import Group
-from .sprint import beside_the_largest
+from .driver import beside_the_largest
 
 
 def by_parts(group: Group) -> tuple[Group | None, Group | None]:

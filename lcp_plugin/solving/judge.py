@@ -183,7 +183,7 @@ class Judge:
         if self.errors is not None and self.settings.is_on_error:
             is_solved = self.errors.is_proved(certificate.z)
         else:
-            is_solved = is_within(certificate, self.settings)
+            is_solved = self.settings.accept(certificate)
         if is_solved:
             return Status.SOLVED
         if reason in PROVEN:
@@ -192,10 +192,3 @@ class Judge:
             return Status.PRECISION_LIMIT
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason
-
-
-def is_within(certificate: Certificate, settings: Settings) -> bool:
-    """Return whether a certificate shows the residual that these settings ask for."""
-    if settings.absolute_tolerance:
-        return certificate.relative_above(settings.least_reference) <= settings.goal
-    return bool(certificate.measured(settings.measure) <= settings.tolerance)

@@ -16,13 +16,12 @@ from ..algorithms.least_squares.faces import Faces, Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
 from ..checks import FloatVector, read_only
-from ..deadline import OutOfTimeError, time_limit
+from ..deadline import Clock, OutOfTimeError, time_limit
 from ..peers.alone import Peers
 from ..policy.pacing import Progress
 from ..problem.least_squares import LeastSquares
 from ..settings import Settings, Status
 from .least_squares_result import LeastSquaresResult, point_nearer, result_of
-from .state import Clock
 
 DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
 SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each

@@ -13,15 +13,14 @@ from ..algorithms.pivots.lemke import Lemke
 from ..certificates.references import CommonUnits
 from ..checks import FloatVector
 from ..crossovers import INTERIOR_STEPS
-from ..deadline import seconds_left
+from ..deadline import Clock, seconds_left
 from ..policy.choice import Policy, policy_for
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings
-from .driver import Run
+from .driver import fused
 from .result import Result, Sample
-from .sprint import sprinted
-from .state import Clock
+from .run import Run
 
 FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
 PATHS = 2  # of pivots, on a linearisation
@@ -62,8 +61,8 @@ def solved(problem: LCP, policy: Policy, tolerance: float) -> Result:
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
-    if (arrived := sprinted(units, policy, first, settings, start, clock)) is not None:
-        return arrived
+    if (result := fused(units, policy, first, settings, start, clock)) is not None:
+        return result
     run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
     return run.judged(start, run.drive(start, first))
 

@@ -14,16 +14,15 @@ from ..algorithms import Algorithm, Sprint
 from ..algorithms.active_sets.banded import Banded
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
+from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.parts import parts
 from ..policy.choice import Policy, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
 from ..settings import Settings
-from .driver import solve
+from .driver import fused_result, solve
 from .result import Result, Results
-from .sprint import arrival
-from .state import Clock
 
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
@@ -171,7 +170,7 @@ def _result(
     problem: LCP, q: FloatVector, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
 ) -> Result:
     certificate = Certificate.enclosed(problem.with_q(q), sprint.z, sprint.residual)
-    return arrival(certificate, policy, first, sprint, settings, seconds)
+    return fused_result(certificate, policy, first, sprint, settings, seconds)
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

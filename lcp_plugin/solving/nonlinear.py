@@ -14,7 +14,7 @@ from ..certificates.nonlinear import NonlinearCertificate, Reference
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
-from ..deadline import time_limit
+from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem
 from ..kernels.threads import threads_for
 from ..peers.alone import ALONE
@@ -23,13 +23,12 @@ from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations, NonlinearProblem
 from ..settings import Settings, Status, checked_callback
-from .driver import Callback, Run
 from .error_watch import BoundOrReason
 from .jacobian_check import check_jacobian as checked_jacobian
 from .josephy_newton import JosephyNewton
 from .judge import Judge
 from .result import Result
-from .state import Clock
+from .run import Callback, Run
 
 
 def solve_nonlinear(
@@ -136,9 +135,7 @@ def solve_nonlinear(
         try:
             if check_jacobian and problem.jacobian is not None:
                 checked_jacobian(first)
-            with time_limit(settings.max_seconds - clock.read(), is_enforced=True):
-                reason = run.drive(start, Choice(newton))
-            return run.judged(start, reason)
+            return run.judged(start, run.drive(start, Choice(newton)))
         except KeyboardInterrupt:
             return run.judged(start, Status.INTERRUPTED)
 

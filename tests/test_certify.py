@@ -30,9 +30,8 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.certificates.curvature import Curvature, constrained_curvature, curvature
-from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_above, least_squares_above
+from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
 from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
-from lcp_plugin.certificates.implied_bounds import implied_box
 from lcp_plugin.commands.cli import app
 from lcp_plugin.conversions.quadratic_program import lcp_from_qp
 from lcp_plugin.modeling.user_terms import size_of

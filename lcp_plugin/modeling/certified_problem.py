@@ -27,8 +27,7 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.given_multipliers import LOOSE, multiplier_beside_room
 from ..solving.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
-from .program_entries import ProgramEntries
-from .qp_solver import QPSolver, quadratic_program
+from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of
 from .user_terms import goal_of, nearest, size_of, violation_of, why_not
 

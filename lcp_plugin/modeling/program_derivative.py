@@ -22,8 +22,7 @@ from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
 from ._compat import dense, leaf_value
 from .model_derivative import Changes
-from .program_entries import ProgramEntries
-from .qp_solver import SAME, Answer
+from .qp_solver import SAME, Answer, ProgramEntries
 
 if TYPE_CHECKING:
     from ..solving.derivative import Derivative

@@ -25,12 +25,10 @@ from ..solving.driver import solve as solve_lcp
 from ..solving.nonlinear import solve_nonlinear
 from ..solving.result import Result
 from ._compat import answer_derivatives, clear_answering, name_of, refuse_without_derivatives, set_answering
-from .batch import ModelBatch, solve_for
 from .builder import Builder
 from .constraint import Complements, box, complements
-from .gradients import Differentiable, differentiable_parameters, values_of_parameters
-from .model import Model
-from .model_derivative import ModelDerivative
+from .model import Model, ModelBatch, solve_for
+from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .nonlinear_model import contradiction, start_of
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics

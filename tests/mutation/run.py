@@ -50,7 +50,7 @@ TESTS = {
     f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
     f"{CERTIFICATES}/reference_point.py": BOUND_TESTS,
     **dict.fromkeys(
-        [f"{CERTIFICATES}/{name}.py" for name in ("curvature", "dual_bounds", "feasible_points", "implied_bounds")]
+        [f"{CERTIFICATES}/{name}.py" for name in ("curvature", "dual_bounds", "feasible_points")]
         + ["lcp_plugin/solving/program_proofs.py"], ("tests/test_certify.py",),
     ),
     "lcp_plugin/exact/upward.py": BOUND_TESTS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -74,19 +75,14 @@ def contestants(algorithms: Any) -> list[Contestant]:
         return [*paper_settings(), *own_settings()]
     if isinstance(algorithms, str | Algorithm | Contestant) or _is_with_options(algorithms):
         algorithms = [algorithms]
-    listed = _listed(algorithms.items() if isinstance(algorithms, Mapping) else algorithms)
-    if listed is None:
-        raise InvalidOption(f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]')
-    named = listed if isinstance(algorithms, Mapping) else [(None, one) for one in listed]
-    found: dict[str, Contestant] = {}
-    for label, one in named:
-        if isinstance(one, Contestant):
-            found[one.label] = one
-            continue
-        made = _checked(one)
-        name = str(label) if label else _label(made)
-        found[name] = Contestant(name, made, family_of(made))
-    return list(found.values())
+    try:
+        named = [*algorithms.items()] if isinstance(algorithms, Mapping) else [(None, one) for one in algorithms]
+    except TypeError:  # a sparse array only seems to be a sequence
+        raise InvalidOption(
+            f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
+        ) from None
+    every = [one if isinstance(one, Contestant) else _contestant(label, one) for label, one in named]
+    return list({one.label: one for one in every}.values())
 
 
 def checked_names(names: Any, option: str) -> list[str]:
@@ -97,36 +93,30 @@ def checked_names(names: Any, option: str) -> list[str]:
     InvalidOption
         Where they are a single word, or something else than words.
     """
-    if isinstance(names, str):
-        raise InvalidOption(f"{option} must be a list of names, got the word {names!r}; write [{names!r}]")
-    listed = _listed(names)
-    if listed is None or not all(isinstance(name, str) for name in listed):
-        raise InvalidOption(f"{option} must be a list of names, got {names!r}")
-    return listed
-
-
-def _listed(values: Any) -> list[Any] | None:
-    """Return what can be looped over as a list, else None; a sparse array only seems to be."""
-    try:
-        return list(values)
-    except TypeError:
-        return None
+    given = f"the word {names!r}; write [{names!r}]" if isinstance(names, str) else repr(names)
+    with contextlib.suppress(TypeError):
+        listed = list(names)
+        if not isinstance(names, str) and all(isinstance(name, str) for name in listed):
+            return listed
+    raise InvalidOption(f"{option} must be a list of names, got {given}")
 
 
 def _is_with_options(one: Any) -> bool:
     return isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], Mapping)
 
 
-def _checked(one: Any) -> str | Algorithm:
-    """Return "auto" or an algorithm, made of its name or of a pair of its name and its options."""
-    if isinstance(one, Algorithm):
-        return one
-    if not (isinstance(one, str) or _is_with_options(one)):
-        raise InvalidOption(
-            f'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {{"relaxation": 1.5}}), got {one!r}'
-        )
-    name, options = (one, {}) if isinstance(one, str) else one
-    return policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
+def _contestant(label: Any, one: Any) -> Contestant:
+    """Return who takes part: an algorithm, made of its name or of a pair of its name and its options, or "auto"."""
+    made = one
+    if not isinstance(one, Algorithm):
+        if not (isinstance(one, str) or _is_with_options(one)):
+            raise InvalidOption(
+                'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {"relaxation": 1.5}), '
+                f"got {one!r}"
+            )
+        name, options = (one, {}) if isinstance(one, str) else one
+        made = policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
+    return Contestant(str(label) if label else _label(made), made, family_of(made))
 
 
 def _label(algorithm: str | Algorithm) -> str:

@@ -25,18 +25,16 @@ from ..certificates.references import reference_residual
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram
+from ..conversions.program import QuadraticProgram, asymmetry_of
 from ..errors import InvalidOption, did_you_mean
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import factorised, symmetric_part
 from ..matrix.factors import factorise
-from ..matrix.symmetry import mismatch
 from ..problem.lcp import LCP
 from .convex_solvers import asked
 
 ACCURATE = 1e-7
 POLISHED = 1e-12
-ROUNDING_UNITS = 64
 INVERSE_ITERATIONS = 12
 SINGULAR_BELOW = 100.0
 POLISH_ROUNDS = 3
@@ -148,8 +146,7 @@ class Formulation:
     def of(cls, problem: LCP) -> Formulation:
         """Return the formulation that symmetry and a factorisation of the symmetric part allow."""
         scaled = Equilibrated.of(problem)
-        largest = np.ravel(abs(scaled.A).max(axis=1).toarray() if sp.issparse(scaled.A) else abs(scaled.A).max(axis=1))
-        _, place = mismatch(scaled.A, np.maximum(largest, 1.0), ROUNDING_UNITS * EPSILON)
+        place = asymmetry_of(scaled.A)[1]
         if place is None:
             matrix = "M is symmetric"
         else:
@@ -209,26 +206,10 @@ class Attempt:
 
 
 def attempts(formulation: Formulation, reference: str, max_seconds: float) -> Iterator[Attempt]:
-    """Yield what the references give, one by one, the most accurate solver first.
-
-    Parameters
-    ----------
-    formulation : Formulation
-        Of a kind that is not None.
-    reference : str
-        ``"auto"``, or the one to ask.
-    max_seconds : float
-        Limit for each of them, as far as the solver obeys one.
-
-    Raises
-    ------
-    InvalidOption
-        Where the reference is not one of ``SOLVERS``.
-    """
-    n = formulation.scaled.problem.n
-    names = [name for name, solver in SOLVERS.items() if n <= solver.largest] if reference == "auto" else [reference]
-    for name in names:
-        yield attempt(formulation, name, max_seconds)
+    """Yield what the references give, one by one, the most accurate solver first; "auto" asks all that n permits."""
+    for name, solver in SOLVERS.items():
+        if reference == name or (reference == "auto" and formulation.scaled.problem.n <= solver.largest):
+            yield attempt(formulation, name, max_seconds)
 
 
 def check_reference(reference: object) -> None:

@@ -295,13 +295,8 @@ def _moved(values: FloatVector, generator: np.random.Generator) -> FloatVector:
 
 
 FAMILIES: dict[str, Callable[[bool], Iterator[Case]]] = {
-    "stiffness": stiffness,
-    "scaling": scaling,
-    "singularity": singularity,
-    "degeneracy": degeneracy,
-    "far starts": far_starts,
-    "sizes": sizes,
-    "number range": number_range,
-    "cancellation": cancellation,
-    "one ulp": one_ulp,
+    family.__name__.replace("_", " "): family
+    for family in (
+        stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation, one_ulp,
+    )
 }

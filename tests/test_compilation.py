@@ -118,7 +118,7 @@ from lcp_plugin.deadline import NEW_KERNELS
 
 terminal.QUIET_SECONDS = float(sys.argv[1])
 try:
-    with terminal.CompilationLine():
+    with terminal.LINE:
         with NEW_KERNELS.compiling():
             time.sleep(float(sys.argv[2]))
         print("solved", file=sys.stderr)

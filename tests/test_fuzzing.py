@@ -174,8 +174,8 @@ def targets(draw: st.DrawFn) -> str:
 @st.composite
 def command_lines(draw: st.DrawFn) -> list[str]:
     """Arguments of a command, then mutated."""
-    command = draw(st.sampled_from(["solve", "solve", "solve", "analyze", "list", "bench"]))
-    line = [command] if command in ("list", "bench") else [command, draw(targets())]
+    command = draw(st.sampled_from(["solve", "solve", "solve", "analyze", "list"]))
+    line = [command] if command == "list" else [command, draw(targets())]
     options = {
         "--algorithm": st.sampled_from(["auto", *REGISTRY, "psr", ""]),
         "--relaxation": NUMBERS | st.just("auto"),
@@ -205,7 +205,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
         else:
             line[place], line[0] = line[0], line[place]
     # These compute for minutes, whatever follows.
-    return line if not {"tables", "report", "bench"} & {*line} or line == ["bench"] else ["list"]
+    return line if not {"tables", "report"} & {*line} else ["list"]
 
 
 @given(line=command_lines())

@@ -6,6 +6,7 @@ import functools
 import json as json_module
 import os
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -14,9 +15,9 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from .. import __version__
-from ..errors import InvalidOption, LCPError, did_you_mean
+from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
 from .target import algorithm_names, scene_names
-from .terminal import CompilationLine
+from .terminal import LINE
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -78,7 +79,7 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         @functools.wraps(command)
         def wrapped(*args: Any, **kwargs: Any) -> None:
             try:
-                with CompilationLine():
+                with LINE:
                     is_done = command(*args, **kwargs) is not False
                 sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
                 if not is_done:
@@ -101,6 +102,10 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         return command
 
     return registered
+
+
+def _print_json(content: dict[str, Any]) -> None:
+    typer.echo(json_module.dumps(content, indent=2))
 
 
 def _drop_output() -> None:
@@ -162,7 +167,7 @@ def solve(
     """Solve a file or a scene; print status, residuals and counts."""
     from . import distributed, solving
 
-    kinds = {"serial": solving.OneProcess, "petsc": distributed.Ranks}
+    kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
     if backend not in kinds:
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
@@ -171,9 +176,7 @@ def solve(
         threads=threads,
     )
     options = solving.options(relaxation, option or [])
-    return solving.run(
-        kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json
-    )
+    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json)
 
 
 @_command(
@@ -212,9 +215,21 @@ def certify(
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
-    from . import certifying
+    from ..conversions.program_files import load_program
+    from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
 
-    return certifying.run(file, solver, tolerance, max_seconds, as_json=json)
+    names = list(dict.fromkeys(name.strip() for name in solver.split(",") if name.strip()))
+    if not names:
+        raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
+    program, offset = load_program(file)
+    answers: list[JudgedAnswer] = []
+    for answer in judged_answers(program, names, tolerance=tolerance, max_seconds=max_seconds):
+        if not json:
+            typer.echo(str(answer) if answers else f"{file}: {program!r}\n{HEAD}\n{answer}")
+        answers.append(answer)
+    if json:
+        _print_json({"file": file, "offset": offset, "answers": [answer.to_content() for answer in answers]})
+    return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)
 
 
 @_command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
@@ -223,11 +238,14 @@ def analyze(
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
 ) -> None:
     """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
-    from .analysis import content, story
+    from .listing import analysis, analysis_content
     from .target import read_target
 
     problem, _ = read_target(target)
-    typer.echo(json_module.dumps(content(problem), indent=2) if json else story(problem))
+    if json:
+        _print_json(analysis_content(problem))
+    else:
+        typer.echo(analysis(problem))
 
 
 @_command("list", "0 done", "list")
@@ -265,11 +283,38 @@ def report(
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> bool:
     """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
-    from .report import make
+    from ..evidence.drawing import require_matplotlib
+    from ..evidence.gallery import Scene
+    from ..evidence.report.page import collect, require_jinja, write_report
+    from ..evidence.report.section import plan
+    from ..problem.lcp import LCP
+    from .target import scene_text
+    from .terminal import PartsLine
 
-    is_complete, story = make(scenes or [], out, quick=quick)
-    typer.echo(story)
-    return is_complete
+    def scene_of_file(path: str) -> Scene:
+        problem = LCP.load(path)
+        return Scene(problem=problem, name=path, description=f"your own problem, {problem!r}", is_declared=False)
+
+    require_matplotlib()
+    require_jinja()
+    if out.exists() and not out.is_dir():
+        raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
+    began = time.perf_counter()
+    parts = plan([scene_text(scene) or scene_of_file(scene) for scene in scenes or []], quick=quick)
+    collected = collect(parts, out / "parts", PartsLine())
+    kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
+    try:
+        page = write_report(collected, out, is_quick=quick)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted while the page was written: {kept} are kept; the same command goes on from here")
+        return False
+    took = f"{time.perf_counter() - began:.0f} s"
+    if collected.is_complete:
+        again = f", {collected.found} of {len(parts)} parts found from a former run" if collected.found else ""
+        typer.echo(f"{page}: {len(parts)} parts, {took}{again}")
+    else:
+        typer.echo(f"interrupted after {took}: {page} holds {kept}; the same command goes on from here")
+    return collected.is_complete
 
 
 @_command("warm-up", "0 done", "warm-up")

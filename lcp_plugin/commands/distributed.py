@@ -9,10 +9,11 @@ import secrets
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import typer
@@ -21,15 +22,13 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, LCPError, UnreadableFile
 from ..problem.lcp import LCP
 from ..solving.result import Result
-from .solving import OneProcess, Task, refuse_the_problem_itself
-from .target import require_file, scene_text
+from .solving import OneProcess, refuse_the_problem_itself, require_place
+from .target import scene_text
 
 LARGE_FOR_EACH_RANK = 100_000
 FILES = ("z.npy", "w.npy", "status.json")
-PIECE = 2**24  # values a write: a count of bytes beyond 2³¹ is more than some MPI libraries take
 FEW_RANKS = 8
 SPEAKER = "lcp-plugin"
-T = TypeVar("T")
 
 
 @contextmanager
@@ -38,7 +37,7 @@ def on_all_ranks() -> Iterator[None]:
     try:
         from mpi4py import MPI
 
-        from ..peers.ranks.failures import ends_together
+        from ..peers.ranks.collective import ends_together
     except (ImportError, RuntimeError, LCPError):  # `solve` says what is missing
         yield
         return
@@ -49,22 +48,19 @@ def on_all_ranks() -> Iterator[None]:
         yield
 
 
-class Ranks(OneProcess):
+class OnRanks(OneProcess):
     """Every rank of the job, which all call in the same order."""
 
-    on_ranks = True
-
     def __init__(self) -> None:
-        from ..peers.ranks.collective import as_mpi, from_first
+        from ..peers.ranks.collective import Ranks
 
-        self.comm = as_mpi(None)
-        self.once = lambda attempt: from_first(self.comm, attempt)
+        self.peers = self.ranks = Ranks(None)
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which the first failure ends all ranks."""
-        from ..peers.ranks.failures import ends_together
+        from ..peers.ranks.collective import ends_together
 
-        return ends_together(self.comm, speaker=SPEAKER)
+        return ends_together(self.ranks.comm, speaker=SPEAKER)
 
     def check_outputs(self, target: str, plot: Path | None, out: Path | None) -> None:
         """Refuse a picture, and a folder that cannot be written."""
@@ -73,94 +69,74 @@ class Ranks(OneProcess):
                 "--plot is not offered with --backend petsc, as no rank holds the whole z; save with --out FOLDER and "
                 "plot np.load('FOLDER/z.npy')"
             )
-        _check_folder(target, out)
+        if out is None:
+            return
+        if out.suffix in (".npz", ".npy"):
+            raise InvalidOption(f"with --backend petsc, --out names a folder for {', '.join(FILES)}; got {out.name!r}")
+        if out.exists() and not out.is_dir():
+            raise UnreadableFile(f"cannot write {out}: it is a file")
+        place = out if out.exists() else out.absolute().parent
+        require_place(place, out)
+        refuse_the_problem_itself(target, out)
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise UnreadableFile(f"cannot write {out}: no permission to write into {place}; choose another place")
 
-    def read(self, target: str, size: int | None, out: Path | None) -> Task:
-        """Return the own part of what is to be solved, if the disk has room for the answer."""
-        task = _read(self.comm, target, size)
-        self.once(lambda: _check_room(task.problem.n, out))
-        return task
+    def read(self, target: str, size: int | None) -> tuple[LCP, Any]:
+        """Return the own part of what is to be solved."""
+        from ..evidence import gallery
+        from ..evidence.gallery import on_ranks as scenes
+
+        text = scene_text(target, size)
+        if text is None:
+            path = Path(target)
+            if self.peers.from_first(lambda: path.is_dir() and not (path / "M.mtx").exists()):
+                return LCP.load(target, self.ranks.comm), None
+            whole = LCP.load(target)
+            self._note_whole(whole.n, "this file is read")
+            return LCP.from_problem(whole, self.ranks.comm), None
+        name, parameters = gallery.read(text)
+        scene = scenes.build(name, self.ranks.comm, parameters)
+        if scene.steps > 1:
+            raise InvalidOption(f"{name} is a march in time, which --backend petsc does not offer; leave it out")
+        if name not in scenes.BY_ROWS:
+            self._note_whole(scene.n, f"{name} is built")
+        return scene.problem, scene
+
+    def _note_whole(self, n: int, what: str) -> None:
+        if self.ranks.size > 1 and n > LARGE_FOR_EACH_RANK:
+            typer.echo(f"note: {what} whole on each of the {self.ranks.size} ranks, then cut", err=True)
 
     def beyond(self) -> tuple[dict[str, Any], list[str]]:
         """Return the number of ranks and their peaks of memory."""
-        from ..peers.ranks.collective import gathered
-
-        peaks = [int(peak) for peak in gathered(self.comm, peak_memory())[:, 0]]
-        return {"ranks": self.comm.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {_in_words(peaks)}"]
+        peaks = [int(peak) for peak in self.ranks.table(peak_memory())[:, 0]]
+        megabytes = [round(peak / 1e6) for peak in peaks]
+        each = ", ".join(map(str, megabytes)) if len(peaks) <= FEW_RANKS else f"{min(megabytes)} to {max(megabytes)}"
+        told = f"{each} MB a rank" + (f", {sum(megabytes)} MB in all" if len(peaks) > 1 else "")
+        return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {told}"]
 
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
-        token, is_new = self.once(lambda: _make_folder(out))
+        problem = result.certificate.problem
+        token, is_new = self.peers.from_first(lambda: _make_folder(out, problem.n))
         temporary = {name: out / f".{token}-{name}" for name in FILES}
+
+        def finish() -> None:
+            temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8")
+            for name in FILES:
+                temporary[name].replace(out / name)
+
         try:
             for name, own in (("z.npy", result.z), ("w.npy", result.w)):
-                _write_array(self.comm, temporary[name], own, result.certificate.problem)
-            self.once(lambda: temporary["status.json"].write_text(json.dumps(content, indent=2), encoding="utf-8"))
-            self.once(lambda: [temporary[name].replace(out / name) for name in FILES] and None)
+                begin = self.peers.from_first(partial(_begin_array, temporary[name], problem.n))
+                self.peers.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
+            self.peers.from_first(finish)
         finally:
-            if self.comm.rank == 0:
+            if self.peers.rank == 0:
                 for path in temporary.values():
                     path.unlink(missing_ok=True)
                 if is_new and not any(out.iterdir()):
                     out.rmdir()
         return [out / name for name in FILES]
-
-
-# --- what is solved -------------------------------------------------------------------------------------------
-
-
-def _read(comm: Any, target: str, size: int | None) -> Task:
-    from ..evidence import gallery
-    from ..evidence.gallery import on_ranks as scenes
-    from ..peers.ranks.collective import from_first
-
-    text = scene_text(target, size)
-    if text is None:
-        if from_first(comm, lambda: _kind(target)) == "parts":
-            return Task(LCP.load(target, comm))
-        whole = LCP.load(target)
-        _note_whole(comm, whole.n, "this file is read")
-        return Task(LCP.from_problem(whole, comm))
-    by_rows = scenes.by_rows(text)
-    if by_rows is not None:
-        name, parameters = by_rows
-        problem = scenes.build(name, comm, parameters)
-        label = ", ".join(f"{key}={value!r}" for key, value in parameters.items())
-        return Task(
-            problem, f"Scene({name}: {label})",
-            references={"from the continuum": lambda z: scenes.continuum_error(problem, z, name, **parameters)},
-        )
-    scene = gallery.parse(text)
-    if scene.steps > 1:
-        raise InvalidOption(f"{scene.name} is a march in time, which --backend petsc does not offer; leave it out")
-    _note_whole(comm, scene.n, f"{scene.name} is built")
-    return Task.of_scene(LCP.from_problem(scene.problem, comm), scene)
-
-
-def _kind(target: str) -> str:
-    """Return "whole" for what `LCP.load` reads, "parts" for what each rank reads a part of."""
-    require_file(target)
-    path = Path(target)
-    is_matrix_market = target.endswith("M.mtx") or (path / "M.mtx").exists() or Path(f"{target}M.mtx").exists()
-    if path.suffix.lower() == ".npz" or is_matrix_market or not path.exists():
-        return "whole"
-    return "parts"
-
-
-def _note_whole(comm: Any, n: int, what: str) -> None:
-    if comm.size > 1 and n > LARGE_FOR_EACH_RANK:
-        typer.echo(f"note: {what} whole on each of the {comm.size} ranks, then cut", err=True)
-
-
-# --- what is told ---------------------------------------------------------------------------------------------
-
-
-def _in_words(peaks: list[int]) -> str:
-    megabytes = [round(peak / 1e6) for peak in peaks]
-    each = ", ".join(map(str, megabytes))
-    if len(peaks) > FEW_RANKS:
-        each = f"{min(megabytes)} to {max(megabytes)}"
-    return f"{each} MB a rank" if len(peaks) == 1 else f"{each} MB a rank, {sum(megabytes)} MB in all"
 
 
 def peak_memory() -> int:
@@ -182,73 +158,29 @@ def _say_terminated(number: int, _: Any) -> None:
     os.kill(os.getpid(), number)
 
 
-# --- what is saved --------------------------------------------------------------------------------------------
-
-
-def _check_folder(target: str, out: Path | None) -> None:
-    """Refuse before the run what could not be written after it."""
-    if out is None:
-        return
-    if out.suffix in (".npz", ".npy"):
-        raise InvalidOption(f"with --backend petsc, --out names a folder for {', '.join(FILES)}; got {out.name!r}")
-    place = out if out.exists() else out.absolute().parent
-    if not place.is_dir():
-        fault = "it is a file" if out.exists() else f"the folder {out.parent} does not exist"
-        raise UnreadableFile(f"cannot write {out}: {fault}")
-    refuse_the_problem_itself(target, out)
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise UnreadableFile(f"cannot write {out}: no permission to write into {place}; choose another place")
-    for name in FILES:
-        if (out / name).is_dir():
-            raise UnreadableFile(f"cannot write {out / name}: it is a folder")
-
-
-def _check_room(n: int, out: Path | None) -> None:
-    if out is None:
-        return
-    free = shutil.disk_usage(out if out.exists() else out.absolute().parent).free
+def _make_folder(out: Path, n: int) -> tuple[str, bool]:
+    """Make the folder if it is not there and the disk has room for z and w; return a word for new files in it."""
+    is_new = not out.exists()
+    free = shutil.disk_usage(out.absolute().parent if is_new else out).free
     if (needed := 16 * n) > free:
         raise UnreadableFile(f"cannot write {out}: z and w need {needed:.3g} bytes and {free:.3g} are free there")
-
-
-def _make_folder(out: Path) -> tuple[str, bool]:
-    is_new = not out.exists()
     out.mkdir(exist_ok=True)
     return secrets.token_hex(6), is_new
 
 
-def _write_array(comm: Any, path: Path, own: FloatVector, problem: Any) -> None:
-    """Write the parts of all ranks into one .npy file by MPI-IO."""
-    from mpi4py import MPI
-
-    from ..peers.ranks.collective import together
-
+def _begin_array(path: Path, n: int) -> int:
+    """Write the head of a .npy file of n numbers; return where the numbers begin."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (problem.n,)})
-    begin = len(header.getvalue()) + 8 * problem.first
-    values = np.ascontiguousarray(own, dtype="<f8")
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n,)})
+    path.write_bytes(header.getvalue())
+    return len(header.getvalue())
 
-    def attempt(action: Callable[[], T]) -> T:
-        def plainly() -> T:
-            try:
-                return action()
-            except MPI.Exception as error:
-                raise UnreadableFile(f"cannot write {path}: {error.Get_error_string()}") from error
 
-        return together(comm, plainly)
-
-    def write(file: Any) -> None:
-        pieces = [(begin + 8 * k, values[k : k + PIECE].view(np.uint8)) for k in range(0, values.size, PIECE)]
-        if comm.rank == 0:
-            pieces.insert(0, (0, np.frombuffer(header.getvalue(), np.uint8)))
-        for offset, piece in pieces:
-            status = MPI.Status()
-            file.Write_at(offset, piece, status)
-            if status.Get_count(MPI.BYTE) != piece.size:
-                raise UnreadableFile(f"cannot write {path}: only a part was written; is the disk full?")
-
-    file = attempt(lambda: MPI.File.Open(comm, str(path), MPI.MODE_CREATE | MPI.MODE_EXCL | MPI.MODE_WRONLY))
+def _write_part(path: Path, begin: int, own: FloatVector) -> None:
+    """Write the own numbers into the file that all ranks see; beyond its end it grows."""
     try:
-        attempt(lambda: write(file))
-    finally:
-        file.Close()
+        with path.open("r+b") as file:
+            file.seek(begin)
+            file.write(np.ascontiguousarray(own, dtype="<f8").data)
+    except OSError as error:
+        raise UnreadableFile(f"cannot write {path}: {error.strerror or error}") from error

@@ -13,42 +13,30 @@ def read_target(target: str, size: int | None = None) -> tuple[LCP, Any]:
     """Return (problem, None) of a file or (problem, scene) of a scene's name."""
     from ..evidence import gallery
 
-    text = scene_text(target, size)
-    if text is not None:
-        scene = gallery.parse(text)
-        return scene.problem, scene
-    require_file(target)
-    return LCP.load(target), None
-
-
-def scene_or_file(target: str) -> Any:
-    """Return a scene's text, or the scene that a file or a folder makes, called as it was given."""
-    from ..evidence.gallery.scene import Scene
-
-    text = scene_text(target)
-    if text is not None:
-        return text
-    problem, _ = read_target(target)
-    return Scene(problem=problem, name=target, description=f"your own problem, {problem!r}", is_declared=False)
+    if (text := scene_text(target, size)) is None:
+        return LCP.load(target), None
+    scene = gallery.parse(text)
+    return scene.problem, scene
 
 
 def scene_text(target: str, size: int | None = None) -> str | None:
-    """Return what `gallery.parse` reads, name:key=value,…, or None where the target is no scene.
+    """Return what `gallery.parse` reads, name:key=value,…, or None where the target is or looks like a path.
 
     The name may be written with dashes; a size given beside the target becomes the scene's.
 
     Raises
     ------
     InvalidOption
-        Where the size is given twice, or beside a file.
+        Where the target is neither, or the size is given twice, or beside a file.
     """
     from ..evidence import gallery
 
     name, _, settings = target.strip().partition(":")
     name = name.strip().replace("-", "_")
     if name not in gallery.names():
+        if not (set(target) & set("/\\.") or Path(target).exists() or Path(f"{target}M.mtx").exists()):
+            raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
         if size is not None:
-            require_file(target)
             raise InvalidOption(f"--size {size} is for a scene, but {target!r} is none; leave it out")
         return None
     given = [setting for setting in settings.split(",") if setting.strip()]
@@ -57,19 +45,6 @@ def scene_text(target: str, size: int | None = None) -> str | None:
             raise InvalidOption(f"the size is given twice, in {target!r} and as --size {size}; once is enough")
         given.append(f"size={size}")
     return f"{name}:{','.join(given)}" if given else name
-
-
-def require_file(target: str) -> None:
-    """Raise InvalidOption unless the target is or looks like a path."""
-    from ..evidence import gallery
-
-    looks_like_a_path = "/" in target or "\\" in target or "." in target
-    if not (looks_like_a_path or Path(target).exists() or Path(f"{target}M.mtx").exists()):
-        name = target.partition(":")[0]
-        raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
-
-
-# --- What the shell offers ------------------------------------------------------------------------------------
 
 
 def scene_names(incomplete: str) -> list[str]:

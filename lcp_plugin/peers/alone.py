@@ -99,6 +99,10 @@ class Peers:
         """Return what `attempt`, which waits for nobody, gives here; where it fails on one process, raise on all."""
         return attempt()
 
+    def from_first(self, attempt: Callable[[], T]) -> T:
+        """Return everywhere what `attempt` gives on the first process; where it fails there, raise on all."""
+        return attempt()
+
     def require_same(self, what: str, value: Any, remedy: str, error: Any = None) -> None:
         """Raise that error on every process unless all of them hold the same value."""
 

@@ -30,12 +30,16 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     target = checked_path(path)
     _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
-        M = problem.csr
-        arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
-        arrays |= {name: getattr(problem, name) for name in VECTORS}
+        arrays = arrays_of(problem, problem.csr)
         write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
     else:
         _save_folder(problem, checked_folder(target))
+
+
+def arrays_of(problem: LCP, M: sp.csr_array) -> dict[str, Any]:
+    """Return what is saved of a problem, or of the own rows of one, by name."""
+    arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
+    return arrays | {name: getattr(problem, name) for name in VECTORS}
 
 
 def checked_folder(target: Path) -> Path:
@@ -145,22 +149,30 @@ def _load_npz(kind: type[LCP], source: Path) -> LCP:
     if "P_data" in content:
         raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP; {LAYOUT}")
     is_compressed = any(key in content for key in MATRIX_KEYS)
-    missing = [key for key in (*(MATRIX_KEYS if is_compressed else ("M",)), "q") if key not in content]
-    if missing:
-        raise UnreadableFile(f"{source} lacks the keys {missing}; {LAYOUT}")
-    M = _csr_in(source, content) if is_compressed else content["M"]
+    require_keys(source, content, (*(MATRIX_KEYS if is_compressed else ("M",)), "q"), LAYOUT)
+    M = csr_in(source, content) if is_compressed else content["M"]
     bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
     return _problem(kind, str(source), M, content["q"], bounds)
 
 
-def _csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
+def require_keys(source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str) -> None:
+    """Raise UnreadableFile where one of the arrays is missing."""
+    missing = [key for key in keys if key not in content]
+    if missing:
+        raise UnreadableFile(f"{source} lacks the keys {missing}; {remedy}")
+
+
+def csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
+    """Return the matrix of a file's CSR arrays, or raise UnreadableFile where they are none."""
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
             raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
     try:
         shape = tuple(int(k) for k in content["shape"])
-        return sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
-    except (ValueError, TypeError, OverflowError, MemoryError) as error:
+        rows = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
+        rows.check_format(full_check=True)
+        return rows
+    except (ValueError, IndexError, TypeError, OverflowError, MemoryError) as error:
         raise UnreadableFile(f"{source} holds no valid CSR matrix: {error}") from error
 
 

@@ -227,7 +227,7 @@ class LCP:
         InvalidProblem
             On every rank, where any part is damaged or the parts do not fit together.
         """
-        from .own_rows import matrix_of_rows, require_same_numbers
+        from .on_ranks import matrix_of_rows, require_same_numbers
 
         matrix = matrix_of_rows(comm, rows, first_row)
         problem = object.__new__(LCP)
@@ -250,7 +250,7 @@ class LCP:
         InvalidProblem
             Where the ranks give different problems.
         """
-        from .own_rows import equal_part
+        from .on_ranks import equal_part
 
         return cls.from_rows(comm, *equal_part(comm, problem))
 
@@ -271,7 +271,7 @@ class LCP:
             Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
         if self.is_distributed:
-            from .files_on_ranks import save
+            from .on_ranks import save
         else:
             from .files import save
         save(self, path)
@@ -352,7 +352,7 @@ class LCP:
             Where the file is missing, damaged, or no linear complementarity problem.
         """
         if comm is not None:
-            from .files_on_ranks import load as load_parts
+            from .on_ranks import load as load_parts
 
             return load_parts(LCP, path, comm)
         from .files import load

@@ -72,7 +72,7 @@ def _anatomy(size: int) -> dict[str, Any]:
     from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
     from lcp_plugin.matrix.hierarchy.truncation import Truncation
 
-    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
     hierarchy = hierarchy_of(problem.matrix, 60)
     truncation, grids = Truncation(hierarchy), hierarchy.grids
 
@@ -124,8 +124,8 @@ def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
     from lcp_plugin import solve
     from lcp_plugin.evidence.gallery.on_ranks import build
 
-    solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}), "multigrid")
-    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
+    solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}).problem, "multigrid")
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
     seconds, result = _least(lambda: solve(problem, "multigrid", tolerance=TOLERANCE), runs)
     return {"seconds": seconds, "iterations": result.iterations, "status": result.status.name}
 
@@ -152,8 +152,8 @@ def _snesvi(size: int) -> dict[str, Any]:
     from lcp_plugin.evidence.gallery.on_ranks import build
     from lcp_plugin.peers.ranks.halo import numbered_over_all
 
-    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size})
-    layout, rows = problem.peers.layout, numbered_over_all(problem.matrix.csr_rows, problem.peers)
+    problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
+    layout, rows = problem.peers, numbered_over_all(problem.matrix.csr_rows, problem.peers)
     matrix = PETSc.Mat().create(comm=layout.comm)
     matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
     matrix.setType("aij")

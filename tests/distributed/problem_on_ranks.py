@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnreadableFile
-from lcp_plugin.peers.ranks.collective import from_first, gathered, largest, together, total
+from lcp_plugin.peers.ranks.collective import Ranks
 from lcp_plugin.peers.ranks.halo import numbered_over_all
 
 N = 7
@@ -196,18 +196,18 @@ def a_failure_on_one_rank_is_known_on_all(comm: Any) -> None:
         if comm.rank == comm.size - 1:
             raise error
 
-    require_refused(comm, lambda: together(comm, lambda: fail(InvalidOption("no"))), InvalidOption, "no")
-    require_refused(comm, lambda: together(comm, lambda: fail(OSError("disk"))), UnreadableFile, "disk")
-    error = raised_by(lambda: together(comm, lambda: fail(ZeroDivisionError("own"))))
+    require_refused(comm, lambda: Ranks(comm).together(lambda: fail(InvalidOption("no"))), InvalidOption, "no")
+    require_refused(comm, lambda: Ranks(comm).together(lambda: fail(OSError("disk"))), UnreadableFile, "disk")
+    error = raised_by(lambda: Ranks(comm).together(lambda: fail(ZeroDivisionError("own"))))
     if comm.rank == comm.size - 1:
         assert repr(error) == "ZeroDivisionError('own')"
     else:
         assert repr(error) == f"LCPError('rank {comm.size - 1}: ZeroDivisionError: own')"
-    assert from_first(comm, lambda: comm.rank) == 0
-    assert largest(comm, 1.0 * comm.rank, np.nan if comm.rank == 0 else 0.0)[0] == comm.size - 1
-    assert np.isnan(largest(comm, np.nan if comm.rank == 0 else 0.0)[0])
-    assert total(comm, 0.1) == (sum([0.1] * comm.size),)
-    assert gathered(comm, comm.rank, 1.0).tolist() == [[rank, 1.0] for rank in range(comm.size)]
+    assert Ranks(comm).from_first(lambda: comm.rank) == 0
+    assert Ranks(comm).all_largest(1.0 * comm.rank, np.nan if comm.rank == 0 else 0.0)[0] == comm.size - 1
+    assert np.isnan(Ranks(comm).all_largest(np.nan if comm.rank == 0 else 0.0)[0])
+    assert Ranks(comm).total(0.1) == sum([0.1] * comm.size)
+    assert Ranks(comm).table(comm.rank, 1.0).tolist() == [[rank, 1.0] for rank in range(comm.size)]
 
 
 # --- files ----------------------------------------------------------------------------------------------
@@ -281,7 +281,7 @@ def damages(chunk: Path, other: Path) -> dict[str, Callable[[], object]]:
         "lacks the keys ['shape']": lambda: rewritten(chunk, shape=None),
         "lacks the keys ['q']": lambda: rewritten(chunk, q=None),
         "q has shape": lambda: rewritten(chunk, q=content["q"][1:]),
-        "no valid CSR rows": lambda: rewritten(chunk, indices=content["indices"] + N),
+        "no valid CSR matrix": lambda: rewritten(chunk, indices=content["indices"] + N),
         "whole numbers": lambda: rewritten(chunk, indptr=content["indptr"] + 0.5),
         "begins with row": lambda: rewritten(chunk, first_row=content["first_row"] + 1),
         "nan": lambda: rewritten(chunk, q=content["q"] * np.nan),

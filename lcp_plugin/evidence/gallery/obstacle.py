@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -95,24 +95,49 @@ def sphere_solution(r: Field, dimension: int) -> Field:
     return np.where(r < contact, sphere_obstacle(r), strength * free)
 
 
-def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
-    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
-    r = np.sqrt(sum(x**2 for x in np.ix_(*[axis] * dimension)))
-    solution = sphere_solution(r, dimension)
-    inside = interior(dimension)
-    obstacle, continuum = sphere_obstacle(r[inside]).ravel(), solution[inside].ravel()
+class Layers(NamedTuple):
+    """Rows of a membrane over a sphere, all columns counted over the whole grid, and what is known at their nodes."""
 
-    shape, legs = (size,) * dimension, (-1.0,) * dimension
-    M = stencil_matrix(shape, 2.0 * dimension, legs, legs)
+    rows: sp.csr_array
+    q: FloatVector
+    lower: FloatVector
+    continuum: FloatVector
+    radius: FloatVector
+
+
+def sphere_layers(dimension: int, size: int, shifted: bool, begin: int, end: int) -> Layers:
+    """Return the layers begin ≤ i < end along the first axis, each of size^(dimension − 1) rows."""
+    layer, n = size ** (dimension - 1), size**dimension
+    low, high = max(begin - 1, 0), min(end + 1, size)  # the neighbours' layers, so that no leg is cut off
+    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    r = np.sqrt(sum(x**2 for x in np.ix_(axis[low : high + 2], *[axis] * (dimension - 1))))
+    solution = sphere_solution(r, dimension)
+    radius = r[interior(dimension)]
+    obstacle, continuum = sphere_obstacle(radius).ravel(), solution[interior(dimension)].ravel()
+    legs = (-1.0,) * dimension
+    M = stencil_matrix(radius.shape, 2.0 * dimension, legs, legs)
     q = dirichlet_terms(solution, legs, legs)
-    problem = LCP(M, M @ obstacle + q) if shifted else LCP(M, q, lower=obstacle)
+    lower = obstacle
+    if shifted:
+        q, lower, continuum = M @ obstacle + q, np.zeros(obstacle.size), continuum - obstacle
+    if (low, high) == (begin, end):
+        return Layers(M, q, lower, continuum, radius.ravel())
+    own = slice((begin - low) * layer, (end - low) * layer)
+    rows = M[own]
+    columns = rows.indices.astype(np.int32 if n < 2**31 else np.int64) + low * layer
+    rows = sp.csr_array((rows.data, columns, rows.indptr), shape=(rows.shape[0], n))
+    return Layers(rows, q[own], lower[own], continuum[own], radius.ravel()[own])
+
+
+def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
+    whole = sphere_layers(dimension, size, shifted, 0, size)
     return Scene(
-        problem=problem,
-        continuum=continuum - obstacle if shifted else continuum,
+        problem=LCP(whole.rows, whole.q, lower=whole.lower),
+        continuum=whole.continuum,
         is_symmetric=True,
         is_h_plus=True,
-        active_share=float(np.mean(r[inside] < CONTACT_RADIUS[dimension])),
-        coordinates=(axis[1:-1],) * dimension,
+        active_share=float(np.mean(whole.radius < CONTACT_RADIUS[dimension])),
+        coordinates=(nodes(-HALF_SIDE, HALF_SIDE, size)[1:-1],) * dimension,
         axis_labels=("x", "y", "z")[:dimension],
         unknown="height",
         active_means="on the obstacle",

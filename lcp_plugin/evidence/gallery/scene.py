@@ -96,7 +96,7 @@ class Scene:
         for fact in _VECTORS:
             values = getattr(self, fact)
             if values is not None:
-                object.__setattr__(self, fact, _read_only(values, fact, self.problem.n))
+                object.__setattr__(self, fact, _read_only(values, fact, self.problem.own))
         if self.exact is not None and self.active_share is None and self.n:
             object.__setattr__(self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact))))
         if self.grid is None and self.coordinates is not None:
@@ -189,9 +189,7 @@ def scene_builder(builder: Builder) -> Builder:
 
     @functools.wraps(builder)
     def checked(**given: Any) -> Scene:
-        for word in given:
-            _parameter(name, word)
-        values = {key: p.check(given.get(key, p.default)) for key, p in parameters_of(builder).items()}
+        values = checked_values(name, given)
         return replace(builder(**values), name=name, description=_summary(builder), parameters=values)
 
     _SCENES[name] = checked
@@ -200,6 +198,19 @@ def scene_builder(builder: Builder) -> Builder:
 
 def _summary(builder: Builder) -> str:
     return inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
+
+
+def checked_values(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all parameters of a scene, those not given at their defaults.
+
+    Raises
+    ------
+    InvalidOption
+        As :func:`build`.
+    """
+    for word in given:
+        _parameter(name, word)
+    return {key: p.check(given.get(key, p.default)) for key, p in parameters_of(builder_of(name)).items()}
 
 
 def names() -> list[str]:
@@ -262,6 +273,12 @@ def parse(text: str) -> Scene:
     >>> parse("obstacle_2d:size=20,shifted=true")
     Scene(obstacle_2d: size=20, shifted=True)
     """
+    name, values = read(text)
+    return build(name, **values)
+
+
+def read(text: str) -> tuple[str, dict[str, Any]]:
+    """Return name and given parameters of a scene written as text; see :func:`parse`."""
     if not isinstance(text, str):
         raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
     name, _, settings = text.strip().partition(":")
@@ -276,7 +293,7 @@ def parse(text: str) -> Scene:
                 f"{setting!r} in {text!r} {fault}; write scene:parameter=value,parameter=value"
             )
         values[key] = _parameter(name, key).read(value)
-    return build(name, **values)
+    return name, values
 
 
 def builder_of(name: str) -> Builder:

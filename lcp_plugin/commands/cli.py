@@ -238,7 +238,7 @@ def analyze(
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
 ) -> None:
     """Tell what kind of matrix it is, with evidence, and which algorithms are proved to converge on it."""
-    from .listing import analysis, analysis_content
+    from .tables import analysis, analysis_content
     from .target import read_target
 
     problem, _ = read_target(target)
@@ -251,7 +251,7 @@ def analyze(
 @_command("list", "0 done", "list")
 def list_everything() -> None:
     """List the algorithms with what they need, and the scenes with their parameters."""
-    from .listing import print_everything
+    from .target import print_everything
 
     print_everything()
 
@@ -259,7 +259,7 @@ def list_everything() -> None:
 @_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables")
 def tables() -> bool:
     """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
-    from .listing import print_paper_tables
+    from .tables import print_paper_tables
 
     return print_paper_tables()
 

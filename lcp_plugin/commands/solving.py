@@ -132,7 +132,7 @@ def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any]) -> list[Resul
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
     from ..solving.driver import solve
 
-    settings["callback"] = show_step if LINE.is_there else None
+    settings["callback"] = show_step
     results = [solve(problem, z0=None if scene is None else scene.start, **settings)]
     while results[-1].is_solved and scene is not None and len(results) < scene.steps:
         problem = problem.with_q(scene.advance(results[-1].z))

@@ -1,11 +1,11 @@
-"""What a command works on: a file, a folder or a scene; and the words that the shell offers for it."""
+"""What a command works on: a file, a folder or a scene; and what there is of algorithms and scenes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from ..errors import InvalidOption, did_you_mean
+from ..errors import InvalidOption, LCPError, did_you_mean
 from ..problem.lcp import LCP
 
 
@@ -59,3 +59,33 @@ def algorithm_names(incomplete: str) -> list[str]:
     from ..algorithms import REGISTRY, from_other_packages
 
     return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
+
+
+def print_everything() -> None:
+    """Print the algorithms with what they need and their sources, and the scenes with their parameters."""
+    from ..algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
+    from ..evidence.gallery import describe
+    from .terminal import console, table
+
+    foreign = from_other_packages()
+    offers = {**{name: algorithm_class(name) for name in REGISTRY}, **foreign}
+    kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
+    references = dict.fromkeys(kind.reference for kind in kinds.values() if kind.reference != Algorithm.reference)
+    sources = {reference: f"[{k}]" for k, reference in enumerate(references, start=1)}
+    headings = ("name", "needs", "proved to converge on", "an iteration costs", "source")
+    algorithms = [
+        (name, kind.assumption, kind.converges_on, kind.cost, sources.get(kind.reference, kind.reference))
+        for name, kind in kinds.items()
+    ]
+    scenes = [
+        (name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
+        for name, summary, parameters in describe()
+    ]
+    terminal = console(160)
+    terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
+    for reference, source in sources.items():
+        terminal.print(f"{source} {reference}")
+    for error in (one for one in foreign.values() if isinstance(one, LCPError)):
+        terminal.print(f"left out: {error}")
+    terminal.print()
+    terminal.print(table("Scenes", ("name", "what", "parameters"), scenes, pad_edge=False))

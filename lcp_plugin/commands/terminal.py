@@ -1,14 +1,15 @@
-"""What a terminal shows while something runs: one moving line, from the second second on; nothing elsewhere."""
+"""The terminal: one moving line while something runs, from the second second on, and tables."""
 
 from __future__ import annotations
 
 import shutil
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from itertools import cycle
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..deadline import NEW_KERNELS
 
@@ -108,3 +109,27 @@ class PartsLine:
         elif self._said < done < total:
             self._said = done
             sys.stderr.write(f"[{done + 1}/{total}] {label}\n")
+
+
+def console(width: int) -> Any:
+    """Return a console as wide as the terminal; where the output goes elsewhere, of the width given."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else width, markup=False, highlight=False)
+
+
+def table(
+    title: str, headings: Iterable[str], rows: Iterable[Iterable[str]], *, is_of_numbers: bool = False, **look: Any
+) -> Any:
+    """Return a table that breaks long words rather than cutting them, and names and numbers never."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, **look)
+    for heading in headings:
+        keeps = is_of_numbers or heading in {"name", "source"}
+        right = is_of_numbers and heading != "algorithm"
+        table.add_column(heading, overflow="fold", no_wrap=keeps, justify="right" if right else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table

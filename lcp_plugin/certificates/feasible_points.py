@@ -18,10 +18,10 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram
 from ..conversions.qp_certificates import feasible_point
-from ..conversions.qp_proofs import is_feasible
+from ..conversions.qp_proofs import losses
 from ..deadline import is_over
 from ..exact.linear_systems import solved_nearby
-from ..exact.rational import Row, Vector, enclosures, products, rational, rational_rows
+from ..exact.rational import Vector, enclosures, products, rational
 from ..exact.rounding import compensated_pair, compensated_product, upper_end
 from ..exact.upward import product_above, sum_above
 from .dual_bounds import ROOMS, least_squares
@@ -84,7 +84,7 @@ class FeasiblePoints:
     @cached_property
     def inside(self) -> Vector | None:
         """A feasible point in fractions, as far inside as a linear program finds one."""
-        return feasible_point(self.program, self._rows) if self.is_small else None
+        return feasible_point(self.program) if self.is_small else None
 
     @property
     def is_small(self) -> bool:
@@ -121,11 +121,11 @@ class FeasiblePoints:
             return None
         guess = rational(near)
         exact = solved_nearby(
-            [self._rows[i] for i in system.tolist()], rational(rows.limit[system]), guess, (~is_fixed).tolist()
+            [rows.exactly[i] for i in system.tolist()], rational(rows.limit[system]), guess, (~is_fixed).tolist()
         )
         if exact is None:
             return None
-        return exact if is_feasible(rows, self._rows, exact) else self._moved_inside(exact)
+        return exact if not any(losses(rows, exact)) else self._moved_inside(exact)
 
     def _moved_inside(self, x: Vector) -> Vector | None:
         """Return the nearest feasible point between x, which satisfies the equations, and the one inside."""
@@ -134,7 +134,8 @@ class FeasiblePoints:
             return None
         share = Fraction(0)
         values = zip(
-            products(self._rows, x), products(self._rows, inside), rows.limit.tolist(), rows.is_equality, strict=True
+            products(rows.exactly, x), products(rows.exactly, inside), rows.limit.tolist(), rows.is_equality.tolist(),
+            strict=True,
         )
         for here, there, limit, is_equality in values:
             if is_equality or limit == math.inf or here <= Fraction(limit):
@@ -145,11 +146,7 @@ class FeasiblePoints:
         # Few digits more, so that the numbers stay short.
         share = min(Fraction(math.nextafter(float(share) * (1.0 + 2.0**-40), 2.0)), Fraction(1))
         moved = [a + share * (b - a) for a, b in zip(x, inside, strict=True)]
-        return moved if is_feasible(rows, self._rows, moved) else None
-
-    @cached_property
-    def _rows(self) -> list[Row]:
-        return rational_rows(self.program.constraints.matrix)
+        return moved if not any(losses(rows, moved)) else None
 
 
 def objective_bounds(

@@ -18,9 +18,17 @@ from ..matrix.parts import IntVector
 from ..matrix.structure import row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import activity
-from .infeasibility import Infeasibility
-from .references import exact_references
-from .refutation import Closing, Refutation, closed_exactly, in_other_units, row_choices
+from .refutation import (
+    LOWER,
+    SLACKLESS,
+    UPPER,
+    Choices,
+    Closing,
+    Infeasibility,
+    Refutation,
+    in_other_units,
+    row_choices,
+)
 
 MOST_PASSES = 50
 
@@ -44,22 +52,20 @@ class ForcedContradiction(Refutation):
         return ForcedContradiction(problem, self.steps)
 
     def closings(self) -> Iterator[Closing | None]:
-        """Yield, for each step, what excludes every other choice of its row, in exact arithmetic.
+        """Yield, for each step, what excludes every other choice of its row.
 
         A z_i that is forced to a bound stands within |r_i| of it.
         """
-        problem = self.problem
-        lower, upper = problem.lower.copy(), problem.upper.copy()
-        forced: dict[int, int] = {}
+        path: dict[int, str] = {}
         for k, (i, sign) in enumerate(self.steps):
-            yield _exclusion(problem, i, sign, lower, upper, forced)
-            bound = problem.lower[i] if sign > 0 else problem.upper[i]
-            if np.isinf(bound) or not lower[i] <= bound <= upper[i]:
+            bound, forced = (self.problem.lower[i], LOWER) if sign > 0 else (self.problem.upper[i], UPPER)
+            before = path.setdefault(i, SLACKLESS)
+            yield Choices(self.problem, path).closed_by({i: Fraction(-sign)})
+            if np.isinf(bound) or before not in (SLACKLESS, forced):
                 if k < len(self.steps) - 1:
                     yield None
                 return
-            lower[i] = upper[i] = bound
-            forced[i] = sign
+            path[i] = forced
         yield None
 
     def __str__(self) -> str:
@@ -129,30 +135,6 @@ def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[t
     return (step for step in steps if step[0] in kept)
 
 
-def _exclusion(
-    problem: LCP, i: int, sign: int, lower: FloatVector, upper: FloatVector, forced: dict[int, int]
-) -> Closing | None:
-    """Return what sign · w_i > 0 for all z within the bounds excludes w_i = 0 with; None where that is not so."""
-    csr, references = problem.csr, exact_references(problem)
-    row = slice(csr.indptr[i], csr.indptr[i + 1])
-    total = sign * Fraction(float(problem.q[i]))
-    relative = absolute = squares = Fraction(0)
-    if i not in forced:
-        absolute, squares = Fraction(float(problem.residual_scale[i])), Fraction(1)
-        relative = absolute * references[i]
-    for j, entry in zip(csr.indices[row].tolist(), csr.data[row].tolist(), strict=True):
-        bound = float(lower[j] if entry * sign > 0 else upper[j])
-        if np.isinf(bound):
-            return None
-        total += sign * Fraction(entry) * Fraction(bound)
-        weight = -sign * Fraction(entry) * forced.get(j, 0)
-        if weight > 0:  # leaving the bound makes w_i smaller
-            relative += weight * references[j]
-            absolute += weight
-            squares += weight * weight
-    return Closing(total, relative, absolute, squares) if total > 0 else None
-
-
 @dataclass(slots=True)
 class Case:
     """One case of the tree: split by the choices of a row, or closed by a Farkas vector y."""
@@ -198,9 +180,7 @@ class NoSolution(Refutation):
         """The Farkas vector of the whole problem, where its linear constraints contradict without any split."""
         if self.tree.y is None or not any(self.tree.y):
             return None
-        largest = max(map(abs, self.tree.y))
-        exact = tuple(value / largest for value in self.tree.y)
-        return Infeasibility(self.problem, np.array([float(value) for value in exact]), exact)
+        return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
     def in_units(self, problem: LCP, exponents: IntVector) -> NoSolution:
         """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
@@ -215,7 +195,7 @@ class NoSolution(Refutation):
             elif case.y is None or case.branches:
                 yield None
             else:
-                yield closed_exactly(self.problem, case.y, path)
+                yield Choices(self.problem, path).closed_by(dict(enumerate(case.y)))
 
     def __str__(self) -> str:
         leaves = self.leaves

@@ -100,23 +100,17 @@ def row_references(problem: LCP) -> FloatVector:
     return references
 
 
-def exact_references(problem: LCP) -> list[Fraction]:
-    """Return an upper bound of ‖r_P(z°)‖∞ for each own row, P its part; fractions reach beyond the range of doubles."""
+def exact_reference(problem: LCP, row: int) -> Fraction:
+    """Return an upper bound of ‖r_P(z°)‖∞, P the part of an own row; fractions reach beyond the range of doubles."""
+    several = parts(problem.matrix)
+    part = 0 if several is None else int(several.labels[row])
+    most = float(references_of_parts(problem)[1][part])
+    if most == 0.0 or SAFE_RANGE[0] < most < SAFE_RANGE[1]:
+        return Fraction(most)
     if problem not in _exact:
-        _exact[problem] = _exact_references(problem)
-    return _exact[problem]
-
-
-def _exact_references(problem: LCP) -> list[Fraction]:
-    most, several = references_of_parts(problem)[1], parts(problem.matrix)
-    labels = np.zeros(problem.own, np.int64) if several is None else several.labels
-    is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
-    known = [Fraction(value) if safe else Fraction(0) for value, safe in zip(most.tolist(), is_safe, strict=True)]
-    if not is_safe.all():
-        for i, residual in enumerate(exact_residuals(problem, problem.nearest_to_zero)):
-            if not is_safe[labels[i]]:
-                known[labels[i]] = max(known[labels[i]], residual)
-    return [known[label] for label in labels.tolist()]
+        _exact[problem] = exact_residuals(problem, problem.nearest_to_zero)
+    rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
+    return max(_exact[problem][i] for i in rows)
 
 
 def _no_entries(rows: int, columns: int) -> sp.csr_array:

@@ -1,23 +1,31 @@
-"""By how much a problem has no solution: a lower bound of the residual of every z, from what closes each case."""
+"""Proofs that a problem has no solution, and by how much: a lower bound of the residual of every z.
+
+Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
-from ..exact.rational import Rational, common_denominator, power_of_two, rounded_down
-from ..kernels.floats import EPSILON, TINY
+from ..checks import FloatVector
+from ..exact.rational import ZERO, Rational, rounded_down
+from ..kernels.floats import EPSILON
 from ..matrix.parts import IntVector
-from ..problem.exactly import farkas_margin, integer_matrix, slack_bounds
+from ..problem.exactly import integer_matrix
 from ..problem.lcp import LCP
-from .references import exact_references, rounding_of_data
+from ..problem.linear_constraints import Contradiction, within
+from .references import exact_reference, rounding_of_data
 
-LOWER, ZERO, UPPER, FIXED = "lower", "zero", "upper", "fixed"
+LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
+FEW = 500  # rows up to which all of M is kept in integers
 ROOT_BITS = 160
 
 
@@ -31,7 +39,7 @@ def row_choices(lower: float, upper: float) -> tuple[str, ...]:
     """
     if lower == upper:
         return (FIXED,)
-    return (LOWER,) * (lower > -np.inf) + (ZERO,) + (UPPER,) * (upper < np.inf)
+    return (LOWER,) * (lower > -np.inf) + (SLACKLESS,) + (UPPER,) * (upper < np.inf)
 
 
 @dataclass(frozen=True)
@@ -158,70 +166,148 @@ class Refutation:
         return min(relative, default=None), min(absolute, default=None), min(squared, default=None)
 
 
-def closed_exactly(
-    problem: LCP, y: Sequence[Rational], path: Mapping[int, str], radius: float = math.inf
-) -> Closing | None:
-    """Return what the Farkas vector y closes the case with, exactly, or None where it does not.
+class Choices(NamedTuple):
+    """The linear constraints of a case: what z has to satisfy where some rows have made their choice.
 
-    Parameters
-    ----------
-    y : sequence of numbers, shape (n,)
-    path : mapping of int to str
-        The choice of each row that has one in this case; the other rows have w of the signs that their bounds permit.
-    radius : float
-        What bounds |z_i| where nothing else does.
+    The other rows have w of the signs that their bounds permit.
     """
-    z_bounds = bounds_within(problem, radius)
-    w_bounds = tuple(side.tolist() for side in slack_bounds(problem))
-    for i, choice in path.items():
-        if choice == ZERO:
-            w_bounds[0][i] = w_bounds[1][i] = 0.0
-        elif choice == LOWER:
-            z_bounds[1][i], w_bounds[0][i], w_bounds[1][i] = z_bounds[0][i], 0.0, np.inf
-        elif choice == UPPER:
-            z_bounds[0][i], w_bounds[0][i], w_bounds[1][i] = z_bounds[1][i], -np.inf, 0.0
-    margin = farkas_margin(problem, y, z_bounds, (w_bounds[0], w_bounds[1]))
-    if margin is None or margin >= 0:
-        return None
-    at_bound = {i for i, choice in path.items() if choice in (LOWER, UPPER)}
-    natural = {i: abs(Fraction(value)) for i, value in enumerate(y) if value and i not in at_bound}
-    scale, references = problem.residual_scale, exact_references(problem)
-    scaled = {i: weight * Fraction(float(scale[i])) for i, weight in natural.items()}
-    relative = sum((weight * references[i] for i, weight in scaled.items()), Fraction(0))
-    absolute = sum(scaled.values(), Fraction(0))
-    squares = sum((weight * weight for weight in natural.values()), Fraction(0))
-    if at_bound:
-        numerators, denominator = common_denominator(y)
-        matrix = integer_matrix(problem.matrix)
-        unit, product = power_of_two(matrix.exponent) / denominator, matrix.transposed_product(numerators)
-        for i in at_bound:
-            weight = unit * max(product[i] if path[i] == LOWER else -product[i], 0)
-            relative += weight * references[i]
-            absolute += weight
-            squares += weight * weight
-    return Closing(-margin, relative, absolute, squares)
+
+    problem: LCP
+    path: Mapping[int, str]
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """M."""
+        return self.problem.csr
+
+    @property
+    def q(self) -> FloatVector:
+        """The offset of w = M z + q."""
+        return self.problem.q
+
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0."""
+        choice = self.path.get(row)
+        if choice is None:
+            return bool(self.problem.upper[row] == np.inf), bool(self.problem.lower[row] == -np.inf)
+        return choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
+
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return between what z_j is."""
+        lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
+        choice = self.path.get(column)
+        return (lower, lower) if choice == LOWER else (upper, upper) if choice == UPPER else (lower, upper)
+
+    def contradiction(self, y: Mapping[int, Rational]) -> Contradiction:
+        """Return what a vector, by row, proves of it, if its signs are right."""
+        rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
+        return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
+
+    def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
+        """Return what a Farkas vector closes the case with, for all z; None where it does not."""
+        found = self.contradiction(y)
+        return None if found.left else self.closing(found, 1.0)
+
+    def closing(self, found: Contradiction, data: float) -> Closing | None:
+        """Return what closes the case, for all z that data of a size may mean; None where it is not closed."""
+        if not found.holds(data):
+            return None
+        scale, path = self.problem.residual_scale, self.path
+        sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
+        scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
+        leaving = {i: abs(value) for i, value in found.product.items()
+                   if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
+        shares = [*scaled, *leaving.items()]
+        return Closing(
+            found.size, sum((share * exact_reference(self.problem, i) for i, share in shares), ZERO),
+            sum((share for _, share in shares), ZERO),
+            sum((size * size for size in (*sizes.values(), *leaving.values())), ZERO),
+        )
 
 
-def bounds_within(problem: LCP, radius: float) -> tuple[list[float], list[float]]:
-    """Return the bounds of z, finite ones where there are none."""
-    lower, upper = problem.lower, problem.upper
-    return (np.where(lower == -np.inf, -radius, lower).tolist(), np.where(upper == np.inf, radius, upper).tolist())
+@dataclass(frozen=True, eq=False)
+class Infeasibility(Refutation):
+    """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
+
+    Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
+    zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some part P
+    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, and the euclidean residual is at least c/‖y‖₂: `margin` and
+    `euclidean_margin`. Where Mᵀy should be 0 and is rounding beside its terms, all this is said of the z whose entries
+    without bounds are at most `radius` in size.
+
+    Attributes
+    ----------
+    exact_y : tuple of Fraction
+        The vector, its largest entry 1.
+    y : ndarray, shape (n,)
+        The same, rounded.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §2.7 (Farkas).
+    """
+
+    problem: LCP = field(repr=False)
+    exact_y: tuple[Fraction, ...] = field(repr=False)
+
+    @classmethod
+    def of(cls, problem: LCP, y: Mapping[int, Rational]) -> Infeasibility:
+        """Return that of a vector, by row, which is not 0, whatever its largest entry."""
+        largest, exact = max(abs(Fraction(value)) for value in y.values()), [ZERO] * problem.n
+        for i, value in y.items():
+            exact[i] = Fraction(value) / largest
+        return cls(problem, tuple(exact))
+
+    @cached_property
+    def _used(self) -> dict[int, Fraction]:
+        return {i: value for i, value in enumerate(self.exact_y) if value}
+
+    @cached_property
+    def y(self) -> FloatVector:
+        """The vector rounded, shape (n,)."""
+        y = np.zeros(self.problem.n)
+        y[list(self._used)] = [float(value) for value in self._used.values()]
+        return y
+
+    @cached_property
+    def _found(self) -> Contradiction:
+        return Choices(self.problem, {}).contradiction(self._used)
+
+    @property
+    def radius(self) -> float:
+        """Of the |z_i| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
+        return self._found.radius
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether the stored doubles have no solution at all, by however little."""
+        return self.radius == np.inf and self.verify()
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> Infeasibility:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        return Infeasibility.of(problem, dict(enumerate(in_other_units(self.exact_y, exponents))))
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            sizes = np.abs(np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper]))
+        yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=1.0)))
+
+    def __str__(self) -> str:
+        rows = list(self._used)
+        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if len(rows) > 4 else "")
+        combined = f"{len(rows)} row{'s' * (len(rows) != 1)} ({named})"
+        return (
+            f"no z within its bounds gives w the signs it needs: {combined} contradict; proof: exact"
+            f"{within(self.radius, 'z')}"
+        )
 
 
 def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
     """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
-    return [value / Fraction(2) ** k for value, k in zip(y, exponents.tolist(), strict=True)]
-
-
-def sum_bound(terms: np.ndarray) -> Fraction | None:
-    """Return an upper bound of a sum of products ≥ 0 that were rounded at most twice; None where it overflows."""
-    try:
-        total = math.fsum(terms.tolist())
-    except OverflowError:
-        return None
-    if not math.isfinite(total):
-        return None
-    return Fraction(total) * (1 + Fraction(4 * EPSILON)) + 2 * terms.size * Fraction(TINY)
+    return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]
 
 
 def _root(square: Fraction | None) -> Fraction | None:

@@ -11,6 +11,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
+from ..conversions.program_matrices import as_csr
+from ..exact.rational import Row, rational_rows
 from ..exact.rounding import compensated_pair, compensated_product, upper_end
 from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import LinearConstraints
@@ -91,6 +93,15 @@ class Constraints:
             return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
 
     @cached_property
+    def as_rows(self) -> LinearConstraints:
+        """All of them, bounds too, as rows of x that has none, with w = d − C x."""
+        free, kept = np.full((2, self.matrix.shape[1]), np.inf), np.zeros(self.matrix.shape[1])
+        return LinearConstraints(
+            -self.matrix, self.limit, np.isfinite(self.limit), self.is_equality, -free[0], free[1], self.unit,
+            (kept, kept),
+        )
+
+    @cached_property
     def within_bounds(self) -> LinearConstraints:
         """The rows of G and A within the bounds, with w = d − C x."""
         rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
@@ -99,6 +110,11 @@ class Constraints:
             -self.matrices.rows, self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
             -below, above, self.unit[rows], (units[2], units[3]),
         )
+
+    @cached_property
+    def exactly(self) -> list[Row]:
+        """The rows of C in fractions."""
+        return rational_rows(self.matrix)
 
     def excess(self, x: FloatVector) -> FloatVector:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, ∞ where it overflows."""
@@ -124,6 +140,18 @@ def dual_unit(program: QuadraticProgram) -> FloatVector:
         violated, right = (-program.h / rows).max(initial=0.0), np.abs(program.b / equations).max(initial=0.0)
         slope = float(np.abs(program.c / column).max(initial=0.0))
         return np.asarray(column * (1.0 + (max(slope, right, violated) if matrices.entries[0] else slope)))
+
+
+def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
+    """Return P x + Gᵀy + Aᵀv + c with the signs that the bounds ask for, y ≥ 0; of P some rows that span the others."""
+    rows = as_csr(program.G)[np.flatnonzero(np.isfinite(program.h))]
+    matrix = sp.csr_array(sp.vstack([P, rows, as_csr(program.A)], format="csr").T)
+    free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
+    is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
+    return LinearConstraints(
+        matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
+        np.where(is_inequality, 0.0, -np.inf), free, program.dual_unit, (nothing, nothing),
+    )
 
 
 def constraint_tolerance(tolerance: float) -> float:

@@ -16,12 +16,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..exact.linear_systems import solved_nearby
-from ..exact.rational import ZERO, Row, Vector, rational, rational_rows, short, transposed_product
+from ..exact.rational import ZERO, Vector, rational, short
 from ..kernels.floats import EPSILON
 from ..matrix.equilibration import evened
 from ..problem.farkas import FarkasProgram, Multipliers, linear_program
-from ..problem.linear_constraints import DECISIVE, LinearConstraints
-from .qp_proofs import QPInfeasibility, QPUnboundedness, combination, is_feasible
+from ..problem.linear_constraints import DECISIVE, Contradiction
+from .constraints import stationarity
+from .qp_proofs import QPInfeasibility, QPUnboundedness, losses
 from .reductions import FoldedRows, fold_simple_rows
 
 if TYPE_CHECKING:
@@ -97,23 +98,22 @@ def _unfolded(
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
-    rows = program.constraints
-    for i, sign in rows.within_bounds.contradictory_rows():
-        y = [ZERO] * rows.rows
-        y[i] = Fraction(sign)
-        proof = _with_bounds(program, y, combination(rows, [i], [y[i]]))
-        if proof.verify():
-            return proof
-    return None
+    rows = program.constraints.within_bounds
+    proofs = (_with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
+    return next((proof for proof in proofs if proof.verify()), None)
 
 
-def _with_bounds(program: QuadraticProgram, y: Vector, left: Vector) -> QPInfeasibility:
+def _with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
     """Return multipliers of all rows with those of the bounds, which take up what the rows leave."""
-    # What an open side leaves is rounding, or no proof.
-    bounds = [max(sign * entry, ZERO) if np.isfinite(bound) else ZERO
-              for sign, side in ((1, program.lower), (-1, program.upper))
-              for entry, bound in zip(left, side.tolist(), strict=True)]
-    return QPInfeasibility(program, (*y, *bounds))
+    m, p, n, _ = program.constraints.sizes
+    multipliers = [ZERO] * (m + p + 2 * n)
+    found = Contradiction(program.constraints.within_bounds, y)
+    for i, value in y.items():
+        multipliers[i] = value
+    for j, value in found.product.items():  # what an open side leaves is rounding, or no proof
+        if j not in found.left:
+            multipliers[m + p + (n + j if value > 0 else j)] = abs(value)
+    return QPInfeasibility(program, tuple(multipliers))
 
 
 def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
@@ -128,14 +128,12 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
     answer = farkas.solve()
     if answer is None or not answer.is_contradiction:
         return None
-    rows = rational_rows(constraints.matrix[: constraints.rows])
 
     def proven(y: Multipliers) -> QPInfeasibility | None:
-        exact = [Fraction(value) for value in y]
-        proof = _with_bounds(program, exact, transposed_product(rows, exact, program.n))
+        proof = _with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
         return proof if proof.margin > 0.0 else None
 
-    return farkas.proof(answer, proven, lambda proof: proof.margin, lambda proof: proof.radius)
+    return farkas.proof(answer, proven)
 
 
 def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
@@ -144,17 +142,15 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
     P = sp.csr_array(program.P)
-    P = P[_independent_rows(P)]
-    farkas = FarkasProgram(_stationarity(program, P))
+    farkas = FarkasProgram(stationarity(program, P[_independent_rows(P)]))
     answer = farkas.solve()
     if answer is None or not answer.is_contradiction:
         return None
-    rows = rational_rows(program.constraints.matrix)
     points: list[tuple[Vector, ...]] = []
 
     def proven(d: Multipliers) -> QPUnboundedness | None:
         if not points:
-            points.append(points_inside(program, rows))
+            points.append(points_inside(program))
         for point in reversed(points[0]):
             proof = QPUnboundedness(program, tuple(point), tuple(map(Fraction, d)))
             # Beside a direction that is none exactly, a point that meets rounded rows exactly may be far away.
@@ -162,19 +158,7 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
                 return proof
         return None
 
-    return farkas.proof(answer, proven, lambda proof: proof.margin, lambda proof: proof.radius)
-
-
-def _stationarity(program: QuadraticProgram, P: sp.csr_array) -> LinearConstraints:
-    """Return P x + Gᵀy + Aᵀv + c with the signs that the bounds ask for, y ≥ 0; of P the rows that span the others."""
-    rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
-    matrix = sp.csr_array(sp.vstack([P, rows, program.A], format="csr").T)
-    free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
-    is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
-    return LinearConstraints(
-        matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
-        np.where(is_inequality, 0.0, -np.inf), free, program.dual_unit, (nothing, nothing),
-    )
+    return farkas.proof(answer, proven)
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
@@ -194,13 +178,13 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     return np.asarray(order[:rank], dtype=np.intp)
 
 
-def feasible_point(program: QuadraticProgram, exact_rows: list[Row]) -> Vector | None:
+def feasible_point(program: QuadraticProgram) -> Vector | None:
     """Return a point that satisfies all constraints exactly, as far inside as a linear program finds."""
-    _, *exact = points_inside(program, exact_rows) or (None,)
+    _, *exact = points_inside(program) or (None,)
     return exact[0] if exact else None
 
 
-def points_inside(program: QuadraticProgram, exact_rows: list[Row]) -> tuple[Vector, ...]:
+def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     """Return a point that satisfies all constraints to rounding, and one that does so exactly; those that are found."""
     constraints, n = program.constraints, program.n
     matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite
@@ -230,6 +214,6 @@ def points_inside(program: QuadraticProgram, exact_rows: list[Row]) -> tuple[Vec
              for near, stuck, exact in zip(short(x, 1 << 40), at_bound, rational(x), strict=True)]
     system = [*equal.tolist(), *tight.tolist()]
     exact = solved_nearby(
-        [exact_rows[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]
+        [constraints.exactly[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]
     )
-    return (guess, exact) if exact is not None and is_feasible(constraints, exact_rows, exact) else (guess,)
+    return (guess, exact) if exact is not None and not any(losses(constraints, exact)) else (guess,)

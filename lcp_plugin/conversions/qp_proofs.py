@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ..checks import FloatVector
-from ..exact.rational import ZERO, Row, Vector, products, rational_rows, rounded_down, transposed_product
+from ..conversions.program_matrices import as_csr
+from ..exact.rational import ZERO, Vector, products
 from ..kernels.floats import EPSILON
-from ..problem.linear_constraints import WIDE, is_rounding, radius_of_proof, within
-from .constraints import Constraints, constraint_tolerance
+from ..problem.linear_constraints import Contradiction, within
+from .constraints import Constraints, constraint_tolerance, stationarity
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -43,23 +44,21 @@ class QPInfeasibility:
 
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
-        rows, used = self.program.constraints, self._used
-        if any((y < 0 and not rows.is_equality[i]) or rows.limit[i] == np.inf for i, y in used):
-            return False
-        if not self.contradiction > 0 or self.is_exact:
-            return self.contradiction > 0
-        terms = abs(rows.transposed) @ np.abs(numbers(self.multipliers))
-        return self.radius >= WIDE * self.program.primal_size and is_rounding(self._left, terms)
+        return self._found.holds(self.program.primal_size)
 
     @cached_property
+    def _found(self) -> Contradiction:
+        return Contradiction(self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y})
+
+    @property
     def contradiction(self) -> Fraction:
         """−dᵀ multipliers, less what Cᵀ multipliers takes off within the radius."""
-        return self._plain if self.is_exact else self._plain - Fraction(self.radius) * _sum_of_sizes(self._left)
+        return self._found.size
 
-    @cached_property
+    @property
     def radius(self) -> float:
         """Of the ‖x‖∞ that it speaks of: ∞, or the one that leaves half the contradiction."""
-        return radius_of_proof(self._plain, _sum_of_sizes(self._left))
+        return self._found.radius
 
     @property
     def is_exact(self) -> bool:
@@ -67,40 +66,25 @@ class QPInfeasibility:
         return self.radius == np.inf
 
     @cached_property
-    def _plain(self) -> Fraction:
-        limit = self.program.constraints.limit
-        return -sum((y * Fraction(float(limit[i])) for i, y in self._used if limit[i] != np.inf), ZERO)
-
-    @cached_property
-    def _left(self) -> Vector:
-        used = self._used
-        return combination(self.program.constraints, [i for i, _ in used], [y for _, y in used])
-
-    @cached_property
     def margin(self) -> float:
         """A lower bound of the primal residual of every x, in units of the data; 0 where the proof does not hold.
 
         The least shift of all limits, each in its unit, that could make the constraints consistent.
         """
-        unit = self.program.constraints.unit
-        return _quotient(self.contradiction, self.multipliers, unit) if self.verify() else 0.0
+        return self._found.miss(self.program.constraints.unit) if self.verify() else 0.0
 
     @cached_property
     def least_violation(self) -> float:
         """By how much every x violates some constraint, each in its own unit; a lower bound, 0 without a proof."""
-        return _quotient(self.contradiction, self.multipliers, np.ones(len(self.multipliers))) if self.verify() else 0.0
+        return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance."""
         return self.margin > constraint_tolerance(tolerance)
 
-    @property
-    def _used(self) -> list[tuple[int, Fraction]]:
-        return [(i, y) for i, y in enumerate(self.multipliers) if y]
-
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
-        return f"infeasible: {len(self._used)} of its constraints contradict one another ({how})"
+        return f"infeasible: {len(self._found.y)} of its constraints contradict one another ({how})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,46 +113,36 @@ class QPUnboundedness:
         """Return whether point and direction are a proof; exact."""
         if self.is_exact:
             return True
-        if not self._slope < 0 or not self._is_wide or not self.violation <= MET:
-            return False
-        terms = abs(self.program.constraints.matrix) @ np.abs(numbers(self.direction))
-        return self._is_rounding and is_rounding(self._lost, terms)
+        return self._is_rounding and self._found.holds(self.program.dual_size, self.program.n) and self.violation <= MET
+
+    @cached_property
+    def _found(self) -> Contradiction:
+        """The direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds ask for, y ≥ 0."""
+        conditions = stationarity(self.program, as_csr(self.program.P))
+        return Contradiction(conditions, {i: d for i, d in enumerate(self.direction) if d})
 
     @cached_property
     def is_exact(self) -> bool:
         """Whether the objective falls for ever on the stored doubles, within all constraints."""
-        if any(self._lost) or not is_feasible(self.program.constraints, self._exact_rows, self.point):
+        n, found = self.program.n, self._found
+        is_kept = found.has_signs and all(j < n for j in found.left)
+        if not is_kept or any(losses(self.program.constraints, self.point)):
             return False
-        square = sum((p * entry for p, entry in zip(self._curvature, self.direction, strict=True)), ZERO)
-        return square < 0 or (self._slope < 0 and not any(self._curvature))
+        square = sum((found.left[i] * d for i, d in found.y.items() if i in found.left), ZERO)
+        return square < 0 or (found.plain > 0 and not found.left)
 
     @cached_property
     def violation(self) -> Fraction:
         """By how much the point violates some constraint, each in units of the data; exact."""
         rows = self.program.constraints
-        excess = losses(rows, self._exact_rows, self.point, rows.limit)
         units = np.minimum(rows.unit, np.finfo(np.float64).max).tolist()
-        return max((value / Fraction(unit) for value, unit in zip(excess, units, strict=True) if value), default=ZERO)
+        excess = zip(losses(rows, self.point), units, strict=True)
+        return max((value / Fraction(unit) for value, unit in excess if value), default=ZERO)
 
     @cached_property
     def radius(self) -> float:
         """Of the x and multipliers that it speaks of: ∞, or the one that leaves half the slope."""
-        left = _sum_of_sizes(self._curvature) + _sum_of_sizes(self._lost)
-        return radius_of_proof(-self._slope, left) if self._is_rounding else np.inf
-
-    @property
-    def _is_wide(self) -> bool:
-        return self.radius >= WIDE * self.program.dual_size
-
-    @cached_property
-    def _lost(self) -> Vector:
-        """What each constraint loses along the direction."""
-        rows = self.program.constraints
-        return losses(rows, self._exact_rows, self.direction, np.where(np.isfinite(rows.limit), 0.0, np.inf))
-
-    @cached_property
-    def _exact_rows(self) -> list[Row]:
-        return rational_rows(self.program.constraints.matrix)
+        return self._found.radius if self._is_rounding else np.inf
 
     @cached_property
     def margin(self) -> float:
@@ -181,64 +155,34 @@ class QPUnboundedness:
             return 0.0
         if not self._is_rounding:
             return np.inf
-        falls = max(-self._slope, ZERO) / (1 if self.radius == np.inf else 2)
-        return _quotient(falls, self.direction, self.program.dual_unit) if self._is_wide else 0.0
+        is_fall = self._found.plain > 0 and self._found.is_wide(self.program.dual_size)
+        return self._found.miss(self.program.dual_unit) if is_fall else 0.0
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance."""
         return self.margin > tolerance and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
-    def _slope(self) -> Fraction:
-        return sum((Fraction(c) * d for c, d in zip(self.program.c.tolist(), self.direction, strict=True) if d), ZERO)
-
-    @cached_property
-    def _curvature(self) -> Vector:
-        return list(products(rational_rows(self.program.P), self.direction))
-
-    @cached_property
     def _is_rounding(self) -> bool:
         """Whether P d is within n ε √p_ii Σ_j √p_jj |d_j|, the rounding of a P = F Fᵀ."""
         root = np.sqrt(np.maximum(self.program.P.diagonal(), 0.0))
-        size = float(root @ np.abs(np.array([float(entry) for entry in self.direction])))
-        margin = self.program.n * EPSILON * size * root
-        return all(abs(float(p)) <= limit for p, limit in zip(self._curvature, margin.tolist(), strict=True))
+        size = float(root @ np.abs(numbers(self.direction)))
+        curved, limit = self._found.left.items(), self.program.n * EPSILON * size * root
+        return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
 
     def __str__(self) -> str:
         how = f"checked exactly{within(self.radius, 'x and multipliers')}"
         return f"unbounded: the objective falls for ever along a direction from a feasible point ({how})"
 
 
-def combination(rows: Constraints, used: Sequence[int], multipliers: Sequence[Fraction]) -> Vector:
-    """Return Cᵀy from the rows whose multipliers are given."""
-    return transposed_product(rational_rows(rows.matrix[np.asarray(used, dtype=np.intp)]), multipliers, rows.sizes[-1])
-
-
-def is_feasible(rows: Constraints, exact_rows: list[Row], x: Sequence[Fraction]) -> bool:
-    """Return whether x satisfies all constraints; exact."""
-    return not any(losses(rows, exact_rows, x, rows.limit))
-
-
-def losses(rows: Constraints, exact_rows: list[Row], x: Sequence[Fraction], limit: FloatVector) -> Vector:
-    """Return by how much C x misses each limit, 0 where it does not; exact."""
+def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
+    """Return by how much x misses each constraint, 0 where it does not; exact."""
     missed = [
         value - Fraction(most) if most != np.inf else ZERO
-        for value, most in zip(products(exact_rows, x), limit.tolist(), strict=True)
+        for value, most in zip(products(rows.exactly, x), rows.limit.tolist(), strict=True)
     ]
     return [abs(by) if is_equality else max(by, ZERO)
             for by, is_equality in zip(missed, rows.is_equality.tolist(), strict=True)]
-
-
-def _sum_of_sizes(values: Iterable[Fraction]) -> Fraction:
-    return sum(map(abs, values), ZERO)
-
-
-def _quotient(value: Fraction, factors: Sequence[Fraction], sizes: FloatVector) -> float:
-    """Return value / Σ|factor| size, rounded down; 0 where a size has overflowed."""
-    used = [(y, size) for y, size in zip(factors, sizes.tolist(), strict=True) if y]
-    if not all(np.isfinite(size) for _, size in used):
-        return 0.0
-    return rounded_down(value / sum((abs(y) * Fraction(size) for y, size in used), ZERO))
 
 
 def numbers(fractions: Any) -> FloatVector:

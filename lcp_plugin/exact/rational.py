@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -52,32 +53,35 @@ def power_of_two(exponent: int) -> Fraction:
 
 @dataclass(frozen=True)
 class IntegerMatrix:
-    """M as integers times 2^exponent, in rows."""
+    """M, or some of its rows, as integers times 2^exponent; the span of a row's entries by its number."""
 
-    starts: list[int]
+    spans: Sequence[tuple[int, int]] | Mapping[int, tuple[int, int]]
     columns: list[int]
     entries: list[int]
     exponent: int
 
     def row(self, i: int) -> list[tuple[int, int]]:
         """Return the (column, integer) pairs of row i."""
-        span = slice(self.starts[i], self.starts[i + 1])
+        span = slice(*self.spans[i])
         return list(zip(self.columns[span], self.entries[span], strict=True))
 
     @classmethod
-    def of(cls, csr: Any) -> IntegerMatrix:
-        """Return a CSR array of finite doubles as integers."""
-        entries, exponent = integers(np.asarray(csr.data))
-        return cls(csr.indptr.tolist(), csr.indices.tolist(), entries, exponent)
+    def of(cls, csr: Any, rows: Sequence[int] | None = None) -> IntegerMatrix:
+        """Return a CSR array of finite doubles as integers, or only some of its rows."""
+        kept = csr if rows is None else csr[rows]
+        ends = list(pairwise(kept.indptr.tolist()))
+        entries, exponent = integers(np.asarray(kept.data))
+        spans = ends if rows is None else dict(zip(rows, ends, strict=True))
+        return cls(spans, kept.indices.tolist(), entries, exponent)
 
-    def transposed_product(self, y: Sequence[int]) -> list[int]:
-        """Return Mᵀy / 2^exponent for integers y, shape (n,)."""
-        product = [0] * len(y)
-        for i, factor in enumerate(y):
-            if factor:
-                for k in range(self.starts[i], self.starts[i + 1]):
-                    product[self.columns[k]] += self.entries[k] * factor
-        return product
+    def combination(self, y: Mapping[int, int]) -> dict[int, int]:
+        """Return the entries of Mᵀy / 2^exponent that are not 0, of integers y_i by row."""
+        product: dict[int, int] = {}
+        for i, factor in y.items():
+            for k in range(*self.spans[i]):
+                column = self.columns[k]
+                product[column] = product.get(column, 0) + self.entries[k] * factor
+        return {column: value for column, value in product.items() if value}
 
 
 def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
@@ -164,18 +168,6 @@ def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fracti
         common = math.lcm(*(entry.denominator for entry, _ in used))
         total = sum(entry.numerator * (common // entry.denominator) * factor for entry, factor in used)
         yield Fraction(total, common * denominator) if total else ZERO
-
-
-def transposed_product(rows: list[Row], vector: Sequence[Fraction], columns: int) -> Vector:
-    """Return rowsᵀ vector, of length `columns`."""
-    numerators, denominator = common_denominator(vector)
-    used = [(row, factor) for row, factor in zip(rows, numerators, strict=True) if factor]
-    common = math.lcm(*{entry.denominator for row, _ in used for entry in row.values()})
-    total = [0] * columns
-    for row, factor in used:
-        for j, entry in row.items():
-            total[j] += factor * entry.numerator * (common // entry.denominator)
-    return [Fraction(value, common * denominator) if value else ZERO for value in total]
 
 
 def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:

@@ -1,8 +1,7 @@
-"""Slack, complementarity and what a Farkas vector proves, without rounding on the stored doubles."""
+"""Slack and complementarity without rounding on the stored doubles."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from fractions import Fraction
 
@@ -10,11 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import FloatVector
-from ..exact.rational import IntegerMatrix, Rational, common_denominator, exact_vector, integers, power_of_two
+from ..exact.rational import IntegerMatrix, Rational, common_denominator, exact_vector, power_of_two
 from ..matrix.matrix import Matrix, fact
 from .lcp import LCP
-
-Bounds = tuple[Sequence[float], Sequence[float]]
 
 
 @fact
@@ -86,38 +83,3 @@ def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
         np.where(problem.upper == np.inf, 0.0, -np.inf),
         np.where(problem.lower == -np.inf, 0.0, np.inf),
     )
-
-
-def farkas_margin(problem: LCP, y: Sequence[Rational], z_bounds: Bounds, w_bounds: Bounds) -> Fraction | None:
-    """Return sup (Mᵀy)ᵀz − yᵀw + qᵀy over all z and w within their bounds, exactly; None for ∞.
-
-    Every z with w = M z + q gives 0, so a negative margin proves that none lies within the bounds.
-
-    Parameters
-    ----------
-    y : sequence of numbers, shape (n,)
-    z_bounds, w_bounds : pair of sequences, shape (n,)
-        Lower and upper bounds, ±∞ included.
-    """
-    numerators, denominator = common_denominator(y)
-    matrix = integer_matrix(problem.matrix)
-    of_z = _support(matrix.transposed_product(numerators), *z_bounds)
-    of_w = _support([-value for value in numerators], *w_bounds)
-    if of_z is None or of_w is None:
-        return None
-    q, exponent = integers(problem.q)
-    of_q = power_of_two(exponent) * sum(a * b for a, b in zip(numerators, q, strict=True))
-    return (power_of_two(matrix.exponent) * of_z + of_w + of_q) / denominator
-
-
-def _support(direction: Sequence[int], lower: Sequence[float], upper: Sequence[float]) -> Fraction | None:
-    """Return the largest directionᵀx over lower ≤ x ≤ upper; None for ∞."""
-    total = Fraction(0)
-    for d, low, high in zip(direction, lower, upper, strict=True):
-        if d:
-            bound = high if d > 0 else low
-            if math.isinf(bound):
-                return None
-            if bound:
-                total += d * Fraction(bound)
-    return total

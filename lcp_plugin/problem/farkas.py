@@ -7,11 +7,12 @@ fractions; the caller says of which of these vectors there is a proof, and how l
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,11 +36,22 @@ MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
 MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
 CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
 NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
 KEPT = 0.55  # of the optimum, where room is looked for: near enough in spite of rounding
 ROOM = 0.1  # of the norm of v, for all of its entries together
 
-Proof = TypeVar("Proof")
+
+
+class HasRadius(Protocol):
+    """A proof of all x up to some size."""
+
+    @property
+    def radius(self) -> float:
+        """The size."""
+
+
+Proof = TypeVar("Proof", bound=HasRadius)
 Multipliers = FloatVector | Sequence[Rational]
 
 
@@ -112,8 +124,8 @@ class FarkasProgram:
         return FarkasAnswer(float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns)
 
     def proof(
-        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None], margin: Callable[[Proof], float],
-        radius: Callable[[Proof], float],
+        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None],
+        margin: Callable[[Proof], float] = operator.attrgetter("margin"),
     ) -> Proof | None:
         """Return the first proof with half the margin that the answer promises, else the one with the largest.
 
@@ -123,14 +135,14 @@ class FarkasProgram:
         ----------
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None where that is none.
-        margin, radius : callable
-            Of a proof.
+        margin : callable
+            Of a proof, which has a radius as well.
         """
         within: list[Proof] = []
 
         def plain(y: Multipliers) -> Proof | None:
             proof = proven(y)
-            if proof is not None and radius(proof) < math.inf:
+            if proof is not None and proof.radius < math.inf:
                 within.append(proof)
                 return None
             return proof
@@ -145,7 +157,10 @@ class FarkasProgram:
                     yield from self.candidates(form.vector(roomy))
 
         best = _best(map(plain, tried()), NEAR_ENOUGH * self.margin_of(answer.optimum), margin)
-        return max(within, key=margin, default=None) if best is None else best
+        if best is not None or not within:
+            return best
+        most = max(map(margin, within))
+        return max((proof for proof in within if margin(proof) >= ALIKE * most), key=operator.attrgetter("radius"))
 
     def _with_room(self, answer: FarkasAnswer, rooms: sp.csr_array) -> FloatVector | None:
         """Return v ≥ rooms · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.

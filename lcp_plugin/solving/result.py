@@ -49,7 +49,7 @@ FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 def status_of(proof: Any) -> Status:
     """Return what a proof that there is no solution proves."""
-    from ..certificates.infeasibility import Infeasibility
+    from ..certificates.refutation import Infeasibility
 
     return Status.INFEASIBLE if isinstance(proof, Infeasibility) else Status.NO_SOLUTION
 

@@ -14,7 +14,7 @@ from hypothesis import seed as fixed_seed
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from ..certificates.infeasibility import Infeasibility
+from ..certificates.refutation import Infeasibility
 from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..matrix import analyze

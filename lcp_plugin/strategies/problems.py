@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
-from ..certificates.infeasibility import Infeasibility
+from ..certificates.refutation import Infeasibility
 from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..problem.lcp import LCP
@@ -274,10 +274,7 @@ def _infeasible(draw: st.DrawFn, options: Options, monotone: bool, share: float)
     q[pivot] = y[pivot] * (-highest - y @ q - surplus)
     given = M @ M.T if monotone else M
     problem = _in_units(given if options.dense else sp.csr_array(given), q, lower, upper, row, column)
-    exact = fractions_of(np.ldexp(y, -row))
-    largest = max(map(abs, exact))
-    normal = tuple(value / largest for value in exact)
-    return problem, Infeasibility(problem, np.array([float(value) for value in normal]), normal)
+    return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(np.ldexp(y, -row)))))
 
 
 def _drawn_bounds(draw: st.DrawFn, n: int, pivot: int, share: float) -> tuple[FloatVector, FloatVector]:

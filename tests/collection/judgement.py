@@ -47,7 +47,7 @@ def is_proven(problem: Any, result: Any) -> bool:
     proof = result.infeasibility
     if proof is None or not proof.verify():
         return False
-    return proof.exact_y is None or is_farkas(problem, proof.exact_y)
+    return is_farkas(problem, proof.exact_y)
 
 
 def judge(entry: Entry, result: Any, tolerance: float) -> str:

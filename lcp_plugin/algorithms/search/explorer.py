@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from ...certificates.no_solution import Case
-from ...certificates.refutation import FIXED, LOWER, UPPER, ZERO, closed_exactly, row_choices
+from ...certificates.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
 from ...exact.simplex import Bound, Effort, ExactSimplex
 from ...problem.exactly import integer_matrix, slack_bounds
 from ...problem.lcp import LCP
@@ -72,7 +72,7 @@ class Explorer:
         """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
         if case.branches:
             return list(case.branches)
-        if case.y is not None and closed_exactly(self.problem, case.y, dict(self.path)) is not None:
+        if case.y is not None and Choices(self.problem, dict(self.path)).closed_by(dict(enumerate(case.y))) is not None:
             return []
         case.y = yield from self.simplex.refutation()
         if case.y is not None:
@@ -101,7 +101,7 @@ class Explorer:
             if low is None and high is None:
                 continue
             i = x % n
-            targets: list[tuple[str, Bound, Bound]] = [(LOWER, 0, None), (ZERO, 0, 0), (UPPER, None, 0)]
+            targets: list[tuple[str, Bound, Bound]] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
             if x < n:
                 (bottom, top) = self.root_bounds[x]
                 targets = [(LOWER, bottom, bottom), (UPPER, top, top)]
@@ -157,7 +157,7 @@ class Explorer:
         """Let row i keep to one of its choices, and go one level deeper."""
         self.path.append((i, choice))
         bottom, top = self.root_bounds[i]
-        if choice == ZERO:
+        if choice == SLACKLESS:
             self.simplex.set_bounds(self.n + i, 0, 0)
         elif choice == LOWER:
             self.simplex.set_bounds(i, bottom, bottom)
@@ -189,18 +189,18 @@ class Explorer:
     def _choice_at_point(self, i: int) -> str:
         values = self.simplex.numerators()
         if values[self.n + i] == 0:
-            return ZERO
+            return SLACKLESS
         return LOWER if values[self.n + i] > 0 else UPPER
 
     def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
         """Return the choices of row i that hold at every point of the face, and fix what they fix."""
         if choice == FIXED or len(self.choices[i]) == 1:
             return frozenset(self.choices[i])
-        if choice == ZERO:
+        if choice == SLACKLESS:
             bottom, top = self.root_bounds[i]
             others = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
         else:
-            others = [(ZERO, self.n + i, 0, 1 if choice == LOWER else -1)]
+            others = [(SLACKLESS, self.n + i, 0, 1 if choice == LOWER else -1)]
         found = [choice]
         for other, x, at, direction in others:
             if (yield from self._stays(x, at, direction, is_point)):

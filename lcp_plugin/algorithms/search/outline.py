@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ...certificates.no_solution import Case
-from ...certificates.refutation import LOWER, UPPER, ZERO
+from ...certificates.refutation import LOWER, SLACKLESS, UPPER
 from ...checks import FloatVector
 from ...exact.rational import integers
 from ...matrix.parts import IntVector
@@ -17,7 +17,7 @@ from ...problem.lcp import LCP
 from ..short_road import as_dense
 
 MOST_CASES = 4096
-CHOICES = (LOWER, ZERO, UPPER)  # as numbered in `kernels.cases`
+CHOICES = (LOWER, SLACKLESS, UPPER)  # as numbered in `kernels.cases`
 
 
 @dataclass(frozen=True, eq=False)

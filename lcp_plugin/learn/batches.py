@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from ..solving.batch_derivative import BatchDerivative
 from ..solving.derivative import derivative
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Wishes:
-    """How a layer solves.
+    """What one call of a layer asks for, and what it has found.
 
     Attributes
     ----------
@@ -25,10 +26,13 @@ class Wishes:
         What :func:`lcp_plugin.solve_batch` takes.
     M : sparse array, shape (n, n), or None
         Where it is a constant of the layer.
+    found : BatchDerivative or None
+        Where PyTorch takes the derivative, whatever transforms the call; JAX begins again at z.
     """
 
     options: Mapping[str, Any]
     M: Any = None
+    found: BatchDerivative | None = None
 
 
 def common_axes(
@@ -51,12 +55,12 @@ def common_axes(
     for name, shape in (("lower", lower), ("upper", upper)):
         if shape[-1:] not in ((), (1,), q[-1:]):
             raise InvalidProblem(f"{name} must be a number or have the length of q, {q[-1]}, got shape {shape}")
-    sizes = {"M": M, "q": q, "lower": lower, "upper": upper}
     try:
         return np.broadcast_shapes(M[:-2], q[:-1], lower[:-1], upper[:-1])
     except ValueError:
-        shapes = ", ".join(f"{name} {shape}" for name, shape in sizes.items())
-        raise InvalidProblem(f"the axes in front of a problem's own must broadcast, got {shapes}") from None
+        raise InvalidProblem(
+            f"the axes in front of a problem's own must broadcast, got M {M}, q {q}, lower {lower}, upper {upper}"
+        ) from None
 
 
 def is_one(M: Any) -> bool:
@@ -80,18 +84,15 @@ def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = Non
     NotConverged
         Where one is not solved.
     """
-    n = q.shape[-1]
     axes = common_axes(() if M is None else M.shape, *(vector.shape for vector in (q, lower, upper)))
-    count = math.prod(axes)
-    q, lower, upper = (np.broadcast_to(vector, (*axes, n)).reshape(count, n) for vector in (q, lower, upper))
-    if M is None:
-        M = wishes.M
-    elif is_one(M):
-        M = M.reshape(M.shape[-2:])
-    else:
-        M = np.broadcast_to(M, (*axes, *M.shape[-2:])).reshape(count, *M.shape[-2:])
-    start = None if z0 is None else np.broadcast_to(z0, (*axes, n)).reshape(count, n)
-    found = derivative(solve_batch(M, q, lower=lower, upper=upper, z0=start, **wishes.options))
+
+    def stacked(array: Any, own: tuple[int, ...]) -> Any:
+        return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
+
+    q, lower, upper, z0 = (None if one is None else stacked(one, q.shape[-1:]) for one in (q, lower, upper, z0))
+    if M is not None:
+        M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
+    found = derivative(solve_batch(wishes.M if M is None else M, q, lower=lower, upper=upper, z0=z0, **wishes.options))
     if found.errors:
         is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
         raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
@@ -113,11 +114,7 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
     UnsuitableProblem
         Where a block of M on the free rows is singular, of a problem that the loss looks at.
     """
-    def ask(g: Any) -> tuple[Any, ...]:
-        by = found.vjp(g)
-        return by.q, by.lower, by.upper
-
-    return _derived(ask, 3, found, axes, g)
+    return _derived(lambda g: attrgetter("q", "lower", "upper")(found.vjp(g)), 3, found, axes, g)
 
 
 def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tuple[Any, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,7 +20,6 @@ except ImportError:
 from ..algorithms import Algorithm
 from ..checks import real_array
 from ..errors import InvalidProblem, UnsupportedModel
-from ..solving.batch_derivative import BatchDerivative
 from .batches import Wishes, common_axes, gradients, is_one, no_second_derivative, solved, tangents
 
 __all__ = ["lcp_layer"]
@@ -91,24 +89,16 @@ def _layer(M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> A
     q, lower, upper = (vector.expand(*axes, q.shape[-1]) for vector in (q, lower, upper))
     if is_stack:
         M = M.reshape(M.shape[-2:]) if is_one(M) else M.expand(*axes, *M.shape[-2:])
-    return _Solution.apply(M, q, lower, upper, _Run(wishes))
-
-
-@dataclass(eq=False)
-class _Run:
-    """What one call asks for, and what it has found: where its derivative is taken, whatever transforms the call."""
-
-    wishes: Wishes
-    found: BatchDerivative | None = None
+    return _Solution.apply(M, q, lower, upper, wishes)
 
 
 class _Solution(torch.autograd.Function):  # type: ignore[misc]
     """z; M of shape (n, n) or (…, n, n) with as many axes in front as the others, dense or CSR, or None."""
 
     @staticmethod
-    def forward(M: Any, q: Any, lower: Any, upper: Any, run: _Run) -> Any:
+    def forward(M: Any, q: Any, lower: Any, upper: Any, run: Wishes) -> Any:
         """Solve."""
-        wishes, stack = (Wishes(run.wishes.options, _scipy(M)), None) if _is_csr(M) else (run.wishes, M)
+        wishes, stack = (Wishes(run.options, _scipy(M)), None) if _is_csr(M) else (run, M)
         run.found, axes = solved(wishes, *map(_numpy, (stack, q, lower, upper)))
         return torch.from_numpy(run.found.z.reshape(*axes, q.shape[-1]).copy())
 
@@ -120,7 +110,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         ctx.save_for_forward(z)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], M: Any, q: Any, lower: Any, upper: Any, run: _Run) -> Any:
+    def vmap(info: Any, in_dims: tuple[Any, ...], M: Any, q: Any, lower: Any, upper: Any, run: Wishes) -> Any:
         """Solve with one axis more in front."""
         of_M, *dims, _ = in_dims
         vectors = [_in_front(*pair, info.batch_size) for pair in zip((q, lower, upper), dims, strict=True)]
@@ -155,7 +145,7 @@ class _Derivative(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(
-        function: Callable[..., Any], run: _Run, entries: Callable[..., Any] | None, z: Any, *given: Any
+        function: Callable[..., Any], run: Wishes, entries: Callable[..., Any] | None, z: Any, *given: Any
     ) -> tuple[Any, ...]:
         """Return the gradients by q, lower, upper and, where `entries` computes that, M; or the change of z, alone.
 
@@ -170,7 +160,7 @@ class _Derivative(torch.autograd.Function):  # type: ignore[misc]
         """Keep nothing."""
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], function: Any, run: _Run, entries: Any, z: Any, *given: Any) -> Any:
+    def vmap(info: Any, in_dims: tuple[Any, ...], function: Any, run: Wishes, entries: Any, z: Any, *given: Any) -> Any:
         """Return them with one axis more in front."""
         _, _, _, of_z, *dims = in_dims
         z = z.unsqueeze(0) if of_z is None else z.movedim(of_z, 0)  # one z may have many gradients

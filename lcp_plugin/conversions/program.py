@@ -98,8 +98,8 @@ class QuadraticProgram:
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(below, above)
-        self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
-        object.__setattr__(self, "asymmetry", asymmetry)
+        made = self.with_matrices(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
+        self.__dict__.update(made.__dict__, asymmetry=asymmetry)
 
     @classmethod
     def from_ranges(
@@ -143,7 +143,7 @@ class QuadraticProgram:
             P, c, picked[:sides] @ rows, np.concatenate([high[above], -low[below]]), picked[sides:] @ rows, low[equal],
             _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
         )
-        object.__setattr__(program, "ranges", picked.T)
+        program.__dict__["ranges"] = picked.T
         return program
 
     @property
@@ -233,8 +233,7 @@ class QuadraticProgram:
             self.h if h is None else checked_vector(h, "h", self.h.size, allow_plus_infinity=True),
             self.b if b is None else checked_vector(b, "b", self.b.size), below, above,
         )
-        for name in ("asymmetry", "ranges"):
-            object.__setattr__(made, name, getattr(self, name))
+        made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
         return made
 
     @classmethod
@@ -244,13 +243,10 @@ class QuadraticProgram:
     ) -> QuadraticProgram:
         """Return the program of these data, which are not checked."""
         made = object.__new__(cls)
-        made._keep(matrices, c, h, b, lower, upper)
+        made.__dict__.update(
+            P=matrices.P, c=c, G=matrices.G, h=h, A=matrices.A, b=b, lower=lower, upper=upper, matrices=matrices
+        )
         return made
-
-    def _keep(self, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, *bounds: Any) -> None:
-        data = {"P": matrices.P, "c": c, "G": matrices.G, "h": h, "A": matrices.A, "b": b, "lower": bounds[0]}
-        for name, value in {**data, "upper": bounds[1], "matrices": matrices}.items():
-            object.__setattr__(self, name, value)
 
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx for x of shape (n,)."""

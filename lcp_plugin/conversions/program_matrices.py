@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,15 +18,6 @@ from ..peers.alone import ALONE
 
 Indices = NDArray[np.intp]
 T = TypeVar("T")
-
-
-class SingletonRows(NamedTuple):
-    """Rows of [G; A] with one entry: their numbers and columns, and of all rows that entry, or 1, and how many."""
-
-    rows: Indices
-    columns: Indices
-    coefficient: FloatVector
-    counts: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +82,13 @@ class ProgramMatrices:
         return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(self.rows.nnz)
 
     @cached_property
-    def singletons(self) -> SingletonRows:
-        """The rows of [G; A] that are bounds."""
+    def singletons(self) -> tuple[Indices, Indices, FloatVector]:
+        """The rows of [G; A] that have one entry, their columns, and of all rows that entry, or 1."""
         stacked = self.rows
-        counts = np.diff(stacked.indptr)
-        rows, coefficient = np.flatnonzero(counts == 1), np.ones(counts.size)
+        rows, coefficient = np.flatnonzero(np.diff(stacked.indptr) == 1), np.ones(stacked.shape[0])
         places = stacked.indptr[rows]
         coefficient[rows] = stacked.data[places]
-        return SingletonRows(rows, stacked.indices[places].astype(np.intp), coefficient, counts)
-
-    @cached_property
-    def most_rows(self) -> int:
-        """In how many rows of [G; A] a variable stands at most."""
-        return int(np.bincount(self.rows.indices, minlength=1).max())
+        return rows, stacked.indices[places].astype(np.intp), coefficient
 
     @cached_property
     def is_definable(self) -> NDArray[np.bool_]:

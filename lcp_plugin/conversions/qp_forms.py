@@ -180,7 +180,7 @@ class DualForm(QPOrigin):
 
     def _is_laplacian(self) -> bool:
         """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
-        if self.rows.folded.matrices.most_rows > 2 or not is_diagonal(self.rows.program.P):
+        if not is_diagonal(self.rows.program.P):
             return False
         C = self._constraints[0]
         counts = np.bincount(C.indices, minlength=self.rows.program.n)

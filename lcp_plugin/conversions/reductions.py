@@ -229,7 +229,7 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
     singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
     """
     matrices, right = program.matrices, np.concatenate([program.h, program.b])
-    is_equality, (rows, columns, coefficient, counts) = matrices.is_equality[: right.size], matrices.singletons
+    is_equality, (rows, columns, coefficient) = matrices.is_equality[: right.size], matrices.singletons
     with np.errstate(over="ignore"):
         limits = right[rows] / coefficient[rows]
     is_finite = np.isfinite(limits)
@@ -242,7 +242,8 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
     lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
     lower_row[contradicts] = upper_row[contradicts] = OWN
 
-    stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & (counts == 0) | (right == np.inf))
+    is_empty = np.diff(matrices.rows.indptr) == 0
+    stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
     stays[rows[~contradicts[columns]]] = False
     left = np.flatnonzero(stays)
     folded = program if left.size == right.size else program.with_matrices(

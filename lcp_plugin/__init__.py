@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from .solving.batch import solve_many as solve_many
     from .solving.batch_derivative import BatchDerivative as BatchDerivative
     from .solving.batch_derivative import BatchGradient as BatchGradient
-    from .solving.batch_result import BatchResult as BatchResult
+    from .solving.batch_run import BatchResult as BatchResult
     from .solving.certification import certify as certify
     from .solving.derivative import Derivative as Derivative
     from .solving.derivative import Gradient as Gradient
@@ -92,7 +92,7 @@ _HOME = {
     "BatchGradient": "solving.batch_derivative",
     "prepare": "solving.batch",
     "solve_batch": "solving.batch",
-    "BatchResult": "solving.batch_result",
+    "BatchResult": "solving.batch_run",
     "solve_many": "solving.batch",
     "march": "solving.march",
     "bounded_least_squares": "solving.least_squares",

@@ -138,7 +138,8 @@ class Settings:
         return bool(self.tolerance_on == "error")
 
 
-OF_SOLVE = ("z0", "callback", *(setting.name for setting in fields(Settings)))  # what no algorithm has to offer
+BESIDE = ("z0", "callback")  # what else belongs to a run
+OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))  # what no algorithm has to offer
 
 
 def _number(value: Any, name: str) -> float:

@@ -12,8 +12,7 @@ from campaigns.search import random_problem
 
 from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
 from lcp_plugin.algorithms.search import NoSolution, explore, search
-from lcp_plugin.algorithms.search.outline import outline
-from lcp_plugin.algorithms.search.stages import FIRST_ENTRIES
+from lcp_plugin.algorithms.search.stages import FIRST_ENTRIES, outline
 from lcp_plugin.exact.simplex import Effort
 
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)

@@ -375,6 +375,26 @@ def test_a_march_carries_a_matrix_and_forces_that_change() -> None:
         assert all(0.0 < np.mean(np.abs(state) == 1.0) < 1.0 for state in steps.z[3:])
 
 
+def test_a_march_takes_what_a_solve_takes() -> None:
+    """Other options, a callback, a measure and a limit in seconds are those of `solve`, step by step and for all."""
+    scene = gallery.build("american_put_march", size=31, steps=4)
+    forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
+    plain = march(scene.problem, forcing, z0=scene.problem.lower)
+    watched = march(
+        scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", relaxation=1.2, record=True,
+        callback=lambda sample, z: heard.append(sample.iteration),
+    )
+    assert watched.all_solved
+    assert len(watched) == 4
+    assert len(heard) == sum(len(result.history) > 0 and result.iterations + 1 for result in watched)
+    for ours, theirs in zip(watched.z, plain.z, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    late = march(scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", tolerance=0.0, max_seconds=0.0)
+    assert [result.status for result in late] == [Status.MAX_SECONDS]
+    with pytest.raises(InvalidOption, match="has no option 'relaxaton'; did you mean 'relaxation'"):
+        march(scene.problem, forcing, algorithm="psor", relaxaton=1.2)
+
+
 def test_a_march_ends_where_a_step_is_not_solved() -> None:
     """The steps after it would start from nothing; what cannot be taken in one loop is taken by itself."""
     problem = LCP(sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0)

@@ -16,7 +16,7 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ..solving.batch import solve_batch
-from ..solving.batch_result import BatchResult
+from ..solving.batch_run import BatchResult
 from ._compat import dense
 from .equations import Elimination
 

@@ -18,8 +18,7 @@ from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status, checked_threads
 from .batch_items import Items, Listed, Stacked
-from .batch_result import BatchResult
-from .batch_run import BatchRun
+from .batch_run import BatchResult, BatchRun
 from .result import Result
 
 

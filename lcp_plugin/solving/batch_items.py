@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,27 +16,7 @@ from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.structure import outer_on_pattern
 from ..policy.choice import takes_the_short_road
 from ..problem.lcp import LCP, checked_start
-
-
-@dataclass(frozen=True)
-class Group:
-    """Problems of one size as arrays for a compiled run; one row in front stands for all of them.
-
-    Attributes
-    ----------
-    items : array of int, shape (k,)
-        Which of the batch they are.
-    M : array, shape (k or 1, n, n)
-    q, lower, upper, starts : arrays, shape (k or 1, n)
-        Without columns, `starts` means z°.
-    """
-
-    items: Any
-    M: Any
-    q: Any
-    lower: Any
-    upper: Any
-    starts: Any
+from .batch_groups import Group
 
 
 class Items:
@@ -249,3 +228,12 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
         hint = "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)" if is_bound else hint
         raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
     return np.array(np.atleast_2d(array), order="C")
+
+
+def put(table: Any, items: Any, rows: Any) -> None:
+    """Write rows of a table, an array or a list of arrays."""
+    if isinstance(table, np.ndarray):
+        table[items] = rows
+    else:
+        for k, row in zip(items, rows, strict=True):
+            table[k] = row

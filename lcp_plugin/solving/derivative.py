@@ -34,7 +34,7 @@ from ..matrix.structure import outer_on_pattern
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .batch_derivative import BatchDerivative
-from .batch_result import BatchResult
+from .batch_run import BatchResult
 from .driver import solve
 from .result import Result
 

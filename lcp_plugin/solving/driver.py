@@ -20,7 +20,7 @@ from ..policy.choice import Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP, checked_start
 from ..problem.nonlinear import NonlinearProblem
-from ..settings import Settings, Status, checked_callback
+from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered
 from .result import Result, StageRecord
 from .run import Callback, Run
@@ -149,6 +149,13 @@ def solve(
                     raise  # the second one: the other ranks have not heard of it
                 run = run or Run(units, policy, settings, callers, clock)
                 return run.judged(start, Status.INTERRUPTED)
+
+
+def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
+    """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
+    settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
+    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
+    return policy_for(algorithm, options, refutes=settings.refute), settings
 
 
 def _remedy(given: Any) -> str:

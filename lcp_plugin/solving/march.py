@@ -17,11 +17,10 @@ from ..checks import FloatVector, check_kind, checked_vector, is_number, real_ar
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.parts import parts
-from ..policy.choice import Policy, policy_for
-from ..policy.stages import Choice
+from ..policy.choice import Policy
 from ..problem.lcp import LCP
 from ..settings import Settings
-from .driver import fused_result, solve
+from .driver import asked_of_solve, fused_result, solve
 from .result import Result, Results
 
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
@@ -60,20 +59,14 @@ class March(Results):
         end = f"; ended by {self.error}" if self.error else "" if self.all_solved else "; the last one is not solved"
         return f"March({len(self)} steps{end})"
 
-    def _take(self, result: Result) -> None:
-        self.z.append(result.z)
-        self.all_solved &= result.is_solved
-        self._results.append(result)
-
-    def _take_later(self, sprint: Sprint, result: Callable[[], Result]) -> None:
-        self.z.append(sprint.z)
+    def _take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
+        self.z.append(z)
         self._results.append(result)
 
 
 def march(
     problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
-    absolute_tolerance: float = 0.0,
+    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, **wishes: Any,
 ) -> March:
     """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
 
@@ -88,8 +81,10 @@ def march(
         Euler step (I + Δt A) z = z_before has −1.
     z0 : array, shape (n,), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
-    algorithm, tolerance, max_iterations, absolute_tolerance
-        As for :func:`lcp_plugin.solve`, of each step.
+    max_seconds : float, optional
+        In seconds, for the whole march: the step under way then is the last one.
+    algorithm, **wishes
+        What else :func:`lcp_plugin.solve` takes, for each step.
 
     Returns
     -------
@@ -117,25 +112,25 @@ def march(
         raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
     problem.matrix.require_all_rows()
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
-    settings = Settings(tolerance, max_iterations=max_iterations, absolute_tolerance=absolute_tolerance)
-    policy, state = policy_for(algorithm, {}), problem.nearest_to_zero
-    if z0 is not None:
-        state = checked_vector(z0, "z0", problem.n)
+    (policy, settings), limit = asked_of_solve(algorithm, wishes), Settings(max_seconds=max_seconds).max_seconds
+    state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
+    clock, is_unobserved = Clock(problem.peers), settings.is_unobserved and wishes.get("callback") is None
     done = March()
     while len(done) < len(offsets) and done.all_solved:
         before = len(done)
         try:
-            block = offsets[before : before + BLOCK]
-            for sprint, result in _sprinted(problem, policy, settings, block, rows, state):
-                done._take_later(sprint, result)
+            if is_unobserved and clock.read() < limit:
+                block = offsets[before : before + BLOCK]
+                for z, result in _fused(problem, policy, settings, block, rows, state):
+                    done._take(z, result)
             if len(done) == before:
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
-                    q = offsets[before] + rows @ state
-                step = problem.with_q(q)
-                done._take(solve(
-                    step, algorithm, z0=state, tolerance=tolerance, max_iterations=max_iterations,
-                    absolute_tolerance=absolute_tolerance,
-                ))
+                    step = problem.with_q(offsets[before] + rows @ state)
+                if limit < np.inf:
+                    wishes["max_seconds"] = max(limit - clock.read(), 0.0)
+                found = solve(step, algorithm, z0=state, **wishes)
+                done._take(found.z, found)
+                done.all_solved = found.is_solved
             state = done.z[-1]
         except InvalidProblem as error:
             if not done:
@@ -148,9 +143,9 @@ def march(
     return done
 
 
-def _sprinted(
+def _fused(
     problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, carry: sp.csr_array, state: FloatVector
-) -> Iterator[tuple[Sprint, Callable[[], Result]]]:
+) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not arrive."""
     first, clock = policy.first(problem), Clock(problem.peers)
     if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
@@ -158,19 +153,17 @@ def _sprinted(
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
-    sprints = first.algorithm.sprints(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
-    seconds = clock.read() / len(sprints)
-    for q, sprint in zip(Q, sprints, strict=True):
-        if sprint is None:
+    found = first.algorithm.sprints(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
+    seconds = clock.read() / len(found)
+
+    def result_of(q: FloatVector, one: Sprint) -> Result:
+        certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual)
+        return fused_result(certificate, policy, first, one, settings, seconds)
+
+    for q, one in zip(Q, found, strict=True):
+        if one is None:
             return
-        yield sprint, partial(_result, problem, q, policy, first, settings, sprint, seconds)
-
-
-def _result(
-    problem: LCP, q: FloatVector, policy: Policy, first: Choice, settings: Settings, sprint: Sprint, seconds: float
-) -> Result:
-    certificate = Certificate.enclosed(problem.with_q(q), sprint.z, sprint.residual)
-    return fused_result(certificate, policy, first, sprint, settings, seconds)
+        yield one.z, partial(result_of, q, one)
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
 
@@ -19,8 +19,7 @@ from ..errors import InvalidOption, InvalidProblem
 from ..kernels.threads import threads_for
 from ..peers.alone import ALONE
 from ..policy.choice import Single, policy_for
-from ..policy.stages import Choice, Stage
-from ..problem.lcp import LCP
+from ..policy.stages import Choice
 from ..problem.nonlinear import Linearisation, Linearisations, NonlinearProblem
 from ..settings import Settings, Status, checked_callback
 from .error_watch import BoundOrReason
@@ -131,7 +130,7 @@ def solve_nonlinear(
         asked = settings.goal if settings.measure == "relative" else 0.0
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.units, _Alone(newton), settings, callers, clock, judge)
+        run = Run(judge.units, Single(newton, refutes=False), settings, callers, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 checked_jacobian(first)
@@ -145,14 +144,6 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike) -> FloatVector:
         return checked_vector(x0, "x0", problem.n, may_be_number=True)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
-
-
-class _Alone(Single):
-    """One algorithm, and no look at feasibility after it: that speaks of linear constraints."""
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return None."""
-        return None
 
 
 class NonlinearJudge(Judge):

@@ -16,7 +16,7 @@ from lcp_plugin.evidence.gallery import build
 from lcp_plugin.problem.lcp import LCP
 from lcp_plugin.settings import Status
 from lcp_plugin.solving.batch import solve_batch
-from lcp_plugin.solving.batch_result import BatchResult
+from lcp_plugin.solving.batch_run import BatchResult
 from lcp_plugin.solving.derivative import derivative
 from lcp_plugin.solving.driver import solve
 

@@ -16,8 +16,7 @@ from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...exact.simplex import Effort
 from ...problem.exactly import exact_slack
 from ...problem.lcp import LCP
-from .explorer import Explorer, Face
-from .vertices import Point, extreme_points
+from .explorer import Explorer, Face, Point, extreme_points
 
 __all__ = ["Effort", "Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
 

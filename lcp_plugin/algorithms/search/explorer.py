@@ -1,16 +1,22 @@
-"""Branch and bound over the choices of every row, by an exact simplex method: nothing in it is rounded."""
+"""Branch and bound over the choices of every row, by an exact simplex method, and the extreme points of what it finds.
+
+Nothing in it is rounded.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 from ...certificates.no_solution import Case
 from ...certificates.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
 from ...exact.simplex import Bound, Effort, ExactSimplex
 from ...problem.exactly import integer_matrix, slack_bounds
 from ...problem.lcp import LCP
+
+Point = tuple[Fraction, ...]
 
 
 @dataclass(frozen=True)
@@ -214,3 +220,59 @@ class Explorer:
             return False
         self.simplex.set_bounds(x, at, at)
         return True
+
+
+def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
+    """Yield the extreme points of all solutions of a pattern, each once; none where they contain a line.
+
+    Parameters
+    ----------
+    problem : LCP
+    pattern : sequence of str, shape (n,)
+        The choice of every row, as of a ``Solution``.
+
+    Notes
+    -----
+    Bounds are made equations one after the other, in order, each where it lowers the dimension of what is left. An
+    extreme point is what is left in dimension 0: the first independent ones of the bounds that it meets lead to it.
+    """
+    explorer = Explorer(problem, Effort(), first_only=False)
+    simplex = explorer.simplex
+    _finish(simplex.solve_equations())
+    for i, choice in enumerate(pattern):
+        if len(explorer.choices[i]) > 1:
+            explorer.choose(i, choice)
+    if _finish(simplex.refutation()) is None:
+        bounds = [(x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None]
+        found = set()
+        for point in _corners(simplex, sorted(bounds), 0):
+            if point not in found:
+                found.add(point)
+                yield point
+
+
+def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -> Iterator[Point]:
+    """Yield where the set that is left ends in a point, once some of the bounds from the first on are met."""
+    dimension = _finish(simplex.release_fixed())
+    if dimension == 0:
+        yield tuple(simplex.point())
+        return
+    for k in range(first, len(bounds)):
+        x, at = bounds[k]
+        before = simplex.bounds(x)
+        if before == (at, at):
+            continue
+        simplex.set_bounds(x, at, at)
+        if _finish(simplex.refutation()) is None and _finish(simplex.release_fixed()) < dimension:
+            yield from _corners(simplex, bounds, k + 1)
+        simplex.set_bounds(x, *before)
+        _finish(simplex.refutation())
+
+
+def _finish(steps: Iterator[None]) -> Any:
+    """Return what a generator returns at its end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value

@@ -278,7 +278,23 @@ def parse(text: str) -> Scene:
 
 
 def read(text: str) -> tuple[str, dict[str, Any]]:
-    """Return name and given parameters of a scene written as text; see :func:`parse`."""
+    """Return the name of a scene written as text and the parameters that it gives, without building the scene.
+
+    Parameters
+    ----------
+    text : str
+        As :func:`parse` takes it.
+
+    Raises
+    ------
+    InvalidOption
+        Where the scene or a parameter does not exist, a value has the wrong type, or the text another form.
+
+    Examples
+    --------
+    >>> read("obstacle_2d:size=20")
+    ('obstacle_2d', {'size': 20})
+    """
     if not isinstance(text, str):
         raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
     name, _, settings = text.strip().partition(":")

@@ -59,8 +59,10 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     return frozen(sp.csr_array(dense)), None
 
 
-def rectangular_matrix(values: Any, name: str, rows: int | None, columns: int | None) -> Any:
-    """Return a read-only copy of the values: an ndarray, or canonical CSR where they are sparse.
+def rectangular_matrix(
+    values: Any, name: str, rows: int | None, columns: int | None, *, is_copied: bool = True
+) -> Any:
+    """Return the values as a read-only ndarray, or as canonical CSR where they are sparse; a copy if asked for.
 
     Parameters
     ----------
@@ -80,18 +82,18 @@ def rectangular_matrix(values: Any, name: str, rows: int | None, columns: int | 
     need = f"{name} must be a real matrix of shape ({shape})"
     if sp.issparse(values):
         check_kind(values.dtype, need)
-    matrix = values if sp.issparse(values) else real_array(values, need).copy()
+    matrix = values if sp.issparse(values) else real_array(values, need)
     if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if sp.issparse(matrix):
-        return canonical_csr(matrix, name, copy=True)
+        return canonical_csr(matrix, name, copy=is_copied)
     _check_finite(matrix, name)
-    return read_only(matrix)
+    return read_only(matrix.copy() if is_copied else matrix)
 
 
 def _check_finite(dense: NDArray[np.float64], name: str) -> None:
-    if not np.isfinite(dense).all():
+    if not all_finite(dense):
         row, column = np.argwhere(~np.isfinite(dense))[0]
         raise InvalidProblem(
             f"{name} must be finite, but {name}[{row}, {column}] = {dense[row, column]}; repair that entry"

@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike
 
 from ..checks import (
     FloatVector,
-    all_finite,
-    canonical_csr,
     check_kind,
     check_order,
     checked_bound,
     checked_vector,
     is_number,
     read_only,
-    real_array,
+    rectangular_matrix,
 )
 from ..deadline import is_over
 from ..errors import InvalidOption, InvalidProblem
@@ -243,30 +241,18 @@ def power_of_two(sizes: ArrayLike) -> FloatVector:
 
 
 def _checked(A: Any) -> tuple[Any, bool]:
-    need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
-    if sp.issparse(A):
-        check_kind(A.dtype, need)
-        if A.ndim != 2:
-            raise InvalidProblem(f"{need}, got shape {A.shape}; write a single row as [[…]]")
-        return canonical_csr(A, "A"), True
-    if hasattr(A, "matvec") and hasattr(A, "shape"):
-        return _checked_operator(A, need), False
-    dense = real_array(A, need)
-    if dense.ndim != 2:
-        hint = "; write a single row as [[…]]" if dense.ndim == 1 else ""
-        raise InvalidProblem(f"{need}, got shape {dense.shape}{hint}")
-    for begin in () if all_finite(dense) else range(0, dense.shape[0], ROWS_AT_ONCE):
-        wrong = ~np.isfinite(dense[begin : begin + ROWS_AT_ONCE])
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0] + (begin, 0)
-            raise InvalidProblem(f"A must be finite, but A[{i}, {j}] = {dense[i, j]}; repair that entry")
-    is_kept = dense.flags.c_contiguous or (dense.flags.f_contiguous and dense.size > COPIED_UP_TO)
-    return read_only(dense if is_kept else np.array(dense, order="C")), True
+    if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
+        return _checked_operator(A), False
+    matrix = rectangular_matrix(A, "A", None, None, is_copied=False)
+    is_by_columns = not sp.issparse(matrix) and not matrix.flags.c_contiguous
+    is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > COPIED_UP_TO)
+    return matrix if is_kept else read_only(np.array(matrix, order="C")), True
 
 
-def _checked_operator(A: Any, need: str) -> Any:
+def _checked_operator(A: Any) -> Any:
     from scipy.sparse.linalg import aslinearoperator
 
+    need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
     operator = aslinearoperator(A)
     if operator.dtype is not None:
         check_kind(np.dtype(operator.dtype), need)

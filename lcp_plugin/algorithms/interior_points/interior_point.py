@@ -17,6 +17,7 @@ from ...crossovers import SWEEPS_FIRST_UP_TO
 from ...deadline import is_over
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
+from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
 from .quasidefinite import QuasidefiniteNewtonMatrix, newton_matrix
@@ -95,7 +96,7 @@ class InteriorPoint(Algorithm):
         yield from _Search(problem).steps(z)
 
 
-class Progress:
+class Standstill:
     """The smallest residual so far; of a program, gap and infeasibility too: where none falls, nothing improves."""
 
     def __init__(self, is_program: bool) -> None:
@@ -103,7 +104,7 @@ class Progress:
         self._least = np.full(self._count, np.inf)
         self._since = 0
 
-    def has_ended(self, *measures: float) -> bool:
+    def is_reached(self, *measures: float) -> bool:
         """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
         present = np.array(measures[: self._count])
         falls = present < 0.9 * self._least
@@ -245,7 +246,7 @@ class _Search:
         """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
             return False
-        progress, first_gap, counted = Progress(self.suited.is_program), point.gap, point.matrix.work
+        standstill, first_gap, counted = Standstill(self.suited.is_program), point.gap, point.matrix.work
         polishes, settled_for, last, steps, held = 0, 0, point.active(1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
@@ -263,7 +264,7 @@ class _Search:
                 if not point.start(starts.weight):
                     return False
                 continue
-            if progress.has_ended(self.best, point.gap, point.infeasibility):
+            if standstill.is_reached(self.best, point.gap, point.infeasibility):
                 break
             present = point.active(1.0)[0]
             changes, last = int(np.count_nonzero(present != last)), present
@@ -326,27 +327,21 @@ class _Search:
         """Change y on the free rows by as little as makes w = 0 there, as well as can be; return the work."""
         if not free.size:
             return 0.0
-        if self.signs is not None and sp.issparse(self.M):
-            return self._solve_pinned(y, free, self.signs)
-        block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
-        system = newton_matrix(block, False)
-        if not system.factorise(np.zeros(free.size)):
-            y[free] = np.nan
-            return system.work
-        for _ in range(2):
-            y[free] -= system.solve((self.M @ y + self.q)[free])
-        return system.work
-
-    def _solve_pinned(self, y: FloatVector, free: NDArray[np.intp], signs: FloatVector) -> float:
-        """Do so in the order of the whole matrix, the other rows pinned by their diagonal."""
-        system = QuasidefiniteNewtonMatrix(self.M, signs, self.suited.symbolic)
-        is_free = np.zeros(y.size, dtype=bool)
+        is_free, kept = np.zeros(y.size, dtype=bool), free
         is_free[free] = True
-        if not system.factorise(np.where(is_free, 0.0, PINNED)):
+        system: NewtonMatrix
+        if self.signs is not None and sp.issparse(self.M):  # in the order of all rows, the others pinned
+            system, kept = QuasidefiniteNewtonMatrix(self.M, self.signs, self.suited.symbolic), np.arange(y.size)
+        else:
+            block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
+            system = newton_matrix(block, False)
+        if not system.factorise(np.where(is_free, 0.0, PINNED)[kept]):
             y[free] = np.nan
             return system.work
         for _ in range(2):
-            y[free] -= system.solve(np.where(is_free, self.M @ y + self.q, 0.0))[free]
+            left, step = np.where(is_free, self.M @ y + self.q, 0.0), np.zeros(y.size)
+            step[kept] = system.solve(left[kept])
+            y[free] -= step[free]
         return system.work
 
 

@@ -78,15 +78,16 @@ def rectangular_matrix(
     InvalidProblem
         For another shape, for numbers that are not real or not finite, for damaged sparse arrays.
     """
-    shape = ", ".join("any" if length is None else str(length) for length in (rows, columns))
-    need = f"{name} must be a real matrix of shape ({shape})"
-    if sp.issparse(values):
+    m, n = "any" if rows is None else rows, "any" if columns is None else columns
+    need = f"{name} must be a real matrix of shape ({m}, {n})"
+    is_sparse = sp.issparse(values)
+    if is_sparse:
         check_kind(values.dtype, need)
-    matrix = values if sp.issparse(values) else real_array(values, need)
+    matrix = values if is_sparse else real_array(values, need)
     if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
-    if sp.issparse(matrix):
+    if is_sparse:
         return canonical_csr(matrix, name, copy=is_copied)
     _check_finite(matrix, name)
     return read_only(matrix.copy() if is_copied else matrix)

@@ -22,8 +22,10 @@ from ..checks import (
 )
 from ..deadline import is_over
 from ..errors import InvalidOption, InvalidProblem
+from ..peers.alone import Peers
 
 COPIED_UP_TO = 10**6  # places of A
+ALONE = Peers()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
@@ -52,12 +54,16 @@ class LeastSquares:
     ----------
     has_entries : bool
         Whether A is more than a function: what is said of the answer can be proved then.
+    is_sparse, is_dense : bool
+        Whether it is a sparse array, or an ndarray.
     """
 
     def __init__(
         self, A: Any, b: ArrayLike, lower: ArrayLike, upper: ArrayLike, weights: ArrayLike | None, ridge: float
     ) -> None:
         self.A, self.has_entries = _checked(A)
+        self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
+        self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
         self.b = checked_vector(b, "b", m)
@@ -72,16 +78,6 @@ class LeastSquares:
         self.ridge = float(ridge)
 
     @property
-    def is_sparse(self) -> bool:
-        """Whether A is a sparse array."""
-        return bool(sp.issparse(self.A))
-
-    @property
-    def is_dense(self) -> bool:
-        """Whether A is an ndarray."""
-        return self.has_entries and not self.is_sparse
-
-    @property
     def is_cheap_to_copy(self) -> bool:
         """Whether A has entries, and so few places for them that dense copies cost little."""
         return self.has_entries and self.shape[0] * self.shape[1] <= COPIED_UP_TO
@@ -91,10 +87,8 @@ class LeastSquares:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
 
-    def checked_start(self, x0: ArrayLike | None) -> FloatVector:
+    def checked_start(self, x0: ArrayLike) -> FloatVector:
         """Return the start within the bounds, shape (n,); raise InvalidOption where x0 is no finite vector of n."""
-        if x0 is None:
-            return self.nearest_to_zero
         try:
             return np.clip(checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper)
         except InvalidProblem as error:
@@ -179,14 +173,17 @@ class UnitLeastSquares:
         What b was.
     """
 
+    peers, is_distributed = ALONE, False
+
     def __init__(self, problem: LeastSquares) -> None:
-        self.problem = problem
+        self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_units
         sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
         self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes)))
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
+        self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
 
     def from_caller(self, x: FloatVector) -> FloatVector:
         """Return x in these units."""
@@ -244,7 +241,7 @@ def _checked(A: Any) -> tuple[Any, bool]:
     if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
         return _checked_operator(A), False
     matrix = rectangular_matrix(A, "A", None, None, is_copied=False)
-    is_by_columns = not sp.issparse(matrix) and not matrix.flags.c_contiguous
+    is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
     is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > COPIED_UP_TO)
     return matrix if is_kept else read_only(np.array(matrix, order="C")), True
 

@@ -1,9 +1,10 @@
-"""bounded_least_squares(): the run from the start to the answer, judged on the caller's own data."""
+"""bounded_least_squares(): the stages of a run, and its judge on the caller's own data."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from typing import Any, cast
@@ -11,25 +12,27 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..algorithms.base import Algorithm, Step
 from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_steps, interior_steps
 from ..algorithms.least_squares.faces import Faces, Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
+from ..certificates.references import CommonUnits
 from ..checks import FloatVector, read_only
-from ..deadline import Clock, OutOfTimeError, time_limit
-from ..peers.alone import Peers
-from ..policy.pacing import Progress
-from ..problem.least_squares import LeastSquares
+from ..deadline import Clock
+from ..policy.stages import Choice, Stage
+from ..problem.least_squares import ALONE, LeastSquares
 from ..settings import Settings, Status
+from .judge import Judge
 from .least_squares_result import LeastSquaresResult, point_nearer, result_of
+from .run import Run
 
 DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
 SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
 SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
 EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
-ALONE = Peers()
-ROUNDS = 20  # of active sets for a small problem before an interior point is asked, or to refine an answer
-NARROWER = 0.25  # what is aimed at, ÷ what was reached where rounding left that above the tolerance
+ROUNDS = 20  # of active sets to refine an answer
+NARROWER = 0.25  # what is aimed at, ÷ what was reached where that was not enough
 
 
 def bounded_least_squares(
@@ -96,30 +99,31 @@ def bounded_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    problem = LeastSquares(A, b, lower, upper, weights, ridge)
+    problem, clock = LeastSquares(A, b, lower, upper, weights, ridge), Clock(ALONE)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
-    if (result := _solved_at_once(problem, settings)) is not None:
+    if (result := _solved_at_once(problem, settings, clock)) is not None:
         return result
-    run = _Run(problem, settings, problem.nearest_to_zero if start is None else start)
     with np.errstate(all="ignore"):
+        stages, judge, unit = Stages(problem), LeastSquaresJudge(problem, settings), problem.unit
+        run = Run(judge.units, stages, settings, None, clock, judge)
+        start = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
         try:
-            with time_limit(settings.max_seconds, is_enforced=True):
-                reason = run.drive()
-        except OutOfTimeError:
-            reason = Status.MAX_SECONDS
+            reason = run.drive(start, stages.first(unit))
         except KeyboardInterrupt:
             reason = Status.INTERRUPTED
-        return run.result(reason)
+        answer, status = run.ended(start, reason)
+    judged, steps = cast(Any, answer), max(run.ledger.iteration, 0)
+    return result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
 
 
-def _solved_at_once(problem: LeastSquares, settings: Settings) -> LeastSquaresResult | None:
+def _solved_at_once(problem: LeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
     """Take the compiled way of small problems to its end; return the answer where that solves it."""
     if not (problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL):
         return None
     from ..kernels.least_squares import solve_small
 
-    clock, most = Clock(ALONE), min(settings.max_iterations, EXCHANGES * problem.shape[1])
+    most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
     A = problem.A if problem.is_dense else read_only(problem.A.toarray())
     x, residual, optimality, faces = solve_small(
@@ -130,121 +134,149 @@ def _solved_at_once(problem: LeastSquares, settings: Settings) -> LeastSquaresRe
     return result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
 
 
-class _Run:
-    """One run: stages yield points, and the first reason to end ends it."""
+@dataclass(slots=True)
+class PointStep(Step):
+    """A step with what is known of its point."""
 
-    def __init__(self, problem: LeastSquares, settings: Settings, start: FloatVector) -> None:
-        self.problem, self.settings, self.clock = problem, settings, Clock(ALONE)
-        self.enclosures, self.start = Enclosures(problem), start
-        self.best: Point | None = None  # by what its own products say, `judged` by the caller's data
-        self.best_size, self.aim, self.iteration = np.inf, settings.tolerance, 0
-        self.judged: Optimality | None = None
-        self.is_solved = False
-        self.faces: Faces | None = None
-        self.progress = Progress(problem.shape[1], settings.max_iterations)
+    point: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steps(Algorithm):
+    """Steps from point to point, with the factors that they take or others took before, if any."""
+
+    take: Callable[[Point], Iterator[Point]]
+    faces: Faces | None = None
+    name = "least squares"
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step a point."""
+        return (PointStep(point.x, point=point) for point in self.take(Point(problem, z0)))
+
+    def finish(self, problem: Any, z: FloatVector) -> FloatVector:
+        """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
+        if self.faces is None:
+            return z
+        *_, refined = islice(active_set_steps(Point(problem, z), self.faces), ROUNDS)
+        return refined.x
+
+
+class Stages:
+    """What is tried in turn, each from the best point so far."""
+
+    name = chosen = "least squares"
+
+    def __init__(self, problem: LeastSquares) -> None:
+        self._left = self._stages(problem)
+
+    def first(self, problem: Any) -> Choice:
+        """Return the first stage."""
+        return next(self._left)
+
+    def next_step(self, problem: Any, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return the next stage where one has come to its end."""
+        return next(self._left, None) if failed else None
+
+    def another_start(self, problem: Any, stages: Sequence[Stage]) -> None:
+        """Return None: all minima are alike."""
+
+    @staticmethod
+    def _stages(problem: LeastSquares) -> Iterator[Choice]:
+        faces = None
+        if problem.has_entries:
+            if not problem.is_cheap_to_copy:
+                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
+                yield Choice(Steps(take=lambda start: islice(projected_steps(start), patience)))
+            if (faces := Faces.of(problem.unit)) is not None:
+                yield Choice(Steps(take=lambda start: block_pivot_steps(start, faces), faces=faces))
+                yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
+        yield Choice(Steps(take=projected_steps, faces=faces))
+
+
+class LeastSquaresJudge(Judge):
+    """Measures by the points' own products, and certifies by :mod:`lcp_plugin.certificates.least_squares`.
+
+    Attributes
+    ----------
+    best : Optimality or None
+        The best of those that were certified.
+    is_solved : bool
+        Whether it is what was asked for.
+    """
+
+    def __init__(self, problem: LeastSquares, settings: Settings) -> None:
+        self.asked: Any = problem
+        self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
+        self.enclosures = Enclosures(problem)
+        self.reference = max(self.enclosures.reference)
+        self.errors = self.proof = None
+        self.best: Optimality | None = None
+        self.is_solved, self._size, self._aim, self._iteration = False, np.inf, settings.tolerance, 0
 
     @cached_property
     def sharp(self) -> Enclosures | None:
         """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
-        return Enclosures(self.problem, is_sharp=True) if self.problem.is_cheap_to_copy else None
+        return Enclosures(self.asked, is_sharp=True) if self.asked.is_cheap_to_copy else None
 
-    def drive(self) -> Status:
-        """Go through the stages; return why the run ended."""
-        if max(self.enclosures.reference) == 0.0:
-            self.start = self.problem.nearest_to_zero
-            if self._is_solved_by(self.start):
-                return Status.SOLVED
-        for stage in self._stages():
-            self.progress.restart(self.iteration, self.best_size)
-            for k, point in enumerate(stage):
-                self.iteration += k > 0
-                if (reason := self._reason_to_end(point)) is not None:
-                    if reason is Status.SOLVED:
-                        self._refine(point)
-                    return reason
-            if self._is_at_floor():
-                return Status.PRECISION_LIMIT
-        return Status.STALLED
+    def residual_of(self, step: Any) -> float:
+        """Return the optimality of a step as its own residual says, rounding left aside."""
+        self._size = step.point.optimality(self.enclosures.reference)
+        return self._size
 
-    def _stages(self) -> Iterator[Iterator[Point]]:
-        """Yield what is tried in turn, each from the best point so far."""
-        problem = self.problem
-        if problem.has_entries:
-            if not problem.is_cheap_to_copy:
-                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
-                yield islice(projected_steps(self._incumbent()), patience)
-            if (faces := Faces.of(problem.unit)) is not None:
-                self.faces = faces
-                yield block_pivot_steps(self._incumbent(), faces)
-                yield _in_turn(interior_steps(self._incumbent(), faces), faces)
-        yield projected_steps(self._incumbent())
+    def measure(self, z: FloatVector) -> float:
+        """Return the same of any z."""
+        return Point(self.asked.unit, z).optimality(self.enclosures.reference)
 
-    def _refine(self, point: Point) -> None:
-        """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
-        if self.faces is None or (self.judged is not None and self.judged.is_at_rounding_level):
-            return
-        *_, refined = islice(active_set_steps(point, self.faces), ROUNDS)
-        judged = self._judgement(self.problem.unit.to_caller(refined.x))
-        if judged.value <= self.settings.tolerance:
-            self.judged = judged
+    def certified(self, z: FloatVector) -> float:
+        """Return an upper bound of it; where a step before had not enough, not before this one has clearly more."""
+        if self._size > self._aim:
+            return self._size
+        self._aim = NARROWER * self._size
+        return self._kept(z).value
 
-    def _incumbent(self) -> Point:
-        """Return the best point so far, its residual computed afresh."""
-        x = self.problem.unit.from_caller(self.start) if self.best is None else self.best.x
-        return Point(self.problem.unit, np.clip(x, self.problem.unit.lower, self.problem.unit.upper))
-
-    def _reason_to_end(self, point: Point) -> Status | None:
-        """Take note of a point; return the reason to end, if there is one."""
-        size = self._measured(point)
-        if size < self.best_size:
-            self.best_size, self.best = size, point
-        if size <= self.aim:
-            if self._is_solved_by(self.problem.unit.to_caller(point.x)):
-                return Status.SOLVED
-            self.aim = NARROWER * size
-        self.clock.read()
-        if self.iteration >= self.settings.max_iterations:
-            return Status.MAX_ITERATIONS
-        if self.clock.elapsed >= self.settings.max_seconds:
-            return Status.MAX_SECONDS
-        if self.progress.is_flat(self.iteration, self.best_size) and self._is_at_floor():
-            return Status.PRECISION_LIMIT
-        is_stalled = self.progress.is_stalled(self.iteration, self.best_size, self.settings.tolerance)
-        return Status.STALLED if is_stalled else None
-
-    def _measured(self, point: Point) -> float:
-        """Return the optimality of a point as its own residual says, rounding left aside."""
-        unit, columns = self.problem.unit, self.problem.unit.columns
-        scaled = point.natural_residual
-        below, above = (point.x - unit.upper) / columns, (point.x - unit.lower) / columns
-        plain = np.clip(point.gradient * columns, below, above)
-        sizes = (float(np.abs(residual).max(initial=0.0)) * unit.size for residual in (plain, scaled))
-        return max(size / least if least > 0.0 else np.inf
-                   for size, least in zip(sizes, self.enclosures.reference, strict=True))
-
-    def _is_solved_by(self, x: FloatVector) -> bool:
-        """Judge x on the caller's data, keep the better judgement; return whether x is what was asked for."""
-        judged = self._judgement(x)
-        if self.judged is None or judged.value < self.judged.value:
-            self.judged = judged
-        is_small = judged.value <= self.settings.tolerance
-        self.is_solved = is_small and (self.problem.has_entries or self._has_small_gap(judged))
+    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z, certified just now, is what was asked for."""
+        self._iteration = iteration
         return self.is_solved
 
-    def _has_small_gap(self, judged: Optimality) -> bool:
-        """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
-        problem, nearest = self.problem, self.problem.nearest_to_zero
-        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
-        if duality_gap(problem, judged.x) <= most:
-            return True
-        nearer = point_nearer(problem, judged.x, self.iteration)
-        if duality_gap(problem, judged.x, nearer) <= most:
-            return True
-        is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
-        fall = problem.cost(judged.x, judged.residual) - problem.cost(nearer, problem.product(nearer) - problem.b)
-        return bool(is_unbounded.any() and problem.ridge == 0.0 and fall <= most)
+    def is_at_floor(self, z: FloatVector | None) -> bool:
+        """Return whether z is as good as rounding allows."""
+        return z is not None and Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
 
-    def _judgement(self, x: FloatVector) -> Optimality:
+    def is_limited_by_size(self, z: FloatVector | None) -> bool:
+        """Return False."""
+        return False
+
+    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Any:
+        """Return what is certified of the answer: z, the best before, or that one refined."""
+        unit, best = self.asked.unit, self.best
+        if not self.is_solved:
+            return self._kept(z) and self.best
+        if best is None or last is None or reason is not Status.SOLVED or best.is_at_rounding_level:
+            return best
+        z = np.clip(unit.from_caller(best.x), unit.lower, unit.upper)
+        refined = last.finish(unit, z)
+        judged = best if refined is z else self._judged(unit.to_caller(refined))
+        return judged if judged.value <= self.settings.tolerance else best
+
+    def verdict(self, certificate: Any, reason: Status, *, is_chain: bool) -> Status:
+        """Return the status: what is certified, or else why the run ended."""
+        if self.is_solved:
+            return Status.SOLVED
+        if certificate.is_at_rounding_level:
+            return Status.PRECISION_LIMIT
+        return Status.STALLED if reason is Status.DIVERGED else reason
+
+    def _kept(self, z: FloatVector) -> Optimality:
+        """Return how optimal z is, the best so far kept; take note of whether it is what was asked for."""
+        judged = self._judged(self.asked.unit.to_caller(z))
+        if self.best is None or judged.value < self.best.value:
+            self.best = judged
+        is_small = judged.value <= self.settings.tolerance
+        self.is_solved = is_small and (self.asked.has_entries or self._has_small_gap(judged))
+        return judged
+
+    def _judged(self, x: FloatVector) -> Optimality:
         """Return how optimal x is on the caller's data, looked at sharply where rounding decides."""
         judged = Optimality.of(self.enclosures, x)
         if judged.value > self.settings.tolerance and judged.is_at_rounding_level and self.sharp is not None:
@@ -252,31 +284,15 @@ class _Run:
             judged = sharply if sharply.value < judged.value else judged
         return judged
 
-    def _is_at_floor(self) -> bool:
-        """Return whether the best point is as good as rounding allows."""
-        if self.best is None:
-            return False
-        return Optimality.of(self.enclosures, self.problem.unit.to_caller(self.best.x)).is_at_rounding_level
-
-    def result(self, reason: Status) -> LeastSquaresResult:
-        """Return the result: the judgement names the status."""
-        if not self.is_solved:
-            self._is_solved_by(self.start if self.best is None else self.problem.unit.to_caller(self.best.x))
-        judged = cast(Optimality, self.judged)
-        if self.is_solved:
-            reason = Status.SOLVED
-        elif judged.is_at_rounding_level:
-            reason = Status.PRECISION_LIMIT
-        seconds = self.clock.read()
-        return result_of(
-            self.problem, self.settings, judged.x, judged.residual, judged.value, reason, self.iteration, seconds
-        )
-
-
-def _in_turn(steps: Iterator[Point], faces: Faces) -> Iterator[Point]:
-    """Yield these points, then active sets from where they end."""
-    point: Point | None = None
-    for point in steps:
-        yield point
-    if point is not None:
-        yield from active_set_steps(point, faces)
+    def _has_small_gap(self, judged: Optimality) -> bool:
+        """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
+        problem, nearest = self.asked, self.asked.nearest_to_zero
+        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
+        if duality_gap(problem, judged.x) <= most:
+            return True
+        nearer = point_nearer(problem, judged.x, self._iteration)
+        if duality_gap(problem, judged.x, nearer) <= most:
+            return True
+        is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
+        fall = problem.cost(judged.x, judged.residual) - problem.cost(nearer, problem.product(nearer) - problem.b)
+        return bool(is_unbounded.any() and problem.ridge == 0.0 and fall <= most)

@@ -118,9 +118,9 @@ class NormalMatrix(NewtonMatrix):
 
 
 def interior_steps(start: Point, faces: Faces) -> Iterator[Point]:
-    """Yield points from the start on; ends where rounding decides which columns are free."""
+    """Yield points from the start on: interior ones until rounding decides which columns are free, then active sets."""
     yield start
-    problem, x = start.problem, start.x
+    problem, x, reached = start.problem, start.x, start
     columns = np.flatnonzero(problem.lower < problem.upper)
     matrix, lower, upper = NormalMatrix(faces, columns), problem.lower[columns], problem.upper[columns]
     fixed = np.where(problem.lower < problem.upper, 0.0, problem.lower)
@@ -129,22 +129,21 @@ def interior_steps(start: Point, faces: Faces) -> Iterator[Point]:
     first = point.gap
     for _ in range(STEPS):
         if not point.step():
-            return
+            break
         active, at = point.active(1.0)
         x = fixed.copy()
         x[columns] = np.clip(np.where(active, at, point.z), lower, upper)
-        yield Point(problem, x)
+        reached = Point(problem, x)
+        yield reached
         if point.length <= SMALLEST_STEP or not point.gap > PRECISION * first:
-            return
+            break
+    yield from islice(active_set_steps(reached, faces), 1, None)
 
 
-def active_set_steps(start: Point, faces: Faces, free: BoolVector | None = None) -> Iterator[Point]:
-    """Yield points from the start on; ends at the answer up to rounding, or where no set gains any more.
-
-    The first set is that of the columns strictly between their bounds, or `free`.
-    """
+def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
+    """Yield points from the start on; ends at the answer up to rounding, or where no set gains any more."""
     yield start
-    point, free, size = start, start.is_free if free is None else free, np.inf
+    point, free, size = start, start.is_free, np.inf
     while (correction := faces.correction(point, free)) is not None:
         length = point.farthest(correction)
         after = _moved(point, correction, length)

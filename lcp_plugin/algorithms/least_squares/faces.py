@@ -31,6 +31,11 @@ RANK = 4.0 * EPSILON  # times the larger dimension: singular values below this s
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 
 
+def clipped(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+    """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
+    return np.minimum(np.maximum(x, lower), upper)
+
+
 class Point:
     """A point within the bounds.
 
@@ -79,7 +84,15 @@ class Point:
     @cached_property
     def natural_residual(self) -> FloatVector:
         """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
-        return np.clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
+        return clipped(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
+
+    def optimality(self, reference: tuple[float, float]) -> float:
+        """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
+        unit, columns = self.problem, self.problem.columns
+        plain = clipped(self.gradient * columns, (self.x - unit.upper) / columns, (self.x - unit.lower) / columns)
+        sizes = [float(np.abs(residual).max(initial=0.0)) * unit.size for residual in (plain, self.natural_residual)]
+        return max(size / least if least > 0.0 else np.inf if size else 0.0
+                   for size, least in zip(sizes, reference, strict=True))
 
     @property
     def noise(self) -> float:
@@ -93,7 +106,7 @@ class Point:
 
     def moved(self, direction: FloatVector, product: FloatVector, length: float) -> Point:
         """Return the point at x + length · direction, which is within the bounds but for rounding."""
-        x = np.clip(self.x + length * direction, self.problem.lower, self.problem.upper)
+        x = clipped(self.x + length * direction, self.problem.lower, self.problem.upper)
         return Point(self.problem, x, self.residual + length * product)
 
     def farthest(self, direction: FloatVector) -> float:
@@ -109,7 +122,7 @@ class Point:
     def projected(self, direction: FloatVector, product: FloatVector) -> Point:
         """Return the better of x + direction, projected onto the bounds, and the first bound on the way there."""
         length = min(self.farthest(direction), 1.0)
-        bent = np.clip(self.x + direction, self.problem.lower, self.problem.upper) - self.x
+        bent = clipped(self.x + direction, self.problem.lower, self.problem.upper) - self.x
         bent_product = self.problem.product(bent)
         if self.rise(bent, bent_product) < self.rise(length * direction, length * product):
             return self.moved(bent, bent_product, 1.0)

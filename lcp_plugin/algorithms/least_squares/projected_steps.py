@@ -19,7 +19,7 @@ from collections.abc import Generator, Iterator
 
 import numpy as np
 
-from .faces import Point
+from .faces import Point, clipped
 
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
@@ -49,7 +49,7 @@ def _spectral_steps(point: Point, length: float) -> Generator[Point, None, tuple
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
     while settled < SETTLED:
         problem = point.problem
-        direction = np.clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
+        direction = clipped(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
         product = problem.product(direction)
         slope, curvature = float(point.gradient @ direction), point.curvature(direction, product)
         if not (slope < 0.0 < curvature):  # nothing but rounding is left to gain

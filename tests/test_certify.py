@@ -34,7 +34,7 @@ from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_abov
 from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
 from lcp_plugin.commands.cli import app
 from lcp_plugin.conversions.quadratic_program import lcp_from_qp
-from lcp_plugin.modeling.user_terms import size_of
+from lcp_plugin.modeling.user_terms import StatedTerms
 from lcp_plugin.solving.program_proofs import SMALL, ProgramProofs, distances
 from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 from lcp_plugin.strategies import convex_qps
@@ -583,8 +583,10 @@ def test_terms_of_sparse_expressions_are_looked_at_sparse() -> None:
     matrix = sp.diags_array(np.full(3000, -5.0), format="csc")
     tracemalloc.start()
     try:
-        assert size_of(matrix @ x - 1.0) == 1.0 + 5.0 * 3000
-        assert size_of(cp.quad_form(x, -matrix, assume_PSD=True)) >= 1.0 + 4.0 * 5.0 * 3000
+        goal = cp.quad_form(x, -matrix, assume_PSD=True)
+        terms = StatedTerms(cp.Problem(cp.Minimize(goal), [matrix @ x - 1.0 <= 0.0])).at({x.id: x.value})
+        assert terms.size(1) == 1.0 + 5.0 * 3000
+        assert terms.size(0) >= 1.0 + 4.0 * 5.0 * 3000
         assert tracemalloc.get_traced_memory()[1] < 10e6
     finally:
         tracemalloc.stop()

@@ -18,7 +18,7 @@ from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
 from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.modeling import qp_solver, user_terms
-from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
+from lcp_plugin.modeling.user_terms import EQUATIONS, StatedTerms
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -237,11 +237,11 @@ def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
         problem = cp.Problem(objective, constraints)
         for variable in problem.variables():
             variable.value = np.abs(rng.normal(size=variable.shape))
-        goal, slacks = StatedTerms(problem).at({v.id: np.asarray(v.value) for v in problem.variables()})
-        assert goal == user_terms.goal_of(problem)
-        for constraint, slack in zip(constraints, slacks, strict=True):
+        terms = StatedTerms(problem).at({v.id: np.asarray(v.value) for v in problem.variables()})
+        assert terms.goal == objective.args[0].value * (-1.0 if isinstance(objective, cp.Maximize) else 1.0)
+        for constraint, slack in zip(constraints, terms.slacks, strict=True):
             violation = np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
-            np.testing.assert_array_equal(violation, user_terms.violation_of(constraint))
+            np.testing.assert_array_equal(violation, user_terms.violation_of(constraint, slack))
             np.testing.assert_allclose(violation, constraint.residual, atol=1e-14)
 
 

@@ -22,10 +22,10 @@ from scipy.optimize import root
 
 from lcp_plugin import ComplementarityProblem, NonlinearProblem, Status, box, complements, is_complementarity_problem
 from lcp_plugin.errors import InvalidOption, LCPError, UnsupportedModel
-from lcp_plugin.modeling import nonlinear_intervals as iv
-from lcp_plugin.modeling import nonlinear_rules as rules
-from lcp_plugin.modeling.nonlinear_expressions import Compiler, nonlinear_nodes
-from lcp_plugin.modeling.nonlinear_program import Program
+from lcp_plugin.expressions import functions
+from lcp_plugin.expressions import intervals as iv
+from lcp_plugin.expressions.program import Program
+from lcp_plugin.modeling.reading import Reader
 from lcp_plugin.modeling.registration import build
 
 WIDTH = 2 * (2 * iv.ULPS + 2)  # units in the last place: ε|y| is one or two of them
@@ -39,9 +39,8 @@ def compiled(expression: Any) -> Program:
     first, count = {}, 0
     for variable in expression.variables():
         first[variable.id], count = count, count + variable.size
-    compiler = Compiler(first, count, {})
-    compiler.add(nonlinear_nodes(expression))
-    return compiler.program([compiler.argument(expression)])
+    reader = Reader()
+    return reader.compiler.program([reader.rows(expression)], first, count)
 
 
 class Unknowns:
@@ -239,8 +238,8 @@ def test_intervals_of_two_arguments_hold_the_true_values(name: str) -> None:
         u, v = np.array([u, v]) * generator.choice([-1.0, 1.0], size=(2, 1000))
         v[:3] = u[:3] = -math.log(2.0), 700.0, -700.0
     lower, upper = {
-        "log add exp": iv.log_add_exp, "sigmoid": lambda a, b: rules.LOG_ADD_EXP.interval_derivatives(a, b)[0],
-        "relative entropy": rules.RELATIVE_ENTROPY.interval,
+        "log add exp": iv.log_add_exp, "sigmoid": lambda a, b: functions.LOG_ADD_EXP.interval_derivatives(a, b)[0],
+        "relative entropy": functions.RELATIVE_ENTROPY.interval,
     }[name]((u, u), (v, v))
     with localcontext() as context:
         context.Emin, context.Emax = -(10**6), 10**6
@@ -770,10 +769,11 @@ def test_a_model_without_solution_is_not_called_solved() -> None:
 
 def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
-    wrong = rules.Rule("exp", 1, lambda u: 2 * np.exp(u), lambda u: (2 * np.exp(u),), rules.EXP.interval, None)
-    from lcp_plugin.modeling import nonlinear_atoms
+    double = lambda u: 2 * np.exp(u)  # noqa: E731
+    wrong = functions.Function("exp", 1, double, lambda u: (double(u),), functions.EXP.interval, None)
+    from lcp_plugin.modeling import atom_rules
 
-    monkeypatch.setitem(nonlinear_atoms.BUILDERS, type(cp.exp(X)), nonlinear_atoms._elementary(wrong))
+    monkeypatch.setitem(atom_rules.SMOOTH, type(cp.exp(X)), atom_rules._elementary(wrong))
     x = cp.Variable()
     with pytest.raises(cp.error.SolverError, match="contradicts its own answer"):
         ComplementarityProblem(complements(x >= 0, cp.exp(x) - 3 >= 0)).solve()

@@ -8,6 +8,7 @@ the problem has is one of ours: any later solve gives it another, and cvxpy answ
 from __future__ import annotations
 
 import weakref
+from collections.abc import Container
 from functools import wraps
 from importlib import import_module
 from typing import Any
@@ -18,6 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..errors import UnsupportedModel
+from ..expressions.rows import uniform
 
 LONGEST_NAME = 80
 
@@ -76,6 +78,24 @@ NONSMOOTH = smooth_atoms(
     *("elementwise.abs.abs", "elementwise.maximum.maximum", "elementwise.minimum.minimum", "elementwise.huber.huber"),
     *("max.max", "min.min", "norm1.norm1", "norm_inf.norm_inf", "pnorm.Pnorm", "sum_largest.sum_largest"),
 )
+
+
+def postorder(root: Any, stop: Container[int]) -> list[Any]:
+    """Return the nodes below the root once each, arguments first; nothing below a node whose id is in `stop`.
+
+    Without recursion: a sum written in a Python loop may be thousands of atoms deep.
+    """
+    nodes, seen, stack = [], set(), [(root, False)]
+    while stack:
+        node, is_expanded = stack.pop()
+        if is_expanded:
+            nodes.append(node)
+        elif id(node) not in seen:
+            seen.add(id(node))
+            stack.append((node, True))
+            if id(node) not in stop:
+                stack.extend((argument, False) for argument in reversed(node.args))
+    return nodes
 
 
 def leaf_value(leaf: Any) -> Any:
@@ -140,13 +160,6 @@ def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
 def _multiplies_sparse(node: Any, values: list[Any]) -> bool:
     is_product = isinstance(node, MATRIX_PRODUCT) and not isinstance(node, ELEMENTWISE)
     return is_product and any(map(sp.issparse, values)) and all(1 <= len(value.shape) <= 2 for value in values)
-
-
-def uniform(value: Any) -> Any:
-    """Return the number that a dense array repeats by its layout alone, for instance a promoted scalar."""
-    if sp.issparse(value) or not value.size or (value.size > 1 and any(value.strides)):
-        return None
-    return value.flat[0]
 
 
 def dense(value: Any) -> Any:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
+from ..expressions.program import Program
+from ..expressions.rows import Rows, as_matrix, assembled
 from ..problem.lcp import LCP
-from ._compat import attribute_bounds, attribute_expressions
+from ..problem.nonlinear import NonlinearProblem
+from ._compat import attribute_bounds, attribute_expressions, dense
 from .equations import Affine, Elimination, eliminate_definitions, is_definition, known_ranges, matched_for_monotony
-from .extract import AffineMap, affine_map
 from .model import BoundSource, Model, Report, Sources
-from .nonlinear_expressions import nonlinear_nodes
-from .nonlinear_model import nonlinear_model
+from .reading import Reader
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side
@@ -27,52 +28,37 @@ if TYPE_CHECKING:
 Single = tuple[NDArray[np.int64], FloatVector]
 
 PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
+UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Rows matrix · unknowns + offset, and what is not affine; an equation of this constraint, of a pair without one.
+    """The rows of an expression, and the equality that states them, None for a side of a pair.
 
     Attributes
     ----------
     expression : cvxpy expression
-    matrix : CSR array
-    offset : ndarray
+    rows : Rows
     constraint : cvxpy constraint or None
-    shape : tuple
-    nodes : sequence of cvxpy expression
-        Those that are not affine in their arguments, arguments first.
-    blocks : mapping
-        From the keys of such nodes to the matrices by which their results enter the rows.
     slacks : ndarray of int or None
-        The unknowns that the matrix takes off the expression, one a row; None for none.
+        The unknowns that the rows are less than the expression, one a row; None for none.
     """
 
     expression: Any
-    matrix: sp.csr_array
-    offset: FloatVector
+    rows: Rows
     constraint: Any = None
-    shape: tuple[int, ...] = ()
-    nodes: Sequence[Any] = ()
-    blocks: Mapping[int, sp.csr_array] = field(default_factory=dict)
     slacks: NDArray[np.int64] | None = None
-
-    def over(self, count: int) -> sp.csr_array:
-        """Return the matrix over all unknowns, those included that came later."""
-        matrix = self.matrix
-        if matrix.shape[1] == count:
-            return matrix
-        return sp.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=(self.offset.size, count))
 
 
 class Builder:
     """Collects unknowns, bounds and rows of one list of constraints."""
 
     def __init__(self, constraints: list[Any], memo: dict[Any, Any]) -> None:
-        self.memo = memo
+        self.reader = Reader(memo)
         self.variables = list({v.id: v for constraint in constraints for v in constraint.variables()}.values())
         ends = np.cumsum([0, *(variable.size for variable in self.variables)]).tolist()
         self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends[:-1], strict=True)}
+        self.first = dict(self.offsets)  # of slacks, too
         self.count: int = ends[-1]
         bounds = [
             [np.ravel(np.broadcast_to(bound, variable.shape), order="F") for bound in attribute_bounds(variable)]
@@ -97,34 +83,17 @@ class Builder:
     def add_equation(self, constraint: Any) -> None:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
-        nodes, found = self._extracted(constraint.expr)
-        self.equations.append(self._function(constraint.expr, nodes, found, constraint))
-        for variable, block in found.blocks.items():
-            if variable in self.offsets and is_definition(block):
-                self.is_defined[self.offsets[variable] + block.indices] = True
-
-    def _extracted(self, expression: Any) -> tuple[list[Any], AffineMap]:
-        """Return the nodes that are not affine in their arguments, and the map that is affine in their results."""
-        nodes = nonlinear_nodes(expression)
-        return nodes, affine_map(expression, memo=self.memo, unknowns=set(map(id, nodes)))
-
-    def _function(self, expression: Any, nodes: list[Any], found: AffineMap, constraint: Any = None) -> Function:
-        others = {key: block for key, block in found.blocks.items() if key not in self.offsets}
-        return Function(expression, self._matrix(found), found.offset, constraint, found.shape, nodes, others)
-
-    def _matrix(self, function: AffineMap) -> sp.csr_array:
-        """Return the rows of an affine map over the unknowns that variables are."""
-        size = function.offset.size
-        if len(self.variables) == len(function.blocks) == 1 and self.variables[0].id in function.blocks:
-            return function.blocks[self.variables[0].id]  # without a copy
-        parts = [function.blocks.get(v.id, sp.csr_array((size, v.size))) for v in self.variables]
-        return sp.csr_array(sp.hstack(parts, format="csr")) if parts else sp.csr_array((size, 0))
+        rows = self.reader.rows(constraint.expr)
+        self.equations.append(Function(constraint.expr, rows, constraint))
+        for key, block in rows.blocks.items():
+            if key in self.offsets and is_definition(as_matrix(block, rows.size)):
+                self.is_defined[self.offsets[key] + as_matrix(block, rows.size).indices] = True
 
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
-        functions = [self._function(side.expression, *self._extracted(side.expression)) for side in sides]
-        singles = [_single_columns(function) for function in functions]
+        functions = [Function(side.expression, self.reader.rows(side.expression)) for side in sides]
+        singles = [self._single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
         if max(ranks) <= PLAIN and self._is_defined(singles[k]) and not self._is_defined(singles[1 - k]):
@@ -139,6 +108,15 @@ class Builder:
                 f"one side of {pair!r} must be a variable, or distinct entries of variables that no other pair holds; "
                 "give it a variable of its own: y == side in the list, and y in its place in the pair"
             )
+
+    def _single_columns(self, function: Function) -> Single | None:
+        """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
+        rows = function.rows
+        if rows.level or rows.terms != rows.size:
+            return None
+        matrix = self._affine([function]).matrix
+        is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
+        return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
 
     def _is_defined(self, single: Single | None) -> bool:
         return single is not None and bool(self.is_defined[single[0]].all())
@@ -165,7 +143,7 @@ class Builder:
         low, high = (np.ravel(bound, order="F") for bound in side.bounds())
         if side.kind in ("nonnegative", "box"):
             with np.errstate(over="ignore"):  # beyond every double: no bound, or refused below
-                low, high = (low - own.offset) / weights, (high - own.offset) / weights
+                low, high = (low - own.rows.offset) / weights, (high - own.rows.offset) / weights
             low, high = np.where(positive, low, high), np.where(positive, high, low)
             self._tighten(side, columns, low, high)
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
@@ -182,7 +160,7 @@ class Builder:
         is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
         if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
             self.unbounded.append(side)
-        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.offset, side.expression))
+        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.rows.offset, side.expression))
 
     def _keep_pair(
         self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: Function,
@@ -224,60 +202,84 @@ class Builder:
 
     def _pair_slack(self, pair: Complements, first: Function, second: Function) -> None:
         """S ≥ 0 ⟂ F ≥ 0 without a variable side: a new unknown s = S, s ≥ 0 ⟂ F ≥ 0."""
-        size = first.offset.size
+        size = first.rows.size
         columns = np.arange(self.count, self.count + size)
-        minus = sp.csr_array((np.full(size, -1.0), (np.arange(size), columns)), shape=(size, self.count + size))
-        matrix = sp.csr_array(first.over(self.count + size) + minus)
-        self.equations.append(replace(first, matrix=matrix, slacks=columns))
+        key = cp.Variable(size).id
+        self.first[key] = self.count
+        rows = replace(first.rows, blocks={**first.rows.blocks, key: -1.0})
+        self.equations.append(replace(first, rows=rows, slacks=columns))
         self.count += size
         self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
         self._keep_pair(pair, (pair.first, pair.second), columns, second, np.ones(size))
 
     def finished(self) -> Model:
-        """Put definitions in, match the equations left with the unknowns left, and put everything in its place."""
-        functions = [*(function for _, function, _ in self.pairs), *self.equations]
-        if any(function.nodes for function in functions):
-            return nonlinear_model(self)
-        pairs = self.affine(functions[: len(self.pairs)])
-        equations = self.affine(self.equations)
-        before = (pairs.matrix, equations.matrix)
-        free = np.flatnonzero(~self.is_paired)
-        self.check_square(free, equations.offset.size)
-        self.drop_implied_bounds(free)
-        elimination, left, pairs = eliminate_definitions(equations, pairs, ~self.is_paired, self._variable_of())
+        """Put definitions in, match the equations left with the unknowns left, and put everything in its place.
+
+        Notes
+        -----
+        Of a nonlinear model nothing is eliminated: an unknown that an equation defines stays, and with it the sparsity
+        of everything that it would be put in.
+        """
+        functions = [function for _, function, _ in self.pairs]
+        columns = np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])
+        signs = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
+        free, sizes = np.flatnonzero(~self.is_paired), (columns.size, sum(one.rows.size for one in self.equations))
+        self._check_square(free, sizes[1])
+        self._drop_implied_bounds(free)
+        program = None
+        if any(one.rows.level for one in (*functions, *self.equations)):
+            results = [one.rows for one in (*functions, *self.equations)]
+            program = self.reader.compiler.program(results, self.first, self.count)
+            stored = [sp.csr_array((size, self.count)) for size in sizes]
+            nothing = np.zeros(0, dtype=np.int64)
+            elimination = Elimination(np.arange(self.count), None, np.zeros(self.count), nothing, nothing)
+        else:
+            pairs, equations = self._affine(functions), self._affine(self.equations)
+            stored = [pairs.matrix, equations.matrix]
+            elimination, equations, pairs = eliminate_definitions(
+                equations, pairs, ~self.is_paired, self._variable_of()
+            )
         kept = elimination.kept
         place = np.zeros(self.count, dtype=np.int64)
         place[kept] = np.arange(kept.size)
-        columns = place[np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])]
-        sign = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
-        free = np.flatnonzero(~self.is_paired[kept])
+        columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
         if free.size:
-            signed = sp.csr_array(sp.diags_array(sign) @ pairs.matrix)
-            order, turned = matched_for_monotony(left.matrix, signed, columns, free)
+            of_pairs, of_equations = (
+                (pairs.matrix, equations.matrix) if program is None else self._derivatives(program, sizes[0])
+            )
+            signed = sp.csr_array(sp.diags_array(signs) @ of_pairs)
+            order, turned = matched_for_monotony(of_equations, signed, columns, free)
             free = free[order]
-            matrix = sp.csr_array(sp.vstack([pairs.matrix, left.matrix], format="csr"))
-            pairs = Affine(matrix, np.append(pairs.offset, left.offset), order)
-            columns, sign = np.concatenate([columns, free]), np.concatenate([sign, turned])
-        self.report_equations(elimination, kept[free])
-        M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
-        if (sign != 1.0).any():
-            M, q = sp.csr_array(sp.diags_array(sign) @ M), sign * q
-        place = np.argsort(columns, kind="stable")
-        if not np.array_equal(columns, np.arange(kept.size)):
-            M, q = sp.csr_array(M[place]), q[place]
-        problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
-        sources = self.sources(before, place, sign[place])
+            columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
+        self._report_equations(elimination, kept[free])
+        places = np.argsort(columns, kind="stable")
+        problem: LCP | NonlinearProblem
+        if program is not None:
+            program = program.rearranged(places, signs[places])
+            problem = NonlinearProblem(
+                program.value, program.jacobian, lower=self.lower, upper=self.upper, enclosure=program
+            )
+        else:
+            M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
+            if free.size:
+                M, q = sp.csr_array(sp.vstack([M, equations.matrix], format="csr")), np.append(q, equations.offset)
+            if (signs != 1.0).any():
+                M, q = sp.csr_array(sp.diags_array(signs) @ M), signs * q
+            if not np.array_equal(columns, np.arange(kept.size)):
+                M, q = sp.csr_array(M[places]), q[places]
+            problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
+        expressions = [one.expression for one in (*functions, *self.equations)]
+        slacks = {len(functions) + k: one.slacks for k, one in enumerate(self.equations) if one.slacks is not None}
+        sources = Sources(expressions, (stored[0], stored[1]), places, signs[places], self.bounds, slacks)
         return Model(problem, self.variables, self.offsets, self.reports, elimination, sources)
 
-    def sources(
-        self, matrices: tuple[sp.csr_array, sp.csr_array], places: NDArray[np.int64], signs: FloatVector
-    ) -> Sources:
-        """Return where the rows come from: those of the pairs, then the equations."""
-        functions = [*(function for _, function, _ in self.pairs), *self.equations]
-        expressions = [function.expression for function in functions]
-        slacks = {k: function.slacks for k, function in enumerate(functions) if function.slacks is not None}
-        return Sources(expressions, matrices, places, signs, self.bounds, slacks)
+    def _derivatives(self, program: Program, pairs: int) -> tuple[sp.csr_array, sp.csr_array]:
+        """Return what the derivatives of pairs and equations are like inside the bounds."""
+        derivative = program.jacobian(np.clip(1.0, self.lower, self.upper))
+        sizes = np.where(np.isfinite(derivative.data), derivative.data, 0.0)
+        derivative.data = np.where(sizes == 0.0, UNCERTAIN, sizes)
+        return derivative[:pairs], derivative[pairs:]
 
     def _variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
@@ -285,37 +287,35 @@ class Builder:
         sizes.append(self.count - sum(sizes))
         return np.repeat(np.arange(len(sizes)), sizes).astype(np.int64)
 
-    def affine(self, functions: list[Function]) -> Affine:
+    def _affine(self, functions: Sequence[Function]) -> Affine:
         """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
-        blocks = [function.over(self.count) for function in functions] or [sp.csr_array((0, self.count))]
-        matrix = blocks[0] if len(blocks) == 1 else sp.csr_array(sp.vstack(blocks, format="csr"))
-        offset = np.concatenate([*(function.offset for function in functions), np.zeros(0)])
-        return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.offset.size for one in functions]))
+        matrix, offset = assembled([one.rows for one in functions], self.first, self.count)
+        return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.rows.size for one in functions]))
 
-    def report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
+    def _report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
         """Report for each equation the unknown that it defined or was matched with."""
-        ends = np.cumsum([function.offset.size for function in self.equations]).tolist()
+        ends = np.cumsum([function.rows.size for function in self.equations]).tolist()
         columns = np.full(ends[-1] if ends else 0, -1, dtype=np.int64)
         columns[elimination.rows] = elimination.columns
         columns[columns < 0] = matched
         for function, end in zip(self.equations, ends, strict=True):
             if function.constraint is not None:
-                part = columns[end - function.offset.size : end]
-                self.reports.append(Report(function.constraint, part, function.shape, False))
+                part = columns[end - function.rows.size : end]
+                self.reports.append(Report(function.constraint, part, function.rows.shape, False))
 
-    def drop_implied_bounds(self, free: NDArray[np.int64]) -> None:
+    def _drop_implied_bounds(self, free: NDArray[np.int64]) -> None:
         """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
         bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
         if not bounded.size:
             return
-        affine = [pair for pair in self.pairs if not pair[1].nodes]
+        affine = [pair for pair in self.pairs if not pair[1].rows.level]
         columns = np.concatenate([*(columns for columns, _, _ in affine), np.zeros(0, dtype=np.int64)])
         has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
         # What has both bounds, or none, leaves the sign of its function open.
         signs = np.concatenate([*(sign for _, _, sign in affine), np.zeros(0)])
         signs = np.where(has_low == has_high, np.nan, signs * np.where(has_low, 1.0, -1.0))
-        equations = [function for function in self.equations if not function.nodes]
-        rows = self.affine([*(function for _, function, _ in affine), *equations])
+        equations = [function for function in self.equations if not function.rows.level]
+        rows = self._affine([*(function for _, function, _ in affine), *equations])
         signs = np.append(signs, np.zeros(rows.offset.size - signs.size))
         low, high, rounding = known_ranges(rows, signs, self.lower, self.upper, self.is_paired)
         wrong = bounded[((low > self.upper + rounding) | (high < self.lower - rounding))[bounded]]
@@ -340,7 +340,7 @@ class Builder:
         place = np.unravel_index(column - self.offsets[variable.id], variable.shape, order="F")
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
-    def check_square(self, free: NDArray[np.int64], equations: int) -> None:
+    def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
         """Raise where there are not as many equations as unknowns without a pair."""
         if free.size == equations:
             return
@@ -355,15 +355,6 @@ class Builder:
             f"the model has {free.size} unknowns without a complementarity ({', '.join(names) or 'none'}) and "
             f"{equations} equations{counted}; it needs as many equations as such unknowns"
         )
-
-
-def _single_columns(function: Function) -> Single | None:
-    """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
-    if function.nodes:
-        return None
-    matrix = function.matrix
-    is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
-    return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
 
 
 def _states_bounds(side: Side) -> bool:
@@ -384,11 +375,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
     (columns, function, sign), = builder.pairs
     z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
-    if function.nodes:
-        value = values[function.expression is pair.second.expression]
-        w = sign * np.ravel(value, order="F")
-    else:
-        w = sign * (function.matrix @ z + function.offset)
+    w = sign * np.ravel(dense(values[function.expression is pair.second.expression]), order="F")
     x, low, high = z[columns], builder.lower[columns], builder.upper[columns]
     residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
     return residual

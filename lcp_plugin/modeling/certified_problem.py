@@ -28,8 +28,17 @@ from ..solving.given_multipliers import LOOSE, multiplier_beside_room
 from ..solving.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
-from .stated_terms import INEQUALITIES, dense_value, expression_of, sense_of
-from .user_terms import goal_of, nearest, size_of, violation_of, why_not
+from .user_terms import (
+    INEQUALITIES,
+    StatedTerms,
+    Terms,
+    dense_value,
+    nearest,
+    sense_of,
+    values_of,
+    violation_of,
+    why_not,
+)
 
 CLAIMED = {
     settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",
@@ -97,9 +106,10 @@ def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
 def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:
     """Return what is proved about the values of the variables."""
     with np.errstate(all="ignore"):
-        value = goal_of(problem) - reduced.offset
-        rounding = EVALUATED * (size_of(problem.objective.args[0]) + abs(reduced.offset))
-        missed = [_missed(constraint) for constraint in problem.constraints]
+        terms = StatedTerms(problem).at(values_of(problem))
+        value = terms.goal - reduced.offset
+        rounding = EVALUATED * (terms.size(0) + abs(reduced.offset))
+        missed = [_missed(constraint, terms, k) for k, constraint in enumerate(problem.constraints)]
     missed += [(miss, miss) for miss in map(_attribute_error, problem.variables())]
     violation = (max((low for low, _ in missed), default=0.0), max((high for _, high in missed), default=0.0))
     x = reduced.values(problem, proofs)
@@ -118,10 +128,10 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
 
 
-def _missed(constraint: Any) -> tuple[float, float]:
-    """Return by how much a constraint is violated, less what rounding may be, and as it is."""
-    violation = float(np.nan_to_num(violation_of(constraint), nan=np.inf).max(initial=0.0))
-    return (violation - EVALUATED * size_of(expression_of(constraint)), violation) if violation else (0.0, 0.0)
+def _missed(constraint: Any, terms: Terms, k: int) -> tuple[float, float]:
+    """Return by how much constraint k is violated, less what rounding may be, and as it is."""
+    violation = float(np.nan_to_num(violation_of(constraint, terms.slacks[k]), nan=np.inf).max(initial=0.0))
+    return (violation - EVALUATED * terms.size(k + 1), violation) if violation else (0.0, 0.0)
 
 
 def _attribute_error(variable: Any) -> float:

@@ -17,8 +17,11 @@ from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ..solving.batch import solve_batch
 from ..solving.batch_run import BatchResult
-from ._compat import dense
+from ._compat import dense, name_of
 from .equations import Elimination
+
+DISAGREEMENT = 1e-9  # of 1 + |F|
+ROUNDINGS = 100.0
 
 
 @dataclass(eq=False)
@@ -205,3 +208,57 @@ def solve_for(
         for parameter, value in before.items():
             parameter.value = value
     return ModelBatch(solve_batch([model.lcp("solve_batch") for model in models], **options), models)
+
+
+def start_of(problem: NonlinearProblem, values: FloatVector | None) -> FloatVector:
+    """Return where to begin: the values, or the points within the bounds nearest to 0 and to 1, where F is smooth.
+
+    Parameters
+    ----------
+    problem : NonlinearProblem
+    values : array, shape (n,), or None
+        The present values of the variables, where all have one.
+    """
+    given = [] if values is None or not np.isfinite(values).all() else [values]
+    zero, one = np.zeros_like(problem.lower), np.ones_like(problem.lower)
+    points: list[FloatVector] = [np.clip(point, problem.lower, problem.upper) for point in (*given, zero, one)]
+    return next((point for point in points if _is_smooth_at(problem, point)), points[0])
+
+
+def _is_smooth_at(problem: NonlinearProblem, point: FloatVector) -> bool:
+    if not np.isfinite(problem.value(point)).all():
+        return False
+    try:
+        problem.derivative(point)
+    except InvalidProblem:  # it is not finite
+        return False
+    return True
+
+
+def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w: FloatVector) -> str | None:
+    """Return what the expressions themselves, evaluated by cvxpy, say against w = F(z), or None.
+
+    Parameters
+    ----------
+    sources : Sources
+        Expressions whose variables have the values of z.
+    problem : NonlinearProblem
+        What was made of them; its enclosure says how much F may be off by rounding, nothing without one.
+    z, w : array, shape (n,)
+    """
+    with np.errstate(all="ignore"):
+        values = [np.ravel(dense(expression.value), order="F") for expression in sources.functions]
+    for k, columns in sources.slacks.items():
+        values[k] = values[k] - z[columns]
+    theirs = sources.signs * np.concatenate(values)[sources.places]
+    lower, upper = (0.0, 0.0) if problem.enclosure is None else problem.enclosure.interval_F(z, z)
+    allowed = DISAGREEMENT * (1.0 + np.abs(w)) + ROUNDINGS * (upper - lower)
+    wrong = np.flatnonzero(np.isfinite(w) & ~(np.abs(theirs - w) <= allowed))
+    if not wrong.size:
+        return None
+    owner = np.searchsorted(np.cumsum([value.size for value in values]), sources.places[wrong[0]], side="right")
+    less = " less its slack" if owner in sources.slacks else ""
+    return (
+        f"{name_of(sources.functions[owner])}{less} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
+        f"variables, and {w[wrong[0]]:.9g} was computed"
+    )

@@ -1,13 +1,14 @@
-"""The derivative of a model's solution by its parameters: the LCP's own, at the solution, and that of its data.
+"""``problem.backward()`` and ``problem.derivative()`` after our solves, and what they ask of a solved model.
 
-With z held, all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the
-gradient by q, dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of
-their own: D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
+The derivative of its solution by its parameters is the LCP's own, at the solution, and that of its data. With z held,
+all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the gradient by q,
+dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of their own:
+D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,12 +22,68 @@ from ..errors import UnsupportedModel
 from ..solving.result import Result
 from . import _compat
 from .model import BoundSource, Model
-from .parametric import ParametricExpression
+from .reading import Reader
 
 if TYPE_CHECKING:
     from ..solving.derivative import Derivative
 
 Changes = dict[int, Any]
+
+
+class ParametricRows:
+    """Expressions as functions of their parameters, the variables held.
+
+    Parameters
+    ----------
+    expressions : iterable of cvxpy expression
+    known : dict
+        From the id of a variable or parameter to its value; the others have the value they have.
+
+    Examples
+    --------
+    >>> p, x = cp.Parameter(2), cp.Variable(2)
+    >>> F = cp.multiply(p**2, x)
+    >>> parametric = ParametricRows([F], {p.id: np.array([2.0, 3.0]), x.id: np.array([5.0, 7.0])})
+    >>> parametric.changes({p.id: np.ones(2)})[id(F)], parametric.gradients({id(F): np.ones(2)})[p.id]
+    (array([20., 42.]), array([20., 42.]))
+    """
+
+    def __init__(self, expressions: Iterable[Any], known: Changes) -> None:
+        reader = Reader(held=known)
+        self._expressions = {id(one): one for one in expressions}
+        self._parameters = {p.id: p for one in self._expressions.values() for p in one.parameters()}
+        rows = [reader.rows(one) for one in self._expressions.values()]
+        self._spans, first = {}, 0
+        for key, parameter in self._parameters.items():
+            self._spans[key], first = slice(first, first + parameter.size), first + parameter.size
+        starts = {key: span.start for key, span in self._spans.items()}
+        self._program = reader.compiler.program(rows, starts, first)
+        self._at = self._vector({key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()})
+        self._ends = np.cumsum([one.size for one in rows])[:-1]
+
+    def changes(self, changes: Changes) -> Changes:
+        """Return the change of each expression, by its id, from those of parameters; the others do not change."""
+        moved = self._program.change(self._at, self._vector(changes))
+        return dict(zip(self._expressions, np.split(self._finite(moved), self._ends), strict=True))
+
+    def gradients(self, gradients: Changes) -> Changes:
+        """Return the gradients by parameters, by their ids, from those by expressions; the others have none."""
+        parts = [gradients.get(key, np.zeros(one.size)) for key, one in self._expressions.items()]
+        found = self._finite(self._program.gradient(self._at, np.concatenate([*parts, np.zeros(0)])))
+        return {key: found[self._spans[key]].reshape(p.shape, order="F") for key, p in self._parameters.items()}
+
+    def _vector(self, values: Changes) -> FloatVector:
+        parts = [values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()]
+        return np.concatenate([*(np.ravel(_compat.dense(part), order="F") for part in parts), np.zeros(0)])
+
+    @staticmethod
+    def _finite(values: Any) -> Any:
+        if not np.isfinite(values).all():
+            raise UnsupportedModel(
+                "the model has no finite derivative at the present values of its parameters; move them away from the "
+                "edge of what its atoms accept"
+            )
+        return values
 
 
 class ModelDerivative:
@@ -42,7 +99,6 @@ class ModelDerivative:
 
     def __init__(self, model: Model, result: Result, known: Changes) -> None:
         self._model, self._result, self._known = model, result, known
-        self._expressions: dict[int, ParametricExpression] = {}
 
     def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
         """Return the change of each variable, by its id, and of each dual value, with its constraint.
@@ -52,8 +108,8 @@ class ModelDerivative:
         changes : dict
             From the id of a parameter to its change.
         """
-        model, at = self._model, self._at
-        rows = np.concatenate([*(one.forward(changes) for one in self._functions), np.zeros(0)])
+        model, at, changed = self._model, self._at, self._parametric.changes(changes)
+        rows = np.concatenate([*(changed[id(one)] for one in model.sources.functions), np.zeros(0)])
         moved = np.zeros(model.elimination.offset.size)
         pairs, equations = self._split(rows)
         if (solved := self._definitions) is not None:
@@ -63,7 +119,7 @@ class ModelDerivative:
             )
         undefined = np.delete(equations, model.elimination.rows)
         h = model.sources.signs * np.concatenate([pairs, undefined])[model.sources.places]
-        dlower, dupper = self._moved_bounds(changes)
+        dlower, dupper = self._moved_bounds(changed)
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper)
         dw = model.elimination.expand_slack(at.dw(dz, dq=h))
         du = moved + dz if model.elimination.expansion is None else moved + model.elimination.expansion @ dz
@@ -71,7 +127,7 @@ class ModelDerivative:
         for report in model.reports:
             change = report.scale * (dw if report.is_slack else du)[report.columns]
             if report.expression is not None:
-                change = change + self._of(report.expression).forward(changes)
+                change = change + changed[id(report.expression)]
             duals.append((report.constraint, change.reshape(report.shape, order="F")))
         return model.split(du), duals
 
@@ -83,7 +139,7 @@ class ModelDerivative:
         by_variable, by_dual : dict
             From the id of a variable, or of a constraint, to the gradient in its shape.
         """
-        model, total = self._model, _Total()
+        model, total = self._model, dict[int, Any]()
         by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
         for variable in model.variables:
             first = model.offsets[variable.id]
@@ -93,18 +149,19 @@ class ModelDerivative:
                 own = np.ravel(own, order="F")
                 np.add.at(by_slack if report.is_slack else by_unknown, report.columns, report.scale * own)
                 if report.expression is not None:
-                    total.add(self._of(report.expression).backward(own))
+                    _add(total, report.expression, own)
         kept, expansion = model.elimination.kept, model.elimination.expansion
         g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
         gradient = self._at.vjp(g, by_slack[kept])
         rows = self._row_multipliers(gradient.q, by_unknown)
-        for one, part in zip(self._functions, self._parts(rows), strict=True):
-            total.add(one.backward(part))
+        ends = np.cumsum([one.size for one in model.sources.functions])
+        for one, part in zip(model.sources.functions, np.split(rows, ends[:-1]) if ends.size else [], strict=True):
+            _add(total, one, part)
         by_lower, by_upper = np.zeros((2, by_unknown.size))
         by_lower[kept], by_upper[kept] = gradient.lower, gradient.upper
         for source, is_last in self._bounds():
             self._pull_bound(source, by_lower[source.columns] * is_last, by_upper[source.columns] * is_last, total)
-        return total.by_id
+        return self._parametric.gradients(total)
 
     @cached_property
     def _at(self) -> Derivative:
@@ -113,23 +170,12 @@ class ModelDerivative:
         return derivative(self._result)
 
     @cached_property
-    def _leaves(self) -> Changes:
-        """The values of parameters and variables at the solution."""
-        return {**self._known, **self._model.values(self._at.z)}
-
-    def _of(self, expression: Any) -> ParametricExpression:
-        if id(expression) not in self._expressions:
-            self._expressions[id(expression)] = ParametricExpression(expression, self._leaves)
-        return self._expressions[id(expression)]
-
-    @property
-    def _functions(self) -> list[ParametricExpression]:
-        return [self._of(expression) for expression in self._model.sources.functions]
-
-    def _parts(self, rows: FloatVector) -> list[FloatVector]:
-        """Return the rows of each function."""
-        ends = np.cumsum([one.root.size for one in self._functions])
-        return np.split(rows, ends[:-1]) if ends.size else []
+    def _parametric(self) -> ParametricRows:
+        """What parameters enter into, at the values of parameters and variables at the solution."""
+        bounds = [part for source in self._model.sources.bounds for part in (source.expression, *_expressions(source))]
+        shifts = [report.expression for report in self._model.reports if report.expression is not None]
+        known = {**self._known, **self._model.values(self._at.z)}
+        return ParametricRows([*self._model.sources.functions, *bounds, *shifts], known)
 
     def _split(self, rows: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the rows of the pairs and those of the equations."""
@@ -168,39 +214,33 @@ class ModelDerivative:
         for k, source in enumerate(self._model.sources.bounds):
             yield source, last[source.columns] == k
 
-    def _moved_bounds(self, changes: Changes) -> tuple[FloatVector, FloatVector]:
+    def _moved_bounds(self, changed: Changes) -> tuple[FloatVector, FloatVector]:
         lower, upper = np.zeros((2, self._model.elimination.offset.size))
         for source, _ in self._bounds():
-            own = self._of(source.expression).forward(changes)
-            low, high = (
-                (self._of(bound).forward(changes) if isinstance(bound, cp.Expression) else 0.0) - own
-                for bound in (source.lower, source.upper)
-            )
+            own = changed[id(source.expression)]
+            low, high = (changed.get(id(bound), 0.0) - own for bound in (source.lower, source.upper))
             positive = source.weights > 0.0
             lower[source.columns] = np.where(positive, low, high) / source.weights
             upper[source.columns] = np.where(positive, high, low) / source.weights
         return lower[self._model.elimination.kept], upper[self._model.elimination.kept]
 
-    def _pull_bound(self, source: BoundSource, by_lower: FloatVector, by_upper: FloatVector, total: _Total) -> None:
+    @staticmethod
+    def _pull_bound(source: BoundSource, by_lower: FloatVector, by_upper: FloatVector, total: Changes) -> None:
         positive = source.weights > 0.0
         low = np.where(positive, by_lower, by_upper) / source.weights
         high = np.where(positive, by_upper, by_lower) / source.weights
-        total.add(self._of(source.expression).backward(-(low + high)))
+        _add(total, source.expression, -(low + high))
         for bound, gradient in ((source.lower, low), (source.upper, high)):
             if isinstance(bound, cp.Expression):
-                whole = gradient.sum() if bound.size == 1 else gradient
-                total.add(self._of(bound).backward(whole))
+                _add(total, bound, np.array([gradient.sum()]) if bound.size == 1 else gradient)
 
 
-class _Total:
-    """Gradients by parameters, added up."""
+def _expressions(source: BoundSource) -> list[Any]:
+    return [bound for bound in (source.lower, source.upper) if isinstance(bound, cp.Expression)]
 
-    def __init__(self) -> None:
-        self.by_id: Changes = {}
 
-    def add(self, gradients: Changes) -> None:
-        for key, gradient in gradients.items():
-            self.by_id[key] = self.by_id.get(key, 0.0) + gradient
+def _add(total: Changes, expression: Any, gradient: FloatVector) -> None:
+    total[id(expression)] = total.get(id(expression), 0.0) + gradient
 
 
 #: They tie the entries of a parameter to each other, or make it no real number.

@@ -23,8 +23,7 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..settings import Status
 from ..solving.quadratic_program import ended_by_caller, kkt_goal, solve_quadratic_program
 from ..solving.result import Result
-from .stated_terms import dense_value
-from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
+from .user_terms import FAR, FAR_NUMBERS, Claim, accompany, dense_value
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal

@@ -27,9 +27,8 @@ from ..solving.result import Result
 from ._compat import answer_derivatives, clear_answering, name_of, refuse_without_derivatives, set_answering
 from .builder import Builder
 from .constraint import Complements, box, complements
-from .model import Model, ModelBatch, solve_for
+from .model import Model, ModelBatch, contradiction, solve_for, start_of
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
-from .nonlinear_model import contradiction, start_of
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver, statistics
 from .user_terms import METHODS
@@ -271,7 +270,7 @@ def solve_model(
         return run(problem, warm_start, verbose, {"algorithm": algorithm, **options})
     _refuse_flags(options)
     parameters = differentiable_parameters(problem) if requires_grad else []
-    known = values_of_parameters(parameters)
+    known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
     if isinstance(model.problem, NonlinearProblem):

@@ -18,25 +18,26 @@ replaced in a problem that was compiled for QPSolver, until it is compiled for a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial, wraps
-from typing import Any
+from typing import Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
-from cvxpy.constraints import NonNeg
+from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of
-from .extract import postorder
-from .stated_terms import EQUATIONS, INEQUALITIES, StatedTerms, Values, dense_value, expression_of, sense_of
+from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of, postorder
 
+Values = dict[int, Any]
+
+EQUATIONS = (Equality, Zero)
+INEQUALITIES = (Inequality, NonPos, NonNeg)
 METHODS = ("LCP", "lcp")
 #: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
 CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
@@ -72,6 +73,89 @@ class Claim:
     points: tuple[Solution, ...] = ()
 
 
+class Terms(NamedTuple):
+    """The objective, which is to be minimised, and the slacks, which are to be zero or not positive, at one point."""
+
+    goal: float
+    slacks: list[NDArray[np.float64]]
+    #: 1 + the largest term that the objective, number 0, or a constraint is made of; looked for only where it matters.
+    size: Callable[[int], float]
+
+
+class StatedTerms:
+    """The objective and the constraints, as the user stated them, at any values of the variables.
+
+    cvxpy's own ``value`` asks every node of an expression for all parameters below it, each time anew. Here each node
+    is listed once, what no variable enters is computed once, and the variables themselves are not touched.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        Its parameters have values, which are taken now.
+    """
+
+    def __init__(self, problem: Any) -> None:
+        self._signs = [sense_of(problem)] + [-1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints]
+        self._roots = [problem.objective.args[0], *map(expression_of, problem.constraints)]
+        nodes: dict[int, Any] = {}
+        for root in self._roots:
+            nodes |= {id(node): node for node in postorder(root, nodes)}
+        self._variables = [node for node in nodes.values() if isinstance(node, cp.Variable)]
+        moving, self._moving, self._values = {id(variable) for variable in self._variables}, list[Any](), Values()
+        for key, node in nodes.items():
+            if not moving.isdisjoint(map(id, node.args)):
+                self._moving.append(node)
+                moving.add(key)
+            elif key not in moving:
+                self._values[key] = _numeric(node, self._values) if node.args else node.value
+
+    def at(self, values: Values) -> Terms:
+        """Return the objective and the slacks at the dense values of the variables, by their ids."""
+        results = self._values | {id(variable): values[variable.id] for variable in self._variables}
+        for node in self._moving:
+            results[id(node)] = _numeric(node, results)
+        each = zip(self._signs, self._roots, strict=True)
+        goal, *slacks = (sign * dense_value(results[id(root)]) for sign, root in each)
+        return Terms(float(goal.ravel()[0]), slacks, partial(self._size, results))
+
+    def _size(self, results: Values, k: int) -> float:
+        size = 0.0
+        for node in postorder(self._roots[k], ()):
+            if not node.args and not isinstance(node, cp.Variable):
+                continue
+            parts = [_entries(results[id(argument)]) for argument in node.args]
+            size = max(size, float(_entries(results[id(node)]).max(initial=0.0)))
+            is_sum = isinstance(node, SUM)
+            for part, argument in zip(parts, node.args, strict=True):
+                if is_sum:
+                    size = max(size, float(part.max(initial=0.0)))
+                elif argument.size > node.size:  # something adds them up
+                    size = max(size, float(part.sum()))
+            if len(parts) == 2 and not is_sum:
+                size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
+        return 1.0 + size
+
+
+def _numeric(node: Any, results: Values) -> Any:
+    return np.array([]) if 0 in node.shape else node.numeric([results[id(argument)] for argument in node.args])
+
+
+def sense_of(problem: Any) -> float:
+    """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
+    return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
+
+
+def expression_of(constraint: Any) -> Any:
+    """Return what has to be zero, or of one sign."""
+    return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
+
+
+def dense_value(value: Any) -> NDArray[np.float64]:
+    """Return the real part of a value as a dense array."""
+    array = value.toarray() if sp.issparse(value) else np.asarray(value)
+    return np.asarray(array.real, dtype=np.float64)
+
+
 def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
     """Return what the problem itself says against the claim, or None.
 
@@ -85,23 +169,39 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
     if any(variable.is_complex() for variable in problem.variables()):
         return None
     with np.errstate(all="ignore"):
+        stated = StatedTerms(problem)
         if claim.contradiction is not None:
-            return _against_infeasibility(problem, *claim.contradiction, before)
-        if claim.points:
-            return _against_unboundedness(problem, claim)
-        if claim.solution.status in settings.SOLUTION_PRESENT:
-            terms, values = StatedTerms(problem), values_of(problem)
-            against = _against_values(problem, terms, values, claim)
-            return against or _against_optimality(problem, terms, values, claim, before)
+            duals, least = claim.contradiction
+            if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
+                return None  # a parameter crosses the bounds: no point at all has these attributes
+            zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
+            for value, size in _weighed(problem, stated, duals, _trials(problem, zero, before), 0.0):
+                if value < least - ROUNDING * (least + size):
+                    return (
+                        f"the combination of its constraints that should be at least {least:.3g} everywhere is "
+                        f"{value:.3g} at a point"
+                    )
+        elif claim.points:
+            return _against_unboundedness(problem, stated, claim)
+        elif claim.solution.status in settings.SOLUTION_PRESENT:
+            values, claimed = values_of(problem), sense_of(problem) * float(claim.solution.opt_val)
+            against = _against_values(problem, stated.at(values), values, claimed, claim.tolerance)
+            trials = [] if against else _trials(problem, values, before)
+            for value, size in _weighed(problem, stated, claim.solution, trials, 1.0):
+                if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
+                    return (
+                        f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the "
+                        "minimum"
+                    )
+            return against
     return None
 
 
-def _against_values(problem: Any, terms: StatedTerms, values: Values, claim: Claim) -> str | None:
-    (value, slacks), claimed = terms.at(values), sense_of(problem) * float(claim.solution.opt_val)
-    limit = claim.tolerance
-    if not abs(value - claimed) <= limit and not abs(value - claimed) <= limit * size_of(problem.objective.args[0]):
-        return f"its objective is {value:.9g} at the values of its variables, not {claimed:.9g}"
-    if (violated := _violated(problem, slacks, limit, limit)) is not None:
+def _against_values(problem: Any, terms: Terms, values: Values, claimed: float, limit: float) -> str | None:
+    miss = abs(terms.goal - claimed)
+    if not miss <= limit and not miss <= limit * terms.size(0):
+        return f"its objective is {terms.goal:.9g} at the values of its variables, not {claimed:.9g}"
+    if (violated := _violated(problem, terms, limit, limit)) is not None:
         return violated
     for variable in problem.variables():
         entries = values[variable.id]
@@ -111,35 +211,8 @@ def _against_values(problem: Any, terms: StatedTerms, values: Values, claim: Cla
     return None
 
 
-def _against_optimality(
-    problem: Any, terms: StatedTerms, values: Values, claim: Claim, before: Values
-) -> str | None:
-    """Look for a point where the Lagrangian is below the claimed minimum."""
-    claimed = sense_of(problem) * float(claim.solution.opt_val)
-    for value, size in _weighed(problem, terms, claim.solution, _trials(problem, values, before), 1.0):
-        if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
-            return (
-                f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the minimum"
-            )
-    return None
-
-
-def _against_infeasibility(problem: Any, duals: Solution, contradiction: float, before: Values) -> str | None:
-    """Look for a point where the combination of the constraints is below what the proof says it is everywhere."""
-    if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
-        return None  # a parameter crosses the bounds: no point at all has these attributes
-    zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-    for value, size in _weighed(problem, StatedTerms(problem), duals, _trials(problem, zero, before), 0.0):
-        if value < contradiction - ROUNDING * (contradiction + size):
-            return (
-                f"the combination of its constraints that should be at least {contradiction:.3g} everywhere is "
-                f"{value:.3g} at a point"
-            )
-    return None
-
-
 def _weighed(
-    problem: Any, terms: StatedTerms, solution: Solution, trials: Iterator[Values], weight: float
+    problem: Any, stated: StatedTerms, solution: Solution, trials: Iterable[Values], weight: float
 ) -> Iterator[tuple[float, float]]:
     """Yield weight · goal + Σ λ g and |weight · goal| + Σ |λ g| at the trial points; nothing where a λ is missing."""
     duals = solution.dual_vars or {}
@@ -147,31 +220,30 @@ def _weighed(
         return
     multipliers = [np.ravel(dense_value(duals[constraint.id]), order="F") for constraint in problem.constraints]
     for values in trials:
-        goal, slacks = terms.at(values)
-        first = weight * goal
-        products = [y * np.ravel(slack, order="F") for y, slack in zip(multipliers, slacks, strict=True)]
+        terms = stated.at(values)
+        first = weight * terms.goal
+        products = [y * np.ravel(slack, order="F") for y, slack in zip(multipliers, terms.slacks, strict=True)]
         every = np.concatenate([np.zeros(0), *products])
         yield first + float(every.sum()), abs(first) + float(np.abs(every).sum())
 
 
-def _against_unboundedness(problem: Any, claim: Claim) -> str | None:
+def _against_unboundedness(problem: Any, stated: StatedTerms, claim: Claim) -> str | None:
     """Hold the points of the ray against the constraints and the objective."""
-    sign, terms = sense_of(problem), StatedTerms(problem)
     for point in claim.points:
-        with valued(problem, point.primal_vars):
-            (goal, slacks), claimed = terms.at(values_of(problem)), sign * float(point.opt_val)
-            if goal > claimed and not goal - claimed <= claim.tolerance * size_of(problem.objective.args[0]):
-                return f"its objective is {goal:.9g} at a point of the ray, not {claimed:.9g}"
-            if (violated := _violated(problem, slacks, ROUNDING, claim.tolerance)) is not None:
-                return f"{violated} on the ray"
+        terms = stated.at({key: dense_value(value) for key, value in point.primal_vars.items()})
+        claimed = sense_of(problem) * float(point.opt_val)
+        if terms.goal > claimed and not terms.goal - claimed <= claim.tolerance * terms.size(0):
+            return f"its objective is {terms.goal:.9g} at a point of the ray, not {claimed:.9g}"
+        if (violated := _violated(problem, terms, ROUNDING, claim.tolerance)) is not None:
+            return f"{violated} on the ray"
     return None
 
 
-def _violated(problem: Any, slacks: list[Any], least: float, tolerance: float) -> str | None:
+def _violated(problem: Any, terms: Terms, least: float, tolerance: float) -> str | None:
     """Return the first constraint that is violated by more than `least`, and than the tolerance times its terms."""
-    for constraint, slack in zip(problem.constraints, slacks, strict=True):
-        violation = float(_violation(constraint, slack).max(initial=0.0))
-        if not violation <= least and not violation <= tolerance * size_of(expression_of(constraint)):
+    for k, (constraint, slack) in enumerate(zip(problem.constraints, terms.slacks, strict=True)):
+        violation = float(violation_of(constraint, slack).max(initial=0.0))
+        if not violation <= least and not violation <= tolerance * terms.size(k + 1):
             return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     return None
 
@@ -209,65 +281,22 @@ def nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.clip(x, lower, upper)
 
 
-@contextmanager
-def valued(problem: Any, values: Values) -> Iterator[None]:
-    """Give the variables other values, or None, for a while."""
-    kept = {variable: variable._value for variable in problem.variables()}
-    try:
-        for variable in kept:
-            variable.save_value(values.get(variable.id))
-        yield
-    finally:
-        for variable, value in kept.items():
-            variable._value = value
-
-
 def values_of(problem: Any) -> Values:
     """Return each variable's value by its id, dense, or None."""
     values = {variable.id: leaf_value(variable) for variable in problem.variables()}
     return {key: None if value is None else dense_value(value) for key, value in values.items()}
 
 
-def goal_of(problem: Any) -> float:
-    """Return the value of what is to be minimised."""
-    return sense_of(problem) * float(dense_value(problem.objective.args[0].value).ravel()[0])
-
-
-def violation_of(constraint: Any) -> NDArray[np.float64]:
+def violation_of(constraint: Any, slack: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return by how much each entry of a constraint is violated."""
-    slack = dense_value(expression_of(constraint).value)
-    return _violation(constraint, -slack if isinstance(constraint, NonNeg) else slack)
-
-
-def _violation(constraint: Any, slack: NDArray[np.float64]) -> NDArray[np.float64]:
     if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
         return np.atleast_1d(dense_value(constraint.violation()))
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
 
 
-def size_of(expression: Any) -> float:
-    """Return 1 + the largest term that the expression's value is made of; looked for only where it matters."""
-    size = 0.0
-    for node in postorder(expression, ()):
-        if not node.args and not isinstance(node, cp.Variable):
-            continue
-        parts = [_entries(argument.value) for argument in node.args]
-        size = max(size, float(_entries(node.value).max(initial=0.0)))
-        is_sum = isinstance(node, SUM)
-        for part, argument in zip(parts, node.args, strict=True):
-            if is_sum:
-                size = max(size, float(part.max(initial=0.0)))
-            elif argument.size > node.size:  # something adds them up
-                size = max(size, float(part.sum()))
-        if len(parts) == 2 and not is_sum:
-            size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
-    return 1.0 + size
-
-
 def _entries(value: Any) -> NDArray[np.float64]:
     """Return the sizes of the stored entries of a value: what is sparse stays so, the other entries are 0."""
-    entries = value.tocoo().data if sp.issparse(value) else np.asarray(value)
-    return np.abs(np.asarray(entries.real, dtype=np.float64))
+    return np.abs((value.tocoo().data if sp.issparse(value) else np.asarray(value)).real.astype(np.float64))
 
 
 def why_not(problem: Any) -> list[str]:
@@ -319,10 +348,12 @@ def accompany(solver_class: type) -> None:
         self.__dict__.pop("unpack_results", None)
         if not isinstance(solver, solver_class):
             return compiled(self, solver, *args, **kwargs)
+        # Values of an earlier solve would start auxiliary variables that nobody needs, and cvxpy fails at some.
+        kept = {variable: variable._value for variable in self.variables()}
         try:
-            # Values of an earlier solve would start auxiliary variables that nobody needs, and cvxpy fails at some.
-            with valued(self, {}):
-                data = compiled(self, solver, *args, **kwargs)
+            for variable in kept:
+                variable.save_value(None)
+            data = compiled(self, solver, *args, **kwargs)
         except SolverError as error:
             reasons = why_not(self)
             if not reasons:
@@ -332,6 +363,9 @@ def accompany(solver_class: type) -> None:
                 f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
                 "or cp.HIGHS"
             ) from error
+        finally:
+            for variable, value in kept.items():
+                variable._value = value
         self.unpack_results = partial(_judged, self)
         data[0][FAR_NUMBERS] = partial(far_numbers, self)
         return data

@@ -12,17 +12,17 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.special import entr, expit
+from scipy.special import expit
 
 from ..checks import FloatVector
-from . import nonlinear_intervals as iv
+from . import intervals as iv
 
 #: By each argument.
 Derivatives = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Rule:
+class Function:
     """A function of one or two vectors, entry by entry.
 
     Attributes
@@ -43,21 +43,13 @@ class Rule:
     interval: Callable[..., iv.Interval]
     interval_derivatives: Callable[..., tuple[iv.Interval, ...]]
 
-    def __reduce__(self) -> tuple[Callable[[str], Rule], tuple[str]]:
+    def __reduce__(self) -> tuple[Callable[[str], Function], tuple[str]]:
         """Return the name: functions without one, as here, cannot be pickled."""
         return _named, (self.name,)
 
 
 def _ones(u: iv.Interval) -> iv.Interval:
     return np.ones_like(u[0]), np.ones_like(u[0])
-
-
-def _entropy(u: iv.Interval) -> iv.Interval:
-    return iv.negated(iv.multiplied(u, iv.logarithm(u)))
-
-
-def _entropy_slope(u: iv.Interval) -> iv.Interval:
-    return iv.negated(iv.added(iv.logarithm(u), _ones(u)))
 
 
 def _quotient_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.Interval]:
@@ -90,70 +82,50 @@ def _log_add_exp_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv
     return iv.sigmoid(iv.added(u, iv.negated(v))), iv.sigmoid(iv.added(v, iv.negated(u)))
 
 
-SAME = Rule("same", 1, lambda u: u, lambda u: (np.ones_like(u),), lambda u: u, lambda u: (_ones(u),))
-EXP = Rule("exp", 1, np.exp, lambda u: (np.exp(u),), iv.exponential, lambda u: (iv.exponential(u),))
-LOG = Rule("log", 1, np.log, lambda u: (1.0 / u,), iv.logarithm, lambda u: (iv.reciprocal(u),))
-LOG1P = Rule(
+EXP = Function("exp", 1, np.exp, lambda u: (np.exp(u),), iv.exponential, lambda u: (iv.exponential(u),))
+LOG = Function("log", 1, np.log, lambda u: (1.0 / u,), iv.logarithm, lambda u: (iv.reciprocal(u),))
+LOG1P = Function(
     "log1p", 1, np.log1p, lambda u: (1.0 / (1.0 + u),),
     iv.logarithm_of_one_more, lambda u: (iv.reciprocal(iv.added(_ones(u), u)),),
 )
-LOGISTIC = Rule(
-    "logistic", 1, lambda u: np.logaddexp(0.0, u), lambda u: (expit(u),), iv.softplus, lambda u: (iv.sigmoid(u),)
-)
-ENTROPY = Rule(
-    "entropy", 1, entr, lambda u: (-1.0 - np.log(u),), _entropy, lambda u: (_entropy_slope(u),)
-)
-RELATIVE_ENTROPY = Rule(
+RELATIVE_ENTROPY = Function(
     "relative entropy", 2, _relative_entropy, lambda u, v: (1.0 + _log_of_quotient(u, v), -(u / v)),
     _relative_entropy_interval, _relative_entropy_slopes,
 )
-LOG_ADD_EXP = Rule(
+LOG_ADD_EXP = Function(
     "log add exp", 2, np.logaddexp, lambda u, v: (expit(u - v), expit(v - u)), iv.log_add_exp, _log_add_exp_slopes
 )
-PRODUCT = Rule(
+PRODUCT = Function(
     "product", 2, lambda u, v: u * v, lambda u, v: (v, u), iv.multiplied, lambda u, v: (v, u)
 )
-QUOTIENT = Rule(
+QUOTIENT = Function(
     "quotient", 2, lambda u, v: u / v, lambda u, v: (1.0 / v, -(u / v) / v), iv.divided, _quotient_slopes
 )
-SQUARE = Rule(
-    "square", 1, lambda u: u * u, lambda u: (2.0 * u,), iv.squared, lambda u: (iv.scaled(u, 2.0),)
-)
-ROOT = Rule(
-    "root", 1, np.sqrt, lambda u: (0.5 / np.sqrt(u),),
-    iv.root, lambda u: (iv.scaled(iv.reciprocal(iv.root(u)), 0.5),),
-)
 
-
-_RULES = {
-    rule.name: rule
-    for rule in (
-        SAME, EXP, LOG, LOG1P, LOGISTIC, ENTROPY, RELATIVE_ENTROPY, LOG_ADD_EXP, PRODUCT, QUOTIENT, SQUARE, ROOT
-    )
+_FUNCTIONS = {
+    function.name: function
+    for function in (EXP, LOG, LOG1P, RELATIVE_ENTROPY, LOG_ADD_EXP, PRODUCT, QUOTIENT)
 }
 
 
-def _named(name: str) -> Rule:
-    """Return the rule of that name."""
-    return _RULES[name] if name in _RULES else power(float(name.removeprefix("power ")))
+def _named(name: str) -> Function:
+    """Return the function of that name."""
+    return _FUNCTIONS[name] if name in _FUNCTIONS else power(float(name.removeprefix("power ")))
 
 
 @cache
-def power(exponent: float) -> Rule:
-    """Return the rule of u ↦ u**exponent; the exponent is not zero.
+def power(exponent: float) -> Function:
+    """Return the function u ↦ u**exponent; the exponent is not zero.
 
     Examples
     --------
     >>> power(3.0).value(np.array([-2.0])), power(3.0).derivatives(np.array([-2.0]))
     (array([-8.]), (array([12.]),))
     """
-    special = {1.0: SAME, 2.0: SQUARE, 0.5: ROOT}
-    if exponent in special:
-        return special[exponent]
-    return Rule(
+    return Function(
         f"power {exponent!r}", 1,
-        lambda u: np.power(u, exponent),
-        lambda u: (exponent * np.power(u, exponent - 1.0),),
+        lambda u: u**exponent,  # which numpy takes for u, u² and √u where it is
+        lambda u: (exponent * u ** (exponent - 1.0),),
         lambda u: iv.power(u, exponent),
         lambda u: (_power_slope(u, exponent),),
     )
@@ -162,8 +134,13 @@ def power(exponent: float) -> Rule:
 def _power_slope(u: iv.Interval, exponent: float) -> iv.Interval:
     """Return exponent · u**(exponent − 1), also where exponent − 1 is no double: between those of its neighbours."""
     rounded = exponent - 1.0
+    if rounded == 0.0:
+        return _ones(u)
     if Fraction(rounded) == Fraction(exponent) - 1:
         return iv.scaled(iv.power(u, rounded), exponent)
     ends = [iv.power(u, float(np.nextafter(rounded, end))) for end in (-np.inf, np.inf)]
     hull = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
     return iv.scaled(hull, exponent)
+
+
+SAME, SQUARE = power(1.0), power(2.0)

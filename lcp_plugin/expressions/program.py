@@ -8,20 +8,23 @@ a sparse matrix and the factors of the chain rule, so that no pattern is compute
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from .nonlinear_intervals import EnclosedProduct, Interval, added, multiplied
-from .nonlinear_rules import Rule
+from .functions import Function
+from .intervals import EnclosedProduct, added, multiplied
+from .rows import Indices
 
-Indices = NDArray[np.int64]
+#: Numbers, shape (1, k), or the lower and upper ends of intervals, shape (2, k).
+Ends: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +41,15 @@ class Combination:
     matrix: sp.csr_array
     offset: FloatVector
 
-    def __call__(self, quantities: FloatVector) -> FloatVector:
-        """Return the combinations of these quantities, of which there may be more."""
-        values: FloatVector = self.matrix @ quantities[: self.matrix.shape[1]] + self.offset
-        return values
+    def __call__(self, quantities: Ends) -> Ends:
+        """Return the combinations of these quantities."""
+        if len(quantities) == 1:
+            return np.atleast_2d(self.matrix @ quantities[0] + self.offset)
+        return np.array(self._enclosed((quantities[0], quantities[1]), self.offset))
 
     @cached_property
     def _enclosed(self) -> EnclosedProduct:
         return EnclosedProduct(self.matrix)
-
-    def enclosed(self, quantities: Interval) -> Interval:
-        """Return intervals of the combinations."""
-        count = self.matrix.shape[1]
-        return self._enclosed((quantities[0][:count], quantities[1][:count]), self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,53 +60,41 @@ class Level:
     ----------
     arguments : tuple of Combination
         The first argument of every function, and the second of those that have one.
-    spans : list of (Rule, slice)
+    spans : list of (Function, slice)
     """
 
     arguments: tuple[Combination, Combination]
-    spans: list[tuple[Rule, slice]]
+    spans: list[tuple[Function, slice]]
 
     @property
     def size(self) -> int:
         """The number of functions."""
         return int(self.arguments[0].offset.size)
 
-    def values(self, first: FloatVector, second: FloatVector) -> FloatVector:
+    def values(self, quantities: Ends) -> Ends:
         """Return the values of the functions."""
-        result = np.empty(self.size)
-        for rule, span in self.spans:
-            result[span] = rule.value(*(u[span] for u in (first, second)[: rule.arguments]))
+        result = np.empty((len(quantities), self.size))
+        for function, span, arguments in self._each(quantities):
+            result[:, span] = (function.value if len(quantities) == 1 else function.interval)(*arguments)
         return result
 
-    def derivatives(self, first: FloatVector, second: FloatVector) -> list[FloatVector]:
+    def derivatives(self, quantities: Ends) -> list[Ends]:
         """Return the derivatives by the first and by the second arguments."""
-        found = [np.empty(first.size), np.empty(second.size)]
-        for rule, span in self.spans:
-            slopes = rule.derivatives(*(u[span] for u in (first, second)[: rule.arguments]))
-            for whole, slope in zip(found, slopes, strict=False):
-                whole[span] = slope
+        found = [np.empty((len(quantities), argument.offset.size)) for argument in self.arguments]
+        for function, span, arguments in self._each(quantities):
+            slopes = function.derivatives if len(quantities) == 1 else function.interval_derivatives
+            for whole, slope in zip(found, slopes(*arguments), strict=False):
+                whole[:, span] = slope
         return found
 
-    def intervals(self, first: Interval, second: Interval) -> Interval:
-        """Return intervals of the values."""
-        lower, upper = np.empty(self.size), np.empty(self.size)
-        for rule, span in self.spans:
-            arguments = ((u[0][span], u[1][span]) for u in (first, second)[: rule.arguments])
-            lower[span], upper[span] = rule.interval(*arguments)
-        return lower, upper
-
-    def interval_derivatives(self, first: Interval, second: Interval) -> list[Interval]:
-        """Return intervals of the derivatives by the first and by the second arguments."""
-        found = [(np.empty(u[0].size), np.empty(u[0].size)) for u in (first, second)]
-        for rule, span in self.spans:
-            arguments = ((u[0][span], u[1][span]) for u in (first, second)[: rule.arguments])
-            for whole, slope in zip(found, rule.interval_derivatives(*arguments), strict=False):
-                whole[0][span], whole[1][span] = slope
-        return found
+    def _each(self, quantities: Ends) -> Iterator[tuple[Function, slice, list[Ends]]]:
+        values = [argument(quantities) for argument in self.arguments]
+        for function, span in self.spans:
+            yield function, span, [value[:, span] for value in values[: function.arguments]]
 
 
 class Program:
-    """A map from n unknowns to m results, with its sparse Jacobian and with intervals of both.
+    """A map from n unknowns to m results, with its derivatives and with intervals of both.
 
     Parameters
     ----------
@@ -118,11 +105,13 @@ class Program:
     Notes
     -----
     Outside the domain of F entries are NaN or infinite; nothing is raised. A value costs a product with each matrix, a
-    Jacobian one with each of the matrices that :class:`_Pattern` holds.
+    change or a gradient two, a Jacobian one with each of the matrices that :class:`_Pattern` holds.
     """
 
     def __init__(self, n: int, levels: Sequence[Level], result: Combination) -> None:
         self.n, self._levels, self._result = n, list(levels), result
+        ends = np.cumsum([n, *(level.size for level in levels)]).tolist()
+        self._spans = [slice(*pair) for pair in pairwise(ends)]
 
     @property
     def size(self) -> int:
@@ -136,67 +125,78 @@ class Program:
 
     def value(self, x: FloatVector) -> FloatVector:
         """Return F(x), shape (m,)."""
-        with np.errstate(all="ignore"):
-            return self._result(self._quantities(x))
+        value: FloatVector = self._values(x[None])[0]
+        return value
 
-    def _quantities(self, x: FloatVector) -> FloatVector:
-        quantities = np.empty(self._result.matrix.shape[1])
-        quantities[: self.n] = x
-        start = self.n
-        for level in self._levels:
-            stop = start + level.size
-            quantities[start:stop] = level.values(*(argument(quantities) for argument in level.arguments))
-            start = stop
-        return quantities
+    def interval_F(self, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return an interval that contains F(x) for every x in [lower, upper], the program's numbers being exact."""
+        ends = self._values(np.array([lower, upper]))
+        return ends[0], ends[1]
 
     def jacobian(self, x: FloatVector) -> sp.csr_array:
         """Return F′(x) as CSR, shape (m, n), its pattern the same for every x; its indices are not to be changed."""
-        with np.errstate(all="ignore"):
-            quantities = self._quantities(x)
-            entries = np.ones(self._patterns[-1].stop)
-            for level, pattern in zip(self._levels, self._patterns, strict=False):
-                slopes = level.derivatives(*(argument(quantities) for argument in level.arguments))
-                own = [combined(entries) for combined in pattern.combined]
-                own[0] *= pattern.repeated(slopes[0])
-                own[0][: own[1].size] += pattern.repeated(slopes[1]) * own[1]
-                entries[pattern.start : pattern.stop] = own[0]
-            last = self._patterns[-1]
-            return last.matrix(last.combined[0](entries))
-
-    def interval_F(self, lower: FloatVector, upper: FloatVector) -> Interval:
-        """Return an interval that contains F(x) for every x in [lower, upper], the program's numbers being exact."""
-        with np.errstate(all="ignore"):
-            return self._result.enclosed(self._interval_quantities(lower, upper))
-
-    def _interval_quantities(self, lower: FloatVector, upper: FloatVector) -> Interval:
-        ends = np.empty((2, self._result.matrix.shape[1]))
-        ends[0, : self.n], ends[1, : self.n] = lower, upper
-        start = self.n
-        for level in self._levels:
-            stop = start + level.size
-            arguments = (argument.enclosed((ends[0], ends[1])) for argument in level.arguments)
-            ends[0, start:stop], ends[1, start:stop] = level.intervals(*arguments)
-            start = stop
-        return ends[0], ends[1]
+        return self._patterns[-1].matrix(self._derivative(x[None])[0])
 
     def interval_jacobian(self, lower: FloatVector, upper: FloatVector) -> tuple[sp.csr_array, sp.csr_array]:
         """Return lower and upper ends of F′(x) for every x in [lower, upper], on the pattern of the Jacobian."""
+        lowest, highest = map(self._patterns[-1].matrix, self._derivative(np.array([lower, upper])))
+        return lowest, highest
+
+    def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
+        """Return F′(x) dx without the Jacobian."""
         with np.errstate(all="ignore"):
-            quantities = self._interval_quantities(lower, upper)
-            ends = np.ones((2, self._patterns[-1].stop))
-            for level, pattern in zip(self._levels, self._patterns, strict=False):
-                slopes = level.interval_derivatives(*(a.enclosed(quantities) for a in level.arguments))
-                first, second = (combined.enclosed((ends[0], ends[1])) for combined in pattern.combined)
-                first = multiplied(pattern.repeated_ends(slopes[0]), first)
-                count = second[0].size
-                with_second = added(
-                    (first[0][:count], first[1][:count]), multiplied(pattern.repeated_ends(slopes[1]), second)
+            quantities, moved = self._quantities(x[None]), np.zeros(self._count)
+            moved[: self.n] = dx
+            for level, span in zip(self._levels, self._spans, strict=True):
+                first, second = (
+                    slope[0] * (argument.matrix @ moved)
+                    for slope, argument in zip(level.derivatives(quantities), level.arguments, strict=True)
                 )
-                first[0][:count], first[1][:count] = with_second
-                ends[:, pattern.start : pattern.stop] = first
+                first[: second.size] += second
+                moved[span] = first
+            change: FloatVector = self._result.matrix @ moved
+            return change
+
+    def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
+        """Return F′(x)ᵀ by_result without the Jacobian."""
+        with np.errstate(all="ignore"):
+            quantities: Ends = self._quantities(x[None])
+            total: FloatVector = self._result.matrix.T @ by_result
+            for level, span in zip(reversed(self._levels), reversed(self._spans), strict=True):
+                for slope, argument in zip(level.derivatives(quantities), level.arguments, strict=True):
+                    total += argument.matrix.T @ (slope[0] * total[span][: slope.shape[1]])
+            return total[: self.n]
+
+    @property
+    def _count(self) -> int:
+        return int(self._result.matrix.shape[1])
+
+    def _values(self, x: Ends) -> Ends:
+        with np.errstate(all="ignore"):
+            return self._result(self._quantities(x))
+
+    def _quantities(self, x: Ends) -> Ends:
+        quantities = np.zeros((len(x), self._count))  # a level takes none of those that come after it
+        quantities[:, : self.n] = x
+        for level, span in zip(self._levels, self._spans, strict=True):
+            quantities[:, span] = level.values(quantities)
+        return quantities
+
+    def _derivative(self, x: Ends) -> Ends:
+        """Return the entries of the Jacobian, or intervals of them."""
+        with np.errstate(all="ignore"):
+            quantities = self._quantities(x)
+            entries = np.ones((len(x), self._patterns[-1].stop))
+            for level, pattern in zip(self._levels, self._patterns, strict=False):
+                first, second = (
+                    _product(pattern.repeated(slope), combined(entries[:, : pattern.start]))
+                    for slope, combined in zip(level.derivatives(quantities), pattern.combined, strict=True)
+                )
+                count = second.shape[1]
+                first[:, :count] = _sum(first[:, :count], second)
+                entries[:, pattern.start : pattern.stop] = first
             last = self._patterns[-1]
-            lowest, highest = last.combined[0].enclosed((ends[0], ends[1]))
-            return last.matrix(lowest), last.matrix(highest)
+            return last.combined[0](entries[:, : last.start])
 
     @cached_property
     def _patterns(self) -> list[_Pattern]:
@@ -210,6 +210,14 @@ class Program:
         nothing = Combination(sp.csr_array((0, self._result.matrix.shape[1])), np.zeros(0))
         patterns.append(_Pattern(known, (self._result, nothing), self.n))
         return patterns
+
+
+def _product(a: Ends, b: Ends) -> Ends:
+    return a * b if len(a) == 1 else np.array(multiplied((a[0], a[1]), (b[0], b[1])))
+
+
+def _sum(a: Ends, b: Ends) -> Ends:
+    return a + b if len(a) == 1 else np.array(added((a[0], a[1]), (b[0], b[1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,13 +261,9 @@ class _Pattern:
         ]
         self._n = n
 
-    def repeated(self, values: FloatVector) -> FloatVector:
-        """Return the number of each function once an entry of its derivative."""
-        return np.repeat(values, self._lengths[: values.size])
-
-    def repeated_ends(self, values: Interval) -> Interval:
-        """Return the interval of each function once an entry of its derivative."""
-        return self.repeated(values[0]), self.repeated(values[1])
+    def repeated(self, values: Ends) -> Ends:
+        """Return what belongs to each function once an entry of its derivative."""
+        return np.repeat(values, self._lengths[: values.shape[1]], axis=1)
 
     @cached_property
     def _index(self) -> tuple[Any, Any]:

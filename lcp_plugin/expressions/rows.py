@@ -1,0 +1,270 @@
+"""Arrays whose entries are affine in those of others: what lies between two levels of a program.
+
+Entries are numbered by columns. A block is the derivative by one source, and an identity stores nothing; of a sparse
+matrix only the entries that may differ from zero are rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..checks import FloatVector
+
+Indices: TypeAlias = NDArray[np.int64]
+#: The derivative by one source; a number c stands for c times the identity.
+Block: TypeAlias = float | sp.csr_array
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """An array of expressions: Σ blocks[source] · source + offset.
+
+    Attributes
+    ----------
+    blocks : dict
+        By the keys of sources: unknowns, or results of functions.
+    offset : ndarray
+    shape : tuple
+        Of the array.
+    places : ndarray of int or None
+        Which entries the rows are, ascending, all others being zero; None for all of them.
+    level : int
+        Of the highest source in it; unknowns have 0.
+    """
+
+    blocks: dict[int, Block]
+    offset: FloatVector
+    shape: tuple[int, ...]
+    places: Indices | None = None
+    level: int = 0
+
+    @classmethod
+    def of(cls, value: Any) -> Rows:
+        """Return rows as they are, and the entries of an array or a sparse matrix as rows without sources."""
+        if isinstance(value, Rows):
+            return value
+        if not sp.issparse(value):
+            return cls({}, np.asarray(value, dtype=np.float64).ravel(order="F"), np.shape(value))
+        matrix = sp.csc_array(value)
+        if not matrix.has_canonical_format:
+            matrix = matrix.copy()
+            matrix.sum_duplicates()
+        columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
+        return cls({}, matrix.data.astype(np.float64), matrix.shape, columns * matrix.shape[0] + matrix.indices)
+
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return int(self.offset.size)
+
+    @property
+    def terms(self) -> int:
+        """The number of entries of the blocks."""
+        return sum(self.size if isinstance(block, float) else block.nnz for block in self.blocks.values())
+
+    @property
+    def is_source(self) -> bool:
+        """Whether the rows are the entries of one source and nothing else."""
+        blocks = list(self.blocks.values())
+        return len(blocks) == 1 and isinstance(blocks[0], float) and blocks[0] == 1.0 and not self.offset.any()
+
+    def array(self, entries: FloatVector) -> Any:
+        """Return the array that has these entries in the places of the rows, sparse where they are not all."""
+        if self.places is None:
+            return entries.reshape(self.shape, order="F")
+        columns, rows = np.divmod(self.places, max(self.shape[0], 1))
+        return sp.csc_array((entries, (rows, columns)), shape=self.shape)
+
+    def at(self, sources: Mapping[int, FloatVector]) -> FloatVector:
+        """Return the values of the rows where the sources have these."""
+        return sum((block * sources[key] if isinstance(block, float) else block @ sources[key]
+                    for key, block in self.blocks.items()), start=self.offset)
+
+    def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None, places: Indices | None = None) -> Rows:
+        """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
+        shape = numbers.shape if shape is None else shape
+        if numbers.size == self.size and np.array_equal(numbers, np.arange(self.size)):
+            return replace(self, shape=shape, places=places)
+        is_taken, offset = numbers >= 0, np.zeros(numbers.size)
+        offset[is_taken] = self.offset[numbers[is_taken]]
+        blocks = {key: _rows_of(block, numbers, is_taken, self.size) for key, block in self.blocks.items()}
+        return Rows(blocks, offset, shape, places, self.level)
+
+    def spread(self, shape: tuple[int, ...], places: Indices | None = None) -> Rows:
+        """Return the array broadcast to a shape, with the entries in these places; with all of them for None."""
+        if self.shape == shape and self.places is places:
+            return self
+        numbers = entries_behind(np.arange(math.prod(shape)) if places is None else places, shape, self.shape)
+        if self.places is not None:
+            near = np.minimum(np.searchsorted(self.places, numbers), max(self.size - 1, 0))
+            numbers = np.where(self.places[near] == numbers, near, -1) if self.size else np.full(numbers.size, -1)
+        return self.taken(numbers, shape, places)
+
+    def full(self) -> Rows:
+        """Return all entries."""
+        return self.spread(self.shape)
+
+    def scaled(self, factor: Any, operation: np.ufunc = np.multiply) -> Rows:
+        """Return the rows times, or divided by, a number or one number a row."""
+        if np.ndim(factor) == 0:
+            if factor == 1.0:
+                return self
+            blocks = {key: _changed(block, operation, factor) for key, block in self.blocks.items()}
+        else:
+            matrices = {key: as_matrix(block, self.size) for key, block in self.blocks.items()}
+            blocks = {key: _changed(matrix, operation, np.repeat(factor, np.diff(matrix.indptr)))
+                      for key, matrix in matrices.items()}
+        return replace(self, blocks=blocks, offset=operation(self.offset, factor))
+
+    def applied(self, operator: sp.csr_array, shape: tuple[int, ...], places: Indices | None = None) -> Rows:
+        """Return operator · rows as an array of that shape; the operator itself where a block is the identity."""
+        blocks = {
+            key: (operator if block == 1.0 else operator * block) if isinstance(block, float) else operator @ block
+            for key, block in self.blocks.items()
+        }
+        offset = operator @ self.offset if self.offset.any() else np.zeros(operator.shape[0])
+        return Rows(blocks, offset, shape, places, self.level)
+
+    def summed(self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None) -> Rows:
+        """Return sums: row k belongs to the one with the number targets[k]."""
+        size = math.prod(shape) if places is None else places.size
+        entries = (np.ones(self.size), (targets, np.arange(self.size)))
+        return self.applied(sp.csr_array(sp.coo_array(entries, shape=(size, self.size))), shape, places)
+
+
+def entries_behind(places: Indices, shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
+    """Return the places in an array that entries of it broadcast to a shape come from."""
+    if shape == source:
+        return places
+    if math.prod(source) == 1:
+        return np.zeros(places.size, dtype=np.int64)
+    index = np.unravel_index(places, shape, order="F")[len(shape) - len(source) :]
+    own = tuple(np.zeros_like(one) if length == 1 else one for one, length in zip(index, source, strict=True))
+    behind: Indices = np.ravel_multi_index(own, source, order="F")
+    return behind
+
+
+def added(parts: Iterable[Any], shape: tuple[int, ...]) -> Rows:
+    """Return the sum of rows and constants, each broadcast to the shape; sparse where all of them are."""
+    rows, places = [Rows.of(part) for part in parts], None
+    if all(one.places is not None and one.shape == shape for one in rows):
+        places = np.unique(np.concatenate([one.places for one in rows]))
+    rows = [one.spread(shape, places) for one in rows]
+    terms: dict[int, list[Block]] = defaultdict(list)
+    for one in rows:
+        for key, block in one.blocks.items():
+            terms[key].append(block)
+    offset = sum((one.offset for one in rows[1:]), start=rows[0].offset)
+    blocks = {key: _total(blocks, offset.size) for key, blocks in terms.items()}
+    return Rows(blocks, offset, shape, places, max(one.level for one in rows))
+
+
+def stacked(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of all, one below the other."""
+    if len(parts) == 1:
+        return parts[0]
+    found: dict[int, list[tuple[int, sp.csr_array]]] = defaultdict(list)
+    size = 0
+    for part in parts:
+        for key, block in part.blocks.items():
+            found[key].append((size, as_matrix(block, part.size)))
+        size += part.size
+    blocks: dict[int, Block] = {}
+    for key, matrices in found.items():
+        counts = np.zeros(size + 1, dtype=np.int64)
+        for start, matrix in matrices:
+            counts[start + 1 : start + 1 + matrix.shape[0]] = np.diff(matrix.indptr)
+        data, columns = (np.concatenate([getattr(m, part) for _, m in matrices]) for part in ("data", "indices"))
+        blocks[key] = _csr(data, columns, np.cumsum(counts), (size, matrices[0][1].shape[1]))
+    offset = np.concatenate([part.offset for part in parts])
+    return Rows(blocks, offset, (size,), None, max(part.level for part in parts))
+
+
+def assembled(parts: Sequence[Rows], first: Mapping[int, int], count: int) -> tuple[sp.csr_array, FloatVector]:
+    """Return matrix and offset of rows one below the other, over numbered entries of the sources.
+
+    Parameters
+    ----------
+    parts : sequence of Rows
+    first : mapping
+        From the key of a source to the number of its first entry.
+    count : int
+        How many entries there are. A single block that has them all is returned as it is, not as a copy.
+    """
+    offset = np.concatenate([*(part.offset for part in parts), np.zeros(0)])
+    if len(parts) == len(parts[0].blocks if parts else ()) == 1:
+        (key, block), = parts[0].blocks.items()
+        matrix = as_matrix(block, parts[0].size)
+        if matrix.shape[1] == count and first[key] == 0:
+            return matrix, offset
+    start, entries = 0, [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+    for part in parts:
+        rows = np.arange(start, start + part.size)
+        for key, block in part.blocks.items():
+            if isinstance(block, float):
+                entries.append((np.full(part.size, block), rows, rows - start + first[key]))
+            else:
+                entries.append((block.data, np.repeat(rows, np.diff(block.indptr)), block.indices + first[key]))
+        start += part.size
+    data, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
+    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(start, count))), offset
+
+
+def as_matrix(block: Block, size: int) -> sp.csr_array:
+    """Return a block of that many rows as CSR."""
+    if not isinstance(block, float):
+        return block
+    return _csr(np.full(size, block), np.arange(size), np.arange(size + 1), (size, size))
+
+
+def uniform(value: Any) -> Any:
+    """Return the number that a dense array repeats by its layout alone, for instance a promoted scalar."""
+    if sp.issparse(value) or not value.size or (value.size > 1 and any(value.strides)):
+        return None
+    return value.flat[0]
+
+
+def _total(terms: list[Block], size: int) -> Block:
+    """Return the sum; of many at once, because one after the other would copy the first ones every time."""
+    multiple = sum(term for term in terms if isinstance(term, float))
+    matrices = [term for term in terms if not isinstance(term, float)]
+    if not matrices:
+        return float(multiple)
+    if multiple:
+        matrices.append(as_matrix(float(multiple), size))
+    if len(matrices) <= 2:
+        return matrices[0] if len(matrices) == 1 else matrices[0] + matrices[1]
+    data, columns = (np.concatenate([getattr(m, part) for m in matrices]) for part in ("data", "indices"))
+    rows = np.concatenate([np.repeat(np.arange(size), np.diff(m.indptr)) for m in matrices])
+    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=matrices[0].shape))
+
+
+def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
+    """Return the block with other numbers in the same places, whose indices both share."""
+    if isinstance(block, float):
+        return float(operation(block, factor))
+    return _csr(operation(block.data, factor), block.indices, block.indptr, block.shape)
+
+
+def _rows_of(block: Block, numbers: Indices, is_taken: NDArray[np.bool_], size: int) -> Block:
+    taken, counts = numbers[is_taken], np.zeros(numbers.size + 1, dtype=np.int64)
+    if isinstance(block, float):
+        counts[1:] = is_taken
+        return _csr(np.full(taken.size, block), taken, np.cumsum(counts), (numbers.size, size))
+    matrix = block[taken]
+    if taken.size == numbers.size:
+        return matrix
+    counts[1:][is_taken] = np.diff(matrix.indptr)
+    return _csr(matrix.data, matrix.indices, np.cumsum(counts), (numbers.size, block.shape[1]))
+
+
+def _csr(data: Any, columns: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
+    return sp.csr_array((data, columns, indptr), shape=shape)

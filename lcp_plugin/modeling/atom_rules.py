@@ -1,0 +1,344 @@
+"""How each atom of cvxpy is made of what the expressions room knows: sums, products, entries moved, functions.
+
+A rule takes a compiler, the node, and its arguments as they were read: arrays and sparse matrices where they are
+constant, else rows. What it returns has the node's entries by columns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from ..errors import UnsupportedModel
+from ..expressions import functions
+from ..expressions.compiler import Compiler
+from ..expressions.functions import Function
+from ..expressions.rows import Indices, Rows, added, entries_behind, stacked
+from . import _compat as atoms
+from ._compat import name_of, postorder
+
+Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
+
+
+class Kind(NamedTuple):
+    """What is known of all nodes of a class."""
+
+    is_variable: bool
+    is_parameter: bool
+    #: That of an affine atom.
+    rule: Rule | None
+    #: Whether the rule broadcasts its arguments itself.
+    broadcasts: bool
+    #: Sums and gathers take none from a constant argument.
+    takes_coefficients: bool
+
+
+@cache
+def kind_of(kind: type) -> Kind:
+    """Return what is known of the nodes of a class; asked once, because cvxpy's classes take a while to answer."""
+    rule = next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
+    return Kind(
+        issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule,
+        rule in (_added, _negated, _broadcast, _product), rule not in (_added, _broadcast, _gathered),
+    )
+
+
+def rule_of(node: Any) -> Rule | None:
+    """Return the rule for an atom that is not affine by its class; None where there is none."""
+    if node.is_atom_affine():
+        return _by_jacobian
+    return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
+
+
+def whole(node: Any, arguments: list[Any]) -> list[Any]:
+    """Return the arguments in their own shapes: rows that were broadcast only in name get all their entries."""
+    return [
+        one.spread(part.shape) if isinstance(one, Rows) and one.shape != part.shape else one
+        for part, one in zip(node.args, arguments, strict=True)
+    ]
+
+
+def right_to_left(root: Any) -> Any:
+    """Return an equal expression that multiplies no two matrices of parameters where their product is then applied.
+
+    Written out, such a product has n³ terms, and each step from right to left n².
+    """
+    changed: dict[int, Any] = {}
+    for node in postorder(root, ()):
+        arguments = [changed.get(id(part), part) for part in node.args]
+        if _is_matrix_product(node) and _holds_product(arguments[0]):
+            changed[id(node)] = _applied(*arguments)
+        elif any(one is not part for one, part in zip(arguments, node.args, strict=True)):
+            changed[id(node)] = node.copy(arguments)
+    return changed.get(id(root), root)
+
+
+def _is_matrix_product(node: Any) -> bool:
+    is_product = isinstance(node, atoms.MATRIX_PRODUCT) and not isinstance(node, atoms.ELEMENTWISE)
+    return is_product and all(part.ndim in (1, 2) for part in node.args)
+
+
+def _holds_product(node: Any) -> bool:
+    if isinstance(node, atoms.SUM):
+        return all(part.shape == node.shape for part in node.args) and any(map(_holds_product, node.args))
+    return _is_matrix_product(node) and node.ndim == 2 and all(part.parameters() for part in node.args)
+
+
+def _applied(matrix: Any, right: Any) -> Any:
+    if not _holds_product(matrix):
+        return matrix @ right
+    if isinstance(matrix, atoms.SUM):
+        return sum(_applied(part, right) for part in matrix.args)
+    return _applied(matrix.args[0], _applied(matrix.args[1], right))
+
+
+def refused(node: Any) -> UnsupportedModel:
+    """Return the error that names an atom without a rule, and what to write instead."""
+    if isinstance(node, atoms.NONSMOOTH):
+        return UnsupportedModel(
+            f"{name_of(node)} is not smooth, so that no derivative tells how it goes on; give its kink a variable "
+            "and a complementarity of its own: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
+        )
+    return UnsupportedModel(
+        f"{name_of(node)} is not affine, and of the atom {type(node).__name__} no derivative is known here; write it "
+        "with products, quotients, powers, exp, log, log1p, logistic, entr and sums, or linearise"
+    )
+
+
+def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
+    """Return the atom's tangent at dense values of its arguments, by the derivative that cvxpy gives."""
+    parts: list[Any] = [atoms.dense_numeric(node, values)]
+    for k, (argument, value) in enumerate(zip(arguments, values, strict=True)):
+        if isinstance(argument, Rows):
+            change = added([argument, -value], argument.shape)
+            parts.append(change.applied(_own_jacobian(node, k, values), node.shape))
+    return added(parts, node.shape)
+
+
+def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    """Apply the derivatives that cvxpy gives, which are constant where the atom is affine."""
+    offsets = [one.array(one.offset) if isinstance(one, Rows) else one for one in arguments]
+    # Anywhere inside their domains; a power is not differentiated at zero.
+    values = [np.ones(one.shape) if isinstance(one, Rows) else atoms.dense(one) for one in arguments]
+    parts = [
+        one.full().applied(_own_jacobian(node, k, values), node.shape)
+        for k, one in enumerate(arguments) if isinstance(one, Rows)
+    ]
+    whole = added(parts, node.shape)
+    offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
+    return Rows(whole.blocks, offset, node.shape, None, whole.level)
+
+
+def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
+    """Return cvxpy's own derivative of an atom by argument k.
+
+    cvxpy's affine atoms take parameters for constants, and give zero for them: a variable stands in for these.
+    """
+    try:
+        stand_in = node
+        if not node.args[k].variables():
+            constants = [cp.Constant(value) for value in values]
+            stand_in = node.copy([*constants[:k], cp.Variable(node.args[k].shape), *constants[k + 1 :]])
+        jacobian = stand_in._grad(values)[k]
+        if jacobian is None:
+            raise ValueError("outside its domain, or an atom without a derivative")
+        matrix = sp.csr_array(jacobian if sp.issparse(jacobian) else np.atleast_2d(jacobian))
+        if matrix.shape != (values[k].size, node.size):
+            raise ValueError(f"its derivative has the shape {matrix.shape}")
+    except Exception as error:  # whatever an atom of cvxpy makes of it
+        raise UnsupportedModel(
+            f"cvxpy gives no derivative of {name_of(node)} by its argument {name_of(node.args[k])} ({error}); make the "
+            "value of this atom a parameter of its own, and multiply by its derivative yourself"
+        ) from error
+    return sp.csr_array(matrix.T)
+
+
+# --- affine ---------------------------------------------------------------------------------------------------------
+
+
+def _added(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return added(arguments, node.shape)
+
+
+def _negated(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    negative: Rows = arguments[0].scaled(-1.0)
+    return negative
+
+
+def _broadcast(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    """Leave it to those who need all entries: a number times a sparse matrix is first promoted to a full one."""
+    rows: Rows = arguments[0]
+    return rows
+
+
+def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    left, right = arguments
+    if isinstance(node, atoms.DIVISION):
+        return compiler.elementwise(functions.QUOTIENT, left, right, node.shape)
+    if isinstance(node, atoms.ELEMENTWISE) or () in (left.shape, right.shape):
+        return compiler.elementwise(functions.PRODUCT, left, right, node.shape)
+    left, right = whole(node, arguments)
+    return compiler.product(left, right, node.shape)
+
+
+def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    """Let the atom move entry numbers instead of entries: where they end is which rows it takes."""
+    parts = [Rows.of(argument) for argument in arguments]
+    if any(part.places is None for part in parts):
+        parts = [part.full() for part in parts]
+    numbers, first = [], 1
+    for part in parts:
+        numbers.append(part.array(np.arange(first, first + part.size, dtype=np.float64)))
+        first += part.size
+    # 0 stands for an entry of nothing: padding.
+    moved = atoms.constant_numeric(node, numbers)
+    if not sp.issparse(moved):
+        return stacked(parts).taken(np.asarray(moved).ravel(order="F").astype(np.int64) - 1, node.shape)
+    found = Rows.of(atoms.shaped(node, moved))
+    return stacked(parts).taken(found.offset.astype(np.int64) - 1, node.shape, found.places)
+
+
+def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    rows, axes = arguments[0], _axes(node)
+    kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
+    places = np.arange(rows.size) if rows.places is None else rows.places
+    whole: Rows = rows.summed(entries_behind(places, rows.shape, kept), node.shape)
+    return whole
+
+
+AFFINE: dict[tuple[Any, ...], Rule] = {
+    atoms.SUM: _added, atoms.NEGATIVE: _negated, (*atoms.PRODUCT, *atoms.ELEMENTWISE): _product,
+    atoms.BROADCAST: _broadcast, atoms.GATHERS: _gathered, atoms.ENTRY_SUM: _summed,
+}
+
+
+# --- smooth ---------------------------------------------------------------------------------------------------------
+
+
+def _axes(node: Any) -> list[int]:
+    shape, axis = node.args[0].shape, getattr(node, "axis", None)
+    return list(range(len(shape))) if axis is None else [one % len(shape) for one in np.atleast_1d(axis)]
+
+
+def _elementary(function: Function) -> Rule:
+    return lambda compiler, node, arguments: compiler.emit(function, arguments[0])
+
+
+def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    rows, value = arguments[0], node.p.value
+    if value is None or not np.isfinite(value).all():
+        raise UnsupportedModel(f"the exponent {name_of(node.p)} of {name_of(node)} is {value}; give it a finite value")
+    exponent = float(np.ravel(value)[0])
+    if exponent == 0.0:  # a parameter may be
+        return Rows({}, np.ones(rows.size), rows.shape)
+    return rows if exponent == 1.0 else compiler.emit(functions.power(exponent), rows)
+
+
+def _reduced(node: Any) -> Indices:
+    """Return the entries that each result is made of, along the node's axis: shape (entries, results)."""
+    shape, axes = node.args[0].shape, _axes(node)
+    moved = np.moveaxis(np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes)))
+    return moved.reshape((math.prod(shape[one] for one in axes), -1), order="F")
+
+
+def _multiplied(compiler: Compiler, factors: list[Rows]) -> Rows:
+    """Return the product of all, in pairs of pairs."""
+    while len(factors) > 1:
+        pairs = [compiler.emit(functions.PRODUCT, *factors[k : k + 2]) for k in range(0, len(factors) - 1, 2)]
+        factors = pairs + factors[2 * len(pairs) :]
+    return factors[0]
+
+
+def _product_of_entries(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return _multiplied(compiler, [arguments[0].taken(places) for places in _reduced(node)])
+
+
+def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    if getattr(node, "axis", None) is not None:
+        raise UnsupportedModel(f"{name_of(node)} takes the mean along an axis; write one geo_mean for each row")
+    rows, weights = arguments[0], [float(weight) for weight in node.w]
+    kept = np.flatnonzero(np.broadcast_to(getattr(node, "_keep", True), (rows.size,)))
+    kept = kept if kept.size == len(weights) else np.arange(rows.size)
+    factors = [(rows.taken(kept[k : k + 1]), weight) for k, weight in enumerate(weights) if weight]
+    return _multiplied(compiler, [compiler.emit(functions.power(weight), row) for row, weight in factors])
+
+
+def _log_sum_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    """Add the exponentials in pairs of pairs, each pair by its logarithms: no exponential overflows."""
+    groups = _reduced(node)
+    terms: Rows = arguments[0].taken(groups.ravel())  # those of one place in the groups follow each other
+    left: list[Rows] = []
+    count, size = groups.shape
+    while count > 1:
+        half = count // 2 * size
+        if count % 2:
+            left.append(terms.taken(np.arange(2 * half, terms.size)))
+        halves = np.arange(half), np.arange(half, 2 * half)
+        terms = compiler.emit(functions.LOG_ADD_EXP, *(terms.taken(places) for places in halves))
+        count //= 2
+    for other in left:
+        terms = compiler.emit(functions.LOG_ADD_EXP, terms, other)
+    return terms
+
+
+def _logistic(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return compiler.emit(functions.LOG_ADD_EXP, arguments[0], Rows.of(np.zeros(node.shape)))
+
+
+def _quad_over_lin(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    groups = _reduced(node)
+    squares = compiler.emit(functions.SQUARE, Rows.of(arguments[0]).taken(groups.ravel(order="F")))
+    sums = squares.summed(np.arange(groups.size) // groups.shape[0], (groups.shape[1],))
+    return compiler.elementwise(functions.QUOTIENT, sums, arguments[1], sums.shape)
+
+
+def _quad_form(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    x, P = Rows.of(arguments[0]), arguments[1]
+    x = x.taken(np.arange(x.size))
+    return compiler.product(x, compiler.product(P, x, x.shape), ())
+
+
+def _entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return compiler.emit(functions.RELATIVE_ENTROPY, arguments[0], Rows.of(np.ones(node.shape))).scaled(-1.0)
+
+
+def _relative_entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return compiler.emit(functions.RELATIVE_ENTROPY, *(Rows.of(one).spread(node.shape) for one in arguments))
+
+
+def _kl_divergence(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    x, y = (Rows.of(one) for one in arguments)
+    return added([_relative_entropy(compiler, node, arguments), x.scaled(-1.0), y], node.shape)
+
+
+def _x_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    return compiler.emit(functions.PRODUCT, arguments[0], compiler.emit(functions.EXP, arguments[0]))
+
+
+#: By the class of the atom.
+SMOOTH: dict[type, Rule] = {
+    kind: rule
+    for kinds, rule in (
+        (atoms.POWER, _power),
+        (atoms.smooth_atoms("elementwise.exp.exp"), _elementary(functions.EXP)),
+        (atoms.smooth_atoms("elementwise.log.log"), _elementary(functions.LOG)),
+        (atoms.smooth_atoms("elementwise.log1p.log1p"), _elementary(functions.LOG1P)),
+        (atoms.smooth_atoms("elementwise.logistic.logistic"), _logistic),
+        (atoms.smooth_atoms("elementwise.entr.entr"), _entropy),
+        (atoms.smooth_atoms("elementwise.xexp.xexp"), _x_exp),
+        (atoms.smooth_atoms("elementwise.rel_entr.rel_entr"), _relative_entropy),
+        (atoms.smooth_atoms("elementwise.kl_div.kl_div"), _kl_divergence),
+        (atoms.smooth_atoms("prod.Prod"), _product_of_entries),
+        (atoms.smooth_atoms("geo_mean.GeoMean", "geo_mean.geo_mean"), _geometric_mean),
+        (atoms.smooth_atoms("log_sum_exp.log_sum_exp"), _log_sum_exp),
+        (atoms.smooth_atoms("quad_over_lin.quad_over_lin"), _quad_over_lin),
+        (atoms.smooth_atoms("quad_form.QuadForm"), _quad_form),
+    )
+    for kind in kinds
+}

@@ -9,11 +9,11 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, InvalidOption, UnsuitableMatrix
-from lcp_plugin.certificates import definite_bounds, error_bounds, reference_point
-from lcp_plugin.certificates.definite_bounds import EigenvalueBound, smallest_eigenvalue_bound
+from lcp_plugin.certificates import error_bounds, row_inequality, solution_bounds
 from lcp_plugin.certificates.error_bounds import error_bound
-from lcp_plugin.certificates.quotients import ratio
 from lcp_plugin.certificates.row_inequality import RowInequality
+from lcp_plugin.certificates.row_residuals import ratio
+from lcp_plugin.certificates.solution_bounds import EigenvalueBound, smallest_eigenvalue_bound
 from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.kernels.floats import UNIT
@@ -52,11 +52,11 @@ def test_norms_are_not_below_the_exact_ones(power) -> None:
     for n in (1, 2, 3, 50):
         x = np.ldexp(np.abs(rng.standard_normal(n)), power)
         exact = sum(Fraction(float(entry)) ** 2 for entry in x)
-        bound = Fraction(float(definite_bounds.norm_above(x)))
+        bound = Fraction(float(solution_bounds.norm_above(x)))
         assert exact <= bound**2 <= exact * (1 + Fraction(2, 10**10))
-    assert definite_bounds.norm_above(np.zeros(3)) == 0.0
-    assert definite_bounds.norm_above(np.array([1.0, np.inf])) == np.inf
-    assert gamma(2 * definite_bounds.SPARSE_UP_TO) + 1.0 < definite_bounds.OUTWARD
+    assert solution_bounds.norm_above(np.zeros(3)) == 0.0
+    assert solution_bounds.norm_above(np.array([1.0, np.inf])) == np.inf
+    assert gamma(2 * solution_bounds.SPARSE_UP_TO) + 1.0 < solution_bounds.OUTWARD
 
 
 def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
@@ -71,7 +71,7 @@ def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
     """‖A − L D Lᵀ‖∞ in rational arithmetic is not above the bound, which is (k + 2) u ‖|L||U|‖∞ and little more."""
     A = chain(40, 2.5) * (100.0 / 3.0)
     factor = positive_factor(A.tocsc()).superlu
-    bound = definite_bounds._factor_error(factor)
+    bound = solution_bounds._factor_error(factor)
     order = np.argsort(factor.perm_c)
     L = [[Fraction(float(entry)) for entry in row] for row in factor.L.toarray()]
     D = [Fraction(float(entry)) for entry in factor.U.diagonal()]
@@ -90,7 +90,7 @@ def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> N
     n = 250 if kind == "sparse" else 30
     least = 4.0 * np.sin(np.pi / (2 * (n + 1))) ** 2
     for factor, share in ((1.5, 0.5), (5.0, 0.1)):
-        monkeypatch.setattr(definite_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong)
+        monkeypatch.setattr(solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong)
         bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
         assert bound.is_rigorous
         assert bound.value == pytest.approx(share * factor * least)
@@ -100,7 +100,7 @@ def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
     """The proven eigenvalue is lower by the error of the factor."""
     M = chain(250, 4.0)
     before = smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value
-    monkeypatch.setattr(definite_bounds, "_factor_error", lambda _: 0.25)
+    monkeypatch.setattr(solution_bounds, "_factor_error", lambda _: 0.25)
     assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(before - 0.25, rel=1e-9)
 
 
@@ -108,7 +108,7 @@ def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
     """LAPACK factorises dense matrices and small ones, SuperLU the others."""
     used = []
     monkeypatch.setattr(
-        definite_bounds, "_proven_bound", lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0
+        solution_bounds, "_proven_bound", lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0
     )
     for M in (np.eye(300) + 1.0, chain(200), chain(201)):
         smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
@@ -119,7 +119,7 @@ def test_no_estimate_without_convergence(monkeypatch) -> None:
     """Where Lanczos does not converge, or finds a negative eigenvalue, the matrix is refused."""
     import scipy.sparse.linalg
 
-    monkeypatch.setattr(definite_bounds, "SPARSE_UP_TO", 100)
+    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
     biharmonic = sp.csr_array(chain(300) @ chain(300) + 0.5 * sp.eye_array(300))
     assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300)).matrix).is_rigorous is False
     assert smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
@@ -218,7 +218,7 @@ def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
     M = chain(600, 2.5) + (1.0 + sign) * sp.eye_array(600, k=1)
     exact = np.maximum(np.sin(np.arange(600)), 0.0)
     problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
-    steps = reference_point.ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    steps = row_inequality.ActiveSetSteps(problem, 1.0 / problem.residual_scale)
     with np.errstate(all="ignore"):
         point = RowInequality.at(problem, exact * (1.0 + 1e-3))
         for _ in range(5):
@@ -232,7 +232,7 @@ def test_a_singular_factor_ends_the_steps(monkeypatch) -> None:
     problem = LCP(chain(4), -np.ones(4))
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, np.ones(4))
-        assert reference_point.ActiveSetSteps(problem, np.ones(4)).next_point(at) is None
+        assert row_inequality.ActiveSetSteps(problem, np.ones(4)).next_point(at) is None
 
 
 def test_the_least_bound_names_its_method() -> None:

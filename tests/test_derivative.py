@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Derivative, Status, derivative, solve
-from lcp_plugin.certificates.linear_bounds import block_error_bound
-from lcp_plugin.certificates.reference_point import NearPoint
+from lcp_plugin.certificates.row_inequality import NearPoint
+from lcp_plugin.certificates.solution_bounds import block_error_bound
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.matrix import free_systems
 from lcp_plugin.matrix.free_systems import FreeSystem

@@ -682,7 +682,7 @@ def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(bounds_asked: li
 
 def test_an_estimate_proves_no_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
     """tolerance_on="error" is refused before the first step where only an estimate exists; a sample has no bound."""
-    monkeypatch.setattr("lcp_plugin.certificates.definite_bounds.SPARSE_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.certificates.solution_bounds.SPARSE_UP_TO", 100)
     M = grid(20, 0.0)[0].csr
     problem = LCP(sp.csr_array(M @ M), -np.ones(400))
     assert error_bound(problem, np.zeros(400)).kind == "estimate"

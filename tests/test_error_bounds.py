@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, gallery
-from lcp_plugin.certificates import definite_bounds, error_bounds
-from lcp_plugin.certificates.definite_bounds import smallest_eigenvalue_bound
+from lcp_plugin.certificates import error_bounds, solution_bounds
 from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
+from lcp_plugin.certificates.solution_bounds import smallest_eigenvalue_bound
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.matrix import comparison_certificate
 from lcp_plugin.matrix.equilibration import unit_diagonal
@@ -281,7 +281,7 @@ def test_misuse_is_refused_in_words() -> None:
 
 def test_estimates_say_so(monkeypatch) -> None:
     """Where the eigenvalue is not proven, kind and text say estimate, and no row is called proven."""
-    monkeypatch.setattr(definite_bounds, "SPARSE_UP_TO", 100)
+    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
     side = 20
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
     laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
@@ -305,8 +305,8 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
         exponents = unit_diagonal(problem.diagonal)
-        part, blur = definite_bounds._symmetric_part(problem.csr, exponents)
-        value, scale = definite_bounds._proven_bound(part, blur), np.exp2(exponents.row)
+        part, blur = solution_bounds._symmetric_part(problem.csr, exponents)
+        value, scale = solution_bounds._proven_bound(part, blur), np.exp2(exponents.row)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)
@@ -335,9 +335,9 @@ def test_two_norm_bound_is_its_formula() -> None:
     c = eigenvalue.scale
     formula = c * np.linalg.norm(c * (M.T @ r + r / step)) / eigenvalue.value
     with np.errstate(all="ignore"):
-        y = definite_bounds.two_norm_bound(problem, RowInequality.at(problem, z), eigenvalue)
+        y = solution_bounds.two_norm_bound(problem, RowInequality.at(problem, z), eigenvalue)
     assert (y >= formula * (1.0 - 1e-13)).all()
-    assert (y <= formula * definite_bounds.OUTWARD**3).all()
+    assert (y <= formula * solution_bounds.OUTWARD**3).all()
 
 
 @pytest.mark.parametrize("kind", ["dense", "sparse"])

@@ -11,9 +11,8 @@ from ..kernels.floats import EPSILON
 from ..matrix.free_systems import FreeSystem
 from ..problem.lcp import LCP
 from .error_bounds import ErrorBound
-from .reference_point import ActiveSetSteps
 from .residuals import Certificate
-from .row_inequality import RowInequality
+from .row_inequality import ActiveSetSteps, RowInequality
 
 STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
 GOAL = 1e-6  # of a linear solve in such a step, where it is iterative

@@ -23,7 +23,7 @@ from ..exact.linear_systems import exact_symmetric_part, has_nonnegative_pivots
 from ..exact.rounding import comparison_product, gamma, lower_end
 from ..matrix.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..matrix.matrix import Matrix
-from .definite_bounds import UNDERFLOW, smallest_eigenvalue_bound
+from .solution_bounds import UNDERFLOW, smallest_eigenvalue_bound
 
 EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second, and six times that at 60
 OUTWARD = 1.0 + 2.0**-40  # more than what rounds in a margin of a few operations

@@ -1,6 +1,6 @@
 """How far z is from the solution, as a number that cannot be too small.
 
-The stages stand in `row_inequality` (v-certificate and two-stage bound), `reference_point` and `definite_bounds`.
+The stages stand in `row_inequality` (v-certificate, two-stage bound, reference point) and `solution_bounds`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from ..checks import BoolVector, FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..exact.rounding import comparison_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
-from ..matrix import HCertificate, comparison_certificate, comparison_solve
+from ..matrix import comparison_solve
 from ..problem.lcp import LCP
-from .definite_bounds import smallest_eigenvalue_bound, two_norm_bound
-from .reference_point import ActiveSetSteps, NearPoint
 from .references import largest_of_parts
-from .row_inequality import RowInequality
+from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .row_residuals import scaled_residual
+from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 
 SMALL = 1000  # up to here every stage is cheap
 REFINEMENTS = 5
@@ -164,25 +163,16 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(f"error_bound needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z, peers = problem.own_part(z), problem.peers
-    began = time.perf_counter()
-    is_positive = peers.everywhere(bool((problem.diagonal > 0.0).all()))
-    certificate = comparison_certificate(problem.matrix) if is_positive else None
-    if certificate is None and not peers.is_alone:
-        raise UnsuitableMatrix(NO_PROOF_ON_RANKS)
+    z, began = problem.own_part(z), time.perf_counter()
+    family = bounds_of(problem.matrix)
+    if family is None:
+        raise UnsuitableMatrix(_why_not(problem) if problem.peers.is_alone else NO_PROOF_ON_RANKS)
     with np.errstate(all="ignore"):
-        if certificate is not None:
-            found = _h_plus_bound(problem, z, certificate, sharp=sharp and peers.is_alone)
-        else:
-            found = _definite_bound(problem, z, sharp)
+        found = _bound(problem, z, family, sharp=sharp and problem.peers.is_alone)
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def _v_bound(at: RowInequality, certificate: HCertificate) -> FloatVector:
-    return product_above(at.inflation(certificate.v, certificate.margin), certificate.v)
-
-
-def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> FloatVector:
+def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatVector:
     """Return the bound that solving the active pieces of Φ makes of the bound y, as long as that gains."""
     problem = at.problem
     for _ in range(REFINEMENTS):
@@ -195,8 +185,8 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
             if solution is None:
                 return y
             candidate = np.maximum(candidate, solution)
-        t = at.inflation(certificate.v, certificate.margin, candidate)
-        better = np.minimum(y, sum_above(candidate, product_above(t, certificate.v)))
+        t = at.inflation(family.v, family.margin, candidate)
+        better = np.minimum(y, sum_above(candidate, product_above(t, family.v)))
         better = np.minimum(better, at.image(better))
         if not (better < 0.9 * y).any():
             return better
@@ -204,46 +194,25 @@ def _two_stage(at: RowInequality, certificate: HCertificate, y: FloatVector) -> 
     return y
 
 
-def _h_plus_bound(problem: LCP, z: FloatVector, certificate: HCertificate, sharp: bool) -> ErrorBound:
+def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
     if not problem.peers.everywhere(bool(np.isfinite(z).all())):
-        return _nothing_known(problem, "rigorous", "v-certificate")
+        return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
-    found = _Found(z, at, _v_bound(at, certificate), "v-certificate")
-    if sharp:
-        is_small = problem.n <= SMALL
-        if is_small:
-            found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
-
-        def judge(point: RowInequality) -> FloatVector:
-            y = _v_bound(point, certificate)
-            return _two_stage(point, certificate, y) if is_small else y
-
-        if not is_small:
-            _sweep_nearer(found, certificate)
-        if is_small or not found.is_sharp:
-            _sharpen(found, judge)
-        if not found.is_sharp and not is_small:
-            found.lower_to(_two_stage(at, certificate, found.y), "two-stage")
-    return found.result("rigorous")
-
-
-def _definite_bound(problem: LCP, z: FloatVector, sharp: bool) -> ErrorBound:
-    eigenvalue = smallest_eigenvalue_bound(problem.matrix)
-    if eigenvalue is None:
-        raise UnsuitableMatrix(_why_not(problem))
-    kind, method = "rigorous" if eigenvalue.is_rigorous else "estimate", "2-norm, λ_min"
-    if not np.isfinite(z).all():
-        return _nothing_known(problem, kind, method)
-
-    def judge(point: RowInequality) -> FloatVector:
-        y = two_norm_bound(problem, point, eigenvalue)
-        return np.minimum(y, point.image(y))
-
-    at = RowInequality.at(problem, z)
-    found = _Found(z, at, judge(at), method)
-    if sharp:
-        _sharpen(found, judge)
-    return found.result(kind)
+    found = _Found(z, at, family.of_error(at), family.method)
+    if not sharp:
+        return found.result(family.kind)
+    if isinstance(family, DefiniteBounds):
+        _sharpen(found, family.of_error)
+    elif problem.n <= SMALL:
+        found.lower_to(_two_stage(at, family, found.y), "two-stage")
+        _sharpen(found, lambda point: _two_stage(point, family, family.of_error(point)))
+    else:
+        _sweep_nearer(found, family)
+        if not found.is_sharp:
+            _sharpen(found, family.of_error)
+        if not found.is_sharp:
+            found.lower_to(_two_stage(at, family, found.y), "two-stage")
+    return found.result(family.kind)
 
 
 class _Found:
@@ -290,10 +259,10 @@ class _Found:
         )
 
 
-def _sweep_nearer(found: _Found, certificate: HCertificate) -> None:
+def _sweep_nearer(found: _Found, family: HPlusBounds) -> None:
     """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
     problem = found.at.problem
-    gap = float((certificate.margin / (problem.diagonal * certificate.v)).min(initial=1.0))
+    gap = float((family.margin / (problem.diagonal * family.v)).min(initial=1.0))
     if not gap > LEAST_GAP:
         return
     from ..kernels import splitting_sweeps as kernels
@@ -305,7 +274,7 @@ def _sweep_nearer(found: _Found, certificate: HCertificate) -> None:
         kernels.relaxation_sweep(M.indptr, splits, M.indices, M.data, rows, 1.0, False, point)
     if np.isfinite(point).all():
         near = RowInequality.at(problem, point)
-        y = _v_bound(near, certificate)
+        y = family.of_error(near)
         if y.max() < found.near_y.max():
             found.go_to(near, y)
 

@@ -37,7 +37,7 @@ from ..matrix.matrix import Matrix
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Enclosure
 from .error_bounds import ErrorBound, relative_to
-from .reference_point import NearPoint
+from .row_inequality import NearPoint
 from .row_residuals import scaled_residual
 
 DENSE_UP_TO = 1000  # free rows

@@ -26,8 +26,8 @@ from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
 from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares
-from .definite_bounds import smallest_eigenvalue_bound
 from .dual_bounds import least_squares
+from .solution_bounds import smallest_eigenvalue_bound
 
 Ball = tuple[FloatVector, FloatVector]
 """Value and radius: what is meant lies within."""

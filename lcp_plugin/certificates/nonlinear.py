@@ -44,10 +44,9 @@ from ..kernels.floats import EPSILON
 from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, NonlinearProblem
-from .quotients import largest_ratio
 from .references import VectorEnds, for_each_row, largest_of_parts
 from .residuals import GAINED, Certificate
-from .row_residuals import residual_ends_of, scaled_residual
+from .row_residuals import largest_ratio, residual_ends_of, scaled_residual
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points

@@ -15,11 +15,13 @@ from ..exact.rounding import gamma
 from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..settings import MEASURES
-from .quotients import euclidean_norm, largest_ratio, over
 from .references import VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
 from .row_residuals import (
     at_rounding_level,
+    euclidean_norm,
+    largest_ratio,
     magnitude,
+    over,
     residual_ends_of,
     rounding_floor,
     scaled_residual,

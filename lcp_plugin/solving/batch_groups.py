@@ -11,9 +11,9 @@ from ..algorithms.base import Plan
 from ..algorithms.search import LARGEST_CHOICES, LARGEST_SIZE
 from ..algorithms.search.stages import FIRST_ENTRIES, MOST_CASES
 from ..algorithms.short_road import Answers, run
-from ..certificates.quotients import largest_ratio
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import largest_ratio
 from ..checks import BoolVector, read_only
 from ..kernels.threads import in_chunks
 from ..matrix.parts import IntVector, parts

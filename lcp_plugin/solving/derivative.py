@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..certificates.active_rows import ActiveRows, proven_rows, settled_rows
 from ..certificates.error_bounds import ErrorBound, error_bound, relative_to
-from ..certificates.linear_bounds import block_error_bound
 from ..certificates.row_inequality import distance_above
+from ..certificates.solution_bounds import block_error_bound
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix.free_systems import FreeSystem

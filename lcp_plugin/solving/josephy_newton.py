@@ -15,9 +15,8 @@ from ..algorithms import Algorithm, Step
 from ..algorithms.active_sets.damped_newton import Linearised, fischer_burmeister, phi_jacobian
 from ..algorithms.base import without_warnings
 from ..certificates.nonlinear import NonlinearCertificate, Reference
-from ..certificates.quotients import largest_ratio
 from ..certificates.references import largest_of_parts
-from ..certificates.row_residuals import scaled_residual
+from ..certificates.row_residuals import largest_ratio, scaled_residual
 from ..checks import FloatVector
 from ..deadline import is_over
 from ..errors import UnsuitableMatrix, UnsuitableProblem

@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.quotients import largest_ratio, ratio
 from ..certificates.references import CommonUnits, rounding_of_data
 from ..certificates.residuals import GAINED, Certificate
-from ..certificates.row_residuals import measured_residual
+from ..certificates.row_residuals import largest_ratio, measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..settings import PROVEN, Settings, Status

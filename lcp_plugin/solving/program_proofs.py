@@ -13,9 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..certificates.curvature import constrained_curvature
-from ..certificates.definite_bounds import norm_above
 from ..certificates.dual_bounds import DualBounds, implied_box
 from ..certificates.feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
+from ..certificates.solution_bounds import norm_above
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram
 from ..conversions.qp_certificates import proof_of_no_minimum

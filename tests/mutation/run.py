@@ -46,9 +46,8 @@ CLASS_TESTS = ("tests/test_matrix_proofs.py", "tests/test_matrix_classes.py", CL
 TESTS = {
     f"{CERTIFICATES}/residuals.py": ("tests/test_bound_stages.py", "tests/test_certificate.py", CERTIFICATES),
     f"{CERTIFICATES}/error_bounds.py": BOUND_TESTS,
-    f"{CERTIFICATES}/definite_bounds.py": BOUND_TESTS,
+    f"{CERTIFICATES}/solution_bounds.py": BOUND_TESTS,
     f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
-    f"{CERTIFICATES}/reference_point.py": BOUND_TESTS,
     **dict.fromkeys(
         [f"{CERTIFICATES}/{name}.py" for name in ("curvature", "dual_bounds", "feasible_points")]
         + ["lcp_plugin/solving/program_proofs.py"], ("tests/test_certify.py",),

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...certificates.quotients import ratio_upwards
+from ...certificates.row_residuals import ratio_upwards
 from ...checks import FloatVector
 from ...crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...errors import UnsuitableMatrix

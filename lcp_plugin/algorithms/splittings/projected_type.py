@@ -20,8 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...certificates.convergence import PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
-from ...certificates.quotients import euclidean_norm
-from ...certificates.row_residuals import scaled_residual
+from ...certificates.row_residuals import euclidean_norm, scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...matrix.factors import sparse_lu

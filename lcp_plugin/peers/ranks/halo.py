@@ -41,13 +41,16 @@ class Halo(Ranks):
         Entries of the own rows, where rows of foreign unknowns stand behind them.
     entries : array of int, shape (k, 2), optional
         Rank and place there of each entry of those rows.
+    starts : array of int, shape (ranks + 1,), optional
+        Where the rows of each rank begin, if that is known; asked of all ranks otherwise.
     """
 
     def __init__(
-        self, comm: Any, own: int, ghosts: Integers = NOBODY, own_entries: int = 0, entries: Integers | None = None
+        self, comm: Any, own: int, ghosts: Integers = NOBODY, own_entries: int = 0, entries: Integers | None = None,
+        starts: Integers | None = None,
     ) -> None:
         super().__init__(comm)
-        self.starts = np.concatenate([[0], np.cumsum(self.comm.allgather(int(own)))])
+        self.starts = np.cumsum([0, *self.comm.allgather(int(own))]) if starts is None else starts
         self.own, self.n, self.ghosts, self.foreign = int(own), int(self.starts[-1]), ghosts, int(ghosts.size)
         self.first, self.last = int(self.starts[self.rank]), int(self.starts[self.rank + 1])
         self.is_empty = not any(self.comm.allgather(self.foreign))
@@ -159,7 +162,7 @@ class Halo(Ranks):
         met = ghosts[indices[at] - own]
         near = np.union1d(met, self._dependents(np.searchsorted(indptr, at, side="right") - 1 + self.first, met))
         if not any(self.comm.allgather(near.size + further.size)):
-            return rows, Halo(self.comm, own, near, data.size)
+            return rows, Halo(self.comm, own, near, data.size, starts=self.starts)
         if not np.array_equal(near, ghosts):  # both ascend: the rows stay sorted
             indices = indices.copy()
             indices[at] = own + np.searchsorted(near, met)
@@ -178,7 +181,7 @@ class Halo(Ranks):
         order = np.lexsort((local, np.repeat(np.arange(near.size), found.counts)))
         entries = np.stack([np.repeat(self.owners(near), found.counts), found.places], axis=1)[order]
         overlapping = _appended((indptr, indices, data), found.counts, local[order], found.values[order])
-        return overlapping, Halo(self.comm, own, all_ghosts, data.size, entries)
+        return overlapping, Halo(self.comm, own, all_ghosts, data.size, entries, self.starts)
 
     def _foreign_rows(
         self, wanted: Integers, indptr: Integers, data: FloatVector, columns: Callable[[Integers], Integers]
@@ -250,7 +253,7 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
     if ghosts.size:
         rows.data = rows.data.copy()  # the caller's stay in their order
         rows.sort_indices()
-    return frozen(rows), Halo(ranks.comm, ranks.own, ghosts)
+    return frozen(rows), Halo(ranks.comm, ranks.own, ghosts, starts=ranks.starts)
 
 
 def numbered_over_all(rows: sp.csr_array, halo: Halo) -> sp.csr_array:

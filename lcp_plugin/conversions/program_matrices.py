@@ -54,7 +54,7 @@ class ProgramMatrices:
     def constraints(self) -> sp.csr_array:
         """[G; A; −I; I]."""
         n = self.P.shape[0]
-        return vertically(self.rows, multiple_of_identity(-1.0, n), multiple_of_identity(1.0, n))
+        return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
 
     @cached_property
     def transposed(self) -> sp.csr_array:
@@ -249,13 +249,13 @@ def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
     return sp.csr_array((data, indices, starts), shape=(left.shape[0], left.shape[1] + right.shape[1]))
 
 
-def multiple_of_identity(factor: float, n: int) -> sp.csr_array:
-    """Return factor · I as CSR, shape (n, n).
+def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
+    """Return the diagonal matrix of the entries, or of one number for all, as CSR, shape (n, n).
 
     Examples
     --------
-    >>> multiple_of_identity(-1.0, 2).toarray()
+    >>> diagonal_array(-1.0, 2).toarray()
     array([[-1.,  0.],
            [ 0., -1.]])
     """
-    return sp.csr_array((np.full(n, factor), np.arange(n), np.arange(n + 1)), shape=(n, n))
+    return sp.csr_array((np.full(n, entries), np.arange(n), np.arange(n + 1)), shape=(n, n))

@@ -13,10 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, rectangular_matrix
+from ..matrix.definiteness import is_diagonal
 from ..matrix.structure import row_numbers
 from .constraints import CONSTRAINTS
 from .presolve import like
-from .program_matrices import Indices, ProgramMatrices, as_csr, is_full
+from .program_matrices import Indices, ProgramMatrices, as_csr, diagonal_array, is_full
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -163,11 +164,14 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
 
 def _without(P: Any, kept: Indices, defined: Indices, columns: Indices, D: Any) -> Any:
     """Return P in the variables that stay."""
-    rows, count = P[kept], columns.size
-    of_kept, across = rows[:, kept], rows[:, defined]
-    added, mixed = D.T @ (P[defined][:, defined] @ D), None
-    if np.count_nonzero(across.data if sp.issparse(across) else across):
-        mixed = across @ D
+    count, mixed = columns.size, None
+    if is_diagonal(P):
+        of_kept, of_defined = (diagonal_array(P.diagonal()[part], part.size) for part in (kept, defined))
+    else:
+        rows = P[kept]
+        of_kept, across, of_defined = rows[:, kept], rows[:, defined], P[defined][:, defined]
+        mixed = across @ D if np.count_nonzero(across.data if sp.issparse(across) else across) else None
+    added = D.T @ (of_defined @ D)
     if count < kept.size:
         place = sp.csr_array((np.ones(count), columns, np.arange(count + 1)), shape=(count, kept.size))
         added, mixed = place.T @ as_csr(added) @ place, None if mixed is None else as_csr(mixed) @ place

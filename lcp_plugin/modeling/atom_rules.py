@@ -35,18 +35,14 @@ class Kind(NamedTuple):
     rule: Rule | None
     #: Whether the rule broadcasts its arguments itself.
     broadcasts: bool
-    #: Sums and gathers take none from a constant argument.
-    takes_coefficients: bool
 
 
 @cache
 def kind_of(kind: type) -> Kind:
     """Return what is known of the nodes of a class; asked once, because cvxpy's classes take a while to answer."""
     rule = next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
-    return Kind(
-        issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule,
-        rule in (_added, _negated, _broadcast, _product), rule not in (_added, _broadcast, _gathered),
-    )
+    broadcasts = rule in (_added, _negated, _broadcast, _product)
+    return Kind(issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule, broadcasts)
 
 
 def rule_of(node: Any) -> Rule | None:

@@ -8,7 +8,7 @@ cvxpy's own value at one point.
 from __future__ import annotations
 
 from collections import ChainMap, Counter
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -81,15 +81,14 @@ class Reader:
     (array([[ 2., -1.], [ 0.,  2.]]), array([3., 3.]))
     """
 
-    def __init__(self, memo: dict[Hashable, Any] | None = None, held: Values | None = None) -> None:
+    def __init__(self, memo: dict[int, tuple[Any, Any]] | None = None, held: Values | None = None) -> None:
         self.compiler = Compiler()
         self._memo = {} if memo is None else memo
         self._held = held
-        self._known: Values = {key: found[1] for key, found in self._memo.items() if isinstance(key, int)}
+        self._known: Values = {key: found for key, (_, found) in self._memo.items()}
         self._found: list[tuple[Any, Any]] = []  # what will be known, too
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
-        self._varying: set[int] = set()  # whose blocks do
         #: Where what was read is compared: the values of sources, of functions and of constants.
         self._generator, self._point = np.random.default_rng(CHECK_SEED), dict[int, FloatVector]()
         self._at_point: Values = {}
@@ -145,15 +144,8 @@ class Reader:
             self._known[key], self._at_point[key] = result, result.array(self._values_of(result))
             parts = zip(node.args, arguments, strict=True)
             self._checked += [(part, own) for part, own in parts if isinstance(own, Rows) and not self._is_plain(part)]
-        if key in self._moving and self._held is None:
-            coefficients = [
-                part for part, own in zip(below, arguments, strict=True)
-                if kind.takes_coefficients and not isinstance(own, Rows)
-            ]
-            varies = is_function or hidden or not self._varying.isdisjoint(below)
-            if varies or not self._moving.isdisjoint(coefficients):
-                self._varying.add(key)
-            for part, own in zip((*node.args, node), (*arguments, result), strict=True):
+        if key in self._moving:
+            for part, own in zip(node.args, arguments, strict=True):
                 self._remember(part, own)
         return result
 
@@ -163,14 +155,10 @@ class Reader:
         return isinstance(node, cp.Variable) or id(node) in self._at_point
 
     def _remember(self, node: Any, result: Any) -> None:
-        """Keep for later readers what no parameter enters, and the blocks that none enters."""
-        if isinstance(result, Rows) and result.shape != node.shape:
-            return
-        if id(node) not in self._moving:
+        """Keep for later readers what no parameter enters, where it has all its entries."""
+        if id(node) not in self._moving and result.shape == node.shape:
             self._memo[id(node)] = (node, result)
             self._found.append((node, result))
-        elif id(node) not in self._varying and isinstance(result, Rows) and result.places is None:
-            self._memo["blocks", id(node)] = (node, result.blocks)
 
     def _computed(self, node: Any, kind: Kind, arguments: list[Any]) -> Any:
         if kind.is_variable if self._held is None else kind.is_parameter:
@@ -182,11 +170,6 @@ class Reader:
             return self._value(node, arguments)
         for part, argument in constants:
             self._take_constant(part, argument)
-        if ("blocks", id(node)) in self._memo:
-            parts = whole(node, arguments)
-            offsets = [one.array(one.offset) if isinstance(one, Rows) else one for one in parts]
-            offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
-            return Rows(self._memo["blocks", id(node)][1], offset, node.shape)
         rule = kind.rule
         if rule is None:
             rule = rule_of(node)

@@ -192,7 +192,7 @@ def _level_of_caller() -> int:
     return level
 
 
-_memos: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+_memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.WeakKeyDictionary()
 
 
 def build_from(problem: Any) -> Model:

@@ -40,7 +40,7 @@ def compiled(expression: Any) -> Program:
     for variable in expression.variables():
         first[variable.id], count = count, count + variable.size
     reader = Reader()
-    return reader.compiler.program([reader.rows(expression)], first, count)
+    return Program.of(reader.compiler, [reader.rows(expression)], first, count)
 
 
 class Unknowns:

@@ -8,7 +8,7 @@ a sparse matrix and the factors of the chain rule, so that no pattern is compute
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from .functions import Function
 from .intervals import EnclosedProduct, added, multiplied
-from .rows import Indices
+from .rows import Compiler, Indices, Rows, assembled
 
 #: Numbers, shape (1, k), or the lower and upper ends of intervals, shape (2, k).
 Ends: TypeAlias = NDArray[np.float64]
@@ -112,6 +112,33 @@ class Program:
         self.n, self._levels, self._result = n, list(levels), result
         ends = np.cumsum([n, *(level.size for level in levels)]).tolist()
         self._spans = [slice(*pair) for pair in pairwise(ends)]
+
+    @classmethod
+    def of(cls, compiler: Compiler, results: Sequence[Rows], first: Mapping[int, int], n: int) -> Program:
+        """Return the program whose results are these rows, one below the other.
+
+        Parameters
+        ----------
+        compiler : Compiler
+            That made the rows.
+        results : sequence of Rows
+        first : mapping
+            From the key of a source to the number of its first unknown.
+        n : int
+            The number of unknowns.
+        """
+        # Those of two arguments first.
+        groups = sorted(compiler.groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name))
+        numbers, count = dict(first), n
+        for _, _, arguments, key in groups:
+            numbers[key], count = count, count + arguments[0].size
+        levels = []
+        for level in sorted({group[0] for group in groups}):
+            own = [group for group in groups if group[0] == level]
+            both = [[arguments[k] for _, _, arguments, _ in own if len(arguments) > k] for k in (0, 1)]
+            first_of_two, second = (_combination(rows, numbers, count) for rows in both)
+            levels.append(Level((first_of_two, second), _spans(own)))
+        return cls(n, levels, _combination(results, numbers, count))
 
     @property
     def size(self) -> int:
@@ -210,6 +237,28 @@ class Program:
         nothing = Combination(sp.csr_array((0, self._result.matrix.shape[1])), np.zeros(0))
         patterns.append(_Pattern(known, (self._result, nothing), self.n))
         return patterns
+
+
+def _spans(groups: list[Any]) -> list[tuple[Function, slice]]:
+    spans: list[tuple[Function, slice]] = []
+    start = 0
+    for _, function, arguments, _ in groups:
+        stop = start + arguments[0].size
+        if spans and spans[-1][0] is function:
+            spans[-1] = (function, slice(spans[-1][1].start, stop))
+        else:
+            spans.append((function, slice(start, stop)))
+        start = stop
+    return spans
+
+
+def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> Combination:
+    matrix, offset = assembled(rows, first, count)
+    if not (matrix.has_canonical_format and (matrix.data != 0.0).all()):
+        matrix = matrix.copy()
+        matrix.sum_duplicates()
+        matrix.eliminate_zeros()
+    return Combination(matrix, offset)
 
 
 def _product(a: Ends, b: Ends) -> Ends:

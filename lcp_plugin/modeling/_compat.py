@@ -16,6 +16,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from cvxpy import settings
 from numpy.typing import NDArray
 
 from ..errors import UnsupportedModel
@@ -214,6 +215,16 @@ def bound_value(bound: Any, owner: Any) -> Any:
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
         raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
     return array.astype(np.float64)
+
+
+def statistics(result: Any) -> dict[str, Any]:
+    """Return what cvxpy keeps of a run besides its values."""
+    return {
+        settings.SOLVE_TIME: result.seconds,
+        settings.SETUP_TIME: result.setup_seconds,
+        settings.NUM_ITERS: result.iterations,
+        settings.EXTRA_STATS: result,
+    }
 
 
 DERIVATIVES = ("backward", "derivative")

@@ -17,9 +17,8 @@ import scipy.sparse as sp
 
 from ..errors import UnsupportedModel
 from ..expressions import functions
-from ..expressions.compiler import Compiler
 from ..expressions.functions import Function
-from ..expressions.rows import Indices, Rows, added, entries_behind, stacked
+from ..expressions.rows import Compiler, Indices, Rows, added, entries_behind, stacked
 from . import _compat as atoms
 from ._compat import name_of, postorder
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..expressions.program import Program
-from ..expressions.rows import Rows, as_matrix, assembled
+from ..expressions.rows import Rows, as_matrix, assembled, is_definition
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ._compat import attribute_bounds, attribute_expressions, dense
-from .equations import Affine, Elimination, eliminate_definitions, is_definition, known_ranges, matched_for_monotony
-from .model import BoundSource, Model, Report, Sources
+from .equations import Affine, eliminate_definitions, known_ranges, matched_for_monotony
+from .model import BoundSource, Elimination, Model, Report, Sources
 from .reading import Reader
 
 if TYPE_CHECKING:
@@ -221,57 +221,47 @@ class Builder:
         Of a nonlinear model nothing is eliminated: an unknown that an equation defines stays, and with it the sparsity
         of everything that it would be put in.
         """
-        functions = [function for _, function, _ in self.pairs]
+        functions, of_pairs = [*(one for _, one, _ in self.pairs), *self.equations], len(self.pairs)
         columns = np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])
         signs = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
         free, sizes = np.flatnonzero(~self.is_paired), (columns.size, sum(one.rows.size for one in self.equations))
         self._check_square(free, sizes[1])
         self._drop_implied_bounds(free)
+        elimination, stored = Elimination.of_nothing(self.count), [sp.csr_array((size, self.count)) for size in sizes]
         program = None
-        if any(one.rows.level for one in (*functions, *self.equations)):
-            results = [one.rows for one in (*functions, *self.equations)]
-            program = self.reader.compiler.program(results, self.first, self.count)
-            stored = [sp.csr_array((size, self.count)) for size in sizes]
-            nothing = np.zeros(0, dtype=np.int64)
-            elimination = Elimination(np.arange(self.count), None, np.zeros(self.count), nothing, nothing)
+        if any(one.rows.level for one in functions):
+            results = [one.rows for one in functions]
+            program = Program.of(self.reader.compiler, results, self.first, self.count)
         else:
-            pairs, equations = self._affine(functions), self._affine(self.equations)
+            pairs, equations = self._affine(functions[:of_pairs]), self._affine(self.equations)
             stored = [pairs.matrix, equations.matrix]
-            elimination, equations, pairs = eliminate_definitions(
-                equations, pairs, ~self.is_paired, self._variable_of()
-            )
+            if self.equations:
+                elimination, equations, pairs = eliminate_definitions(
+                    equations, pairs, ~self.is_paired, self._variable_of()
+                )
         kept = elimination.kept
         place = np.zeros(self.count, dtype=np.int64)
         place[kept] = np.arange(kept.size)
         columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
         if free.size:
-            of_pairs, of_equations = (
-                (pairs.matrix, equations.matrix) if program is None else self._derivatives(program, sizes[0])
-            )
-            signed = sp.csr_array(sp.diags_array(signs) @ of_pairs)
-            order, turned = matched_for_monotony(of_equations, signed, columns, free)
+            matrices = (pairs.matrix, equations.matrix) if program is None else self._derivatives(program, sizes[0])
+            signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
+            order, turned = matched_for_monotony(matrices[1], signed, columns, free)
             free = free[order]
             columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
         self._report_equations(elimination, kept[free])
         places = np.argsort(columns, kind="stable")
+        signs = signs[places]
+        bounds = {"lower": self.lower[kept], "upper": self.upper[kept]}
         problem: LCP | NonlinearProblem
-        if program is not None:
-            program = program.rearranged(places, signs[places])
-            problem = NonlinearProblem(
-                program.value, program.jacobian, lower=self.lower, upper=self.upper, enclosure=program
-            )
+        if program is None:
+            problem = LCP(*_arranged(pairs, equations, places, signs), **bounds)
         else:
-            M, q = pairs.matrix, pairs.offset  # the user's own matrix, without a copy, where nothing moves
-            if free.size:
-                M, q = sp.csr_array(sp.vstack([M, equations.matrix], format="csr")), np.append(q, equations.offset)
-            if (signs != 1.0).any():
-                M, q = sp.csr_array(sp.diags_array(signs) @ M), signs * q
-            if not np.array_equal(columns, np.arange(kept.size)):
-                M, q = sp.csr_array(M[places]), q[places]
-            problem = LCP(M, q, lower=self.lower[kept], upper=self.upper[kept])
-        expressions = [one.expression for one in (*functions, *self.equations)]
-        slacks = {len(functions) + k: one.slacks for k, one in enumerate(self.equations) if one.slacks is not None}
-        sources = Sources(expressions, (stored[0], stored[1]), places, signs[places], self.bounds, slacks)
+            program = program.rearranged(places, signs)
+            problem = NonlinearProblem(program.value, program.jacobian, **bounds, enclosure=program)
+        slacks = {k: one.slacks for k, one in enumerate(functions) if one.slacks is not None}
+        expressions = [one.expression for one in functions]
+        sources = Sources(expressions, (stored[0], stored[1]), places, signs, self.bounds, slacks)
         return Model(problem, self.variables, self.offsets, self.reports, elimination, sources)
 
     def _derivatives(self, program: Program, pairs: int) -> tuple[sp.csr_array, sp.csr_array]:
@@ -355,6 +345,18 @@ class Builder:
             f"the model has {free.size} unknowns without a complementarity ({', '.join(names) or 'none'}) and "
             f"{equations} equations{counted}; it needs as many equations as such unknowns"
         )
+
+
+def _arranged(
+    pairs: Affine, equations: Affine, places: NDArray[np.int64], signs: FloatVector
+) -> tuple[sp.csr_array, FloatVector]:
+    """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
+    M, q = pairs.matrix, pairs.offset
+    if equations.offset.size:
+        M, q = sp.csr_array(sp.vstack([M, equations.matrix], format="csr")), np.append(q, equations.offset)
+    if not np.array_equal(places, np.arange(q.size)):
+        M, q = sp.csr_array(M[places]), q[places]
+    return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
 def _states_bounds(side: Side) -> bool:

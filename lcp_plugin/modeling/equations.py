@@ -21,6 +21,7 @@ from ..conversions.reductions import put_in
 from ..kernels.floats import EPSILON
 from ..matrix.structure import row_numbers
 from ..problem.linear_constraints import activity
+from .model import Elimination
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -43,44 +44,6 @@ class Affine:
     def replaced(self, substitution: sp.csr_array, shift: FloatVector) -> Affine:
         """Return the rows where the unknowns are substitution · unknowns + shift."""
         return Affine(sp.csr_array(self.matrix @ substitution), self.offset + self.matrix @ shift, self.owner)
-
-
-@dataclass(eq=False)
-class Elimination:
-    """z = expansion · (unknowns left) + offset; every unknown, the defined ones included.
-
-    Attributes
-    ----------
-    kept : ndarray of int
-        The unknowns that are left.
-    expansion : CSR array, shape (all unknowns, unknowns left), or None
-        None where nothing is defined: all unknowns are left.
-    offset : ndarray, shape (all unknowns,)
-    rows, columns : ndarray of int
-        Rows of the equations, and the unknown that each of them defined.
-    """
-
-    kept: Indices
-    expansion: sp.csr_array | None
-    offset: FloatVector
-    rows: Indices
-    columns: Indices
-
-    def expand(self, z: FloatVector) -> FloatVector:
-        """Return all unknowns."""
-        return z if self.expansion is None else self.expansion @ z + self.offset
-
-    def expand_slack(self, w: FloatVector) -> FloatVector:
-        """Return w with 0 for the unknowns that belong to an equation."""
-        whole = np.zeros(self.offset.size)
-        whole[self.kept] = w
-        return whole
-
-
-def is_definition(block: sp.csr_array) -> bool:
-    """Return whether each row of a variable's block has one entry, in a column of its own."""
-    is_single = bool((np.diff(block.indptr) == 1).all())
-    return is_single and int(np.bincount(block.indices, minlength=1).max()) <= 1
 
 
 def eliminate_definitions(

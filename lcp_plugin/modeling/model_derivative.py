@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
+from ..expressions.program import Program
 from ..solving.result import Result
 from . import _compat
 from .model import BoundSource, Model
@@ -57,7 +58,7 @@ class ParametricRows:
         for key, parameter in self._parameters.items():
             self._spans[key], first = slice(first, first + parameter.size), first + parameter.size
         starts = {key: span.start for key, span in self._spans.items()}
-        self._program = reader.compiler.program(rows, starts, first)
+        self._program = Program.of(reader.compiler, rows, starts, first)
         self._at = self._vector({key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()})
         self._ends = np.cumsum([one.size for one in rows])[:-1]
 

@@ -23,6 +23,7 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..settings import Status
 from ..solving.quadratic_program import ended_by_caller, kkt_goal, solve_quadratic_program
 from ..solving.result import Result
+from ._compat import statistics
 from .user_terms import FAR, FAR_NUMBERS, Claim, accompany, dense_value
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
@@ -124,16 +125,6 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         for values, constraints in ((qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)):
             duals |= utilities.get_dual_values(values, utilities.extract_dual_value, inverse_data[constraints])
         return duals
-
-
-def statistics(result: Result) -> dict[str, Any]:
-    """Return what cvxpy keeps of a run besides its values."""
-    return {
-        settings.SOLVE_TIME: result.seconds,
-        settings.SETUP_TIME: result.setup_seconds,
-        settings.NUM_ITERS: result.iterations,
-        settings.EXTRA_STATS: result,
-    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,8 @@ from cvxpy.expressions.expression import Expression
 
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
-from ..expressions.compiler import Compiler
 from ..expressions.functions import SAME
-from ..expressions.rows import Rows, as_matrix
+from ..expressions.rows import Compiler, Rows, as_matrix
 from . import _compat as atoms
 from ._compat import name_of, postorder
 from .atom_rules import Kind, kind_of, linearised, refused, right_to_left, rule_of, whole

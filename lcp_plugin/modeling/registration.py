@@ -24,13 +24,20 @@ from ..settings import Status
 from ..solving.driver import solve as solve_lcp
 from ..solving.nonlinear import solve_nonlinear
 from ..solving.result import Result
-from ._compat import answer_derivatives, clear_answering, name_of, refuse_without_derivatives, set_answering
+from ._compat import (
+    answer_derivatives,
+    clear_answering,
+    name_of,
+    refuse_without_derivatives,
+    set_answering,
+    statistics,
+)
 from .builder import Builder
 from .constraint import Complements, box, complements
 from .model import Model, ModelBatch, contradiction, solve_for, start_of
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .program_derivative import ProgramDerivative, refuse_undisciplined
-from .qp_solver import QPSolver, statistics
+from .qp_solver import QPSolver
 from .user_terms import METHODS
 
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")

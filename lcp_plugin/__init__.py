@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
+    from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
     from .solving.least_squares import bounded_least_squares as bounded_least_squares
-    from .solving.least_squares_result import LeastSquaresResult as LeastSquaresResult
     from .solving.march import march as march
     from .solving.nonlinear import solve_nonlinear as solve_nonlinear
     from .solving.program_proofs import Certification as Certification
@@ -96,7 +96,7 @@ _HOME = {
     "solve_many": "solving.batch",
     "march": "solving.march",
     "bounded_least_squares": "solving.least_squares",
-    "LeastSquaresResult": "solving.least_squares_result",
+    "LeastSquaresResult": "solving.least_squares",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",

@@ -26,8 +26,6 @@ from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
 from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares
-from .dual_bounds import least_squares
-from .solution_bounds import smallest_eigenvalue_bound
 
 Ball = tuple[FloatVector, FloatVector]
 """Value and radius: what is meant lies within."""
@@ -309,6 +307,8 @@ def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
         return np.zeros(root.size)
     from scipy.sparse.linalg import LinearOperator, lsmr
 
+    from .dual_bounds import least_squares
+
     def back(pull: FloatVector) -> FloatVector:
         full = np.zeros(wanted.size)
         full[columns] = pull
@@ -331,6 +331,8 @@ def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slop
 
 def _convexity(problem: LeastSquares) -> FloatVector | None:
     """Return d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
+    from .solution_bounds import smallest_eigenvalue_bound
+
     n = problem.shape[1]
     if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
         return None

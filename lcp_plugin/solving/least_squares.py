@@ -1,38 +1,22 @@
-"""bounded_least_squares(): the stages of a run, and its judge on the caller's own data."""
+"""bounded_least_squares(): small problems in one compiled call, others in a run; the answer, and what is said of it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ..algorithms.base import Algorithm, Step
-from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_steps, interior_steps
-from ..algorithms.least_squares.faces import Faces, Point
-from ..algorithms.least_squares.projected_steps import projected_steps
-from ..certificates.least_squares import Enclosures, Optimality, duality_gap
-from ..certificates.references import CommonUnits
-from ..checks import FloatVector, read_only
+from ..checks import FloatVector, read_only, restored
 from ..deadline import Clock
-from ..policy.stages import Choice, Stage
+from ..errors import NotConverged
 from ..problem.least_squares import ALONE, LeastSquares
 from ..settings import Settings, Status
-from .judge import Judge
-from .least_squares_result import LeastSquaresResult, point_nearer, result_of
-from .run import Run
 
-DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
-SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
 SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
 EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
-ROUNDS = 20  # of active sets to refine an answer
-NARROWER = 0.25  # what is aimed at, ÷ what was reached where that was not enough
 
 
 def bounded_least_squares(
@@ -104,17 +88,10 @@ def bounded_least_squares(
     start = None if x0 is None else problem.checked_start(x0)
     if (result := _solved_at_once(problem, settings, clock)) is not None:
         return result
-    with np.errstate(all="ignore"):
-        stages, judge, unit = Stages(problem), LeastSquaresJudge(problem, settings), problem.unit
-        run = Run(judge.units, stages, settings, None, clock, judge)
-        start = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
-        try:
-            reason = run.drive(start, stages.first(unit))
-        except KeyboardInterrupt:
-            reason = Status.INTERRUPTED
-        answer, status = run.ended(start, reason)
-    judged, steps = cast(Any, answer), max(run.ledger.iteration, 0)
-    return result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
+    from .least_squares_run import run_stages
+
+    judged, status, steps = run_stages(problem, settings, start, clock)
+    return _result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
 
 
 def _solved_at_once(problem: LeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
@@ -131,168 +108,120 @@ def _solved_at_once(problem: LeastSquares, settings: Settings, clock: Clock) -> 
     )
     if not optimality <= settings.tolerance:
         return None
-    return result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
+    return _result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
 
 
-@dataclass(slots=True)
-class PointStep(Step):
-    """A step with what is known of its point."""
-
-    point: Any = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Steps(Algorithm):
-    """Steps from point to point, with the factors that they take or others took before, if any."""
-
-    take: Callable[[Point], Iterator[Point]]
-    faces: Faces | None = None
-    name = "least squares"
-
-    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then a step a point."""
-        return (PointStep(point.x, point=point) for point in self.take(Point(problem, z0)))
-
-    def finish(self, problem: Any, z: FloatVector) -> FloatVector:
-        """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
-        if self.faces is None:
-            return z
-        *_, refined = islice(active_set_steps(Point(problem, z), self.faces), ROUNDS)
-        return refined.x
-
-
-class Stages:
-    """What is tried in turn, each from the best point so far."""
-
-    name = chosen = "least squares"
-
-    def __init__(self, problem: LeastSquares) -> None:
-        self._left = self._stages(problem)
-
-    def first(self, problem: Any) -> Choice:
-        """Return the first stage."""
-        return next(self._left)
-
-    def next_step(self, problem: Any, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the next stage where one has come to its end."""
-        return next(self._left, None) if failed else None
-
-    def another_start(self, problem: Any, stages: Sequence[Stage]) -> None:
-        """Return None: all minima are alike."""
-
-    @staticmethod
-    def _stages(problem: LeastSquares) -> Iterator[Choice]:
-        faces = None
-        if problem.has_entries:
-            if not problem.is_cheap_to_copy:
-                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
-                yield Choice(Steps(take=lambda start: islice(projected_steps(start), patience)))
-            if (faces := Faces.of(problem.unit)) is not None:
-                yield Choice(Steps(take=lambda start: block_pivot_steps(start, faces), faces=faces))
-                yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
-        yield Choice(Steps(take=projected_steps, faces=faces))
-
-
-class LeastSquaresJudge(Judge):
-    """Measures by the points' own products, and certifies by :mod:`lcp_plugin.certificates.least_squares`.
+@dataclass(frozen=True, eq=False)
+class LeastSquaresResult:
+    """The answer of a least squares run; names as in scipy, but for `status`.
 
     Attributes
     ----------
-    best : Optimality or None
-        The best of those that were certified.
-    is_solved : bool
-        Whether it is what was asked for.
+    x : ndarray, shape (n,)
+        Within the bounds, exactly at a bound where `active_mask` says so.
+    cost : float
+        ½ Σ weights (A x − b)² + ½ ridge ‖x‖².
+    fun : ndarray, shape (m,)
+        The residual A x − b, without weights.
+    optimality : float
+        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the
+        same in units in which the columns of A have about unit length. With lower = 0 and upper = ∞ the numerator is
+        ‖min(x, g)‖∞. Where AᵀW b = 0, g at the point of the box nearest to 0 stands for it; where that is 0 as well,
+        that point is the answer.
+    active_mask : ndarray of int, shape (n,)
+        −1 at the lower bound, 1 at the upper one, 0 between them.
+    status : Status
+        SOLVED exactly where optimality ≤ tolerance; for a LinearOperator, whose optimality may hide much, where also
+        the estimated gap is ≤ √tolerance times the cost at the point of the box nearest to 0. Where columns without
+        any bound forbid an estimate, further steps must not gain more than that.
+    nit : int
+        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor.
+    seconds : float
+        Wall-clock seconds of the run.
+    tolerance : float
+        As given.
+    is_proved : bool
+        Whether `optimality` and `gap` are upper bounds, rounding included. For a LinearOperator, whose entries nobody
+        knows, they are estimates.
+    problem : LeastSquares
+        The data.
     """
 
-    def __init__(self, problem: LeastSquares, settings: Settings) -> None:
-        self.asked: Any = problem
-        self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
-        self.enclosures = Enclosures(problem)
-        self.reference = max(self.enclosures.reference)
-        self.errors = self.proof = None
-        self.best: Optimality | None = None
-        self.is_solved, self._size, self._aim, self._iteration = False, np.inf, settings.tolerance, 0
+    x: FloatVector
+    cost: float
+    fun: FloatVector = field(repr=False)
+    optimality: float
+    active_mask: NDArray[np.int_] = field(repr=False)
+    status: Status
+    nit: int
+    seconds: float
+    tolerance: float
+    is_proved: bool
+    problem: LeastSquares = field(repr=False)
+
+    __setstate__ = restored
 
     @cached_property
-    def sharp(self) -> Enclosures | None:
-        """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
-        return Enclosures(self.asked, is_sharp=True) if self.asked.is_cheap_to_copy else None
+    def gap(self) -> float:
+        """An upper bound of cost − min cost, at most cost but for rounding; the first look computes it, as a run does.
 
-    def residual_of(self, step: Any) -> float:
-        """Return the optimality of a step as its own residual says, rounding left aside."""
-        self._size = step.point.optimality(self.enclosures.reference)
-        return self._size
+        It is no more than cost where A is not proved to have full rank and some column without a bound on one side
+        (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").
+        """
+        from .least_squares_run import gap_of
 
-    def measure(self, z: FloatVector) -> float:
-        """Return the same of any z."""
-        return Point(self.asked.unit, z).optimality(self.enclosures.reference)
+        return gap_of(self.problem, self.x, self.nit)
 
-    def certified(self, z: FloatVector) -> float:
-        """Return an upper bound of it; where a step before had not enough, not before this one has clearly more."""
-        if self._size > self._aim:
-            return self._size
-        self._aim = NARROWER * self._size
-        return self._kept(z).value
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
 
-    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
-        """Return whether z, certified just now, is what was asked for."""
-        self._iteration = iteration
-        return self.is_solved
+    @property
+    def advice(self) -> str:
+        """What the status means, in a sentence."""
+        return ADVICE.get(self.status, self.status.value).replace("z0=result.z", "x0=result.x")
 
-    def is_at_floor(self, z: FloatVector | None) -> bool:
-        """Return whether z is as good as rounding allows."""
-        return z is not None and Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
+    def require_solved(self) -> LeastSquaresResult:
+        """Return this result, or raise where it is not solved.
 
-    def is_limited_by_size(self, z: FloatVector | None) -> bool:
-        """Return False."""
-        return False
-
-    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Any:
-        """Return what is certified of the answer: z, the best before, or that one refined."""
-        unit, best = self.asked.unit, self.best
+        Raises
+        ------
+        NotConverged
+            With the status, the optimality reached and the advice.
+        """
         if not self.is_solved:
-            return self._kept(z) and self.best
-        if best is None or last is None or reason is not Status.SOLVED or best.is_at_rounding_level:
-            return best
-        z = np.clip(unit.from_caller(best.x), unit.lower, unit.upper)
-        refined = last.finish(unit, z)
-        judged = best if refined is z else self._judged(unit.to_caller(refined))
-        return judged if judged.value <= self.settings.tolerance else best
+            raise NotConverged(
+                f"{self.status.name} after {self.nit} steps: optimality {self.optimality:.1e} "
+                f"(tolerance {self.tolerance:.1e}); {self.advice}"
+            )
+        return self
 
-    def verdict(self, certificate: Any, reason: Status, *, is_chain: bool) -> Status:
-        """Return the status: what is certified, or else why the run ended."""
-        if self.is_solved:
-            return Status.SOLVED
-        if certificate.is_at_rounding_level:
-            return Status.PRECISION_LIMIT
-        return Status.STALLED if reason is Status.DIVERGED else reason
 
-    def _kept(self, z: FloatVector) -> Optimality:
-        """Return how optimal z is, the best so far kept; take note of whether it is what was asked for."""
-        judged = self._judged(self.asked.unit.to_caller(z))
-        if self.best is None or judged.value < self.best.value:
-            self.best = judged
-        is_small = judged.value <= self.settings.tolerance
-        self.is_solved = is_small and (self.asked.has_entries or self._has_small_gap(judged))
-        return judged
+ADVICE = {
+    Status.PRECISION_LIMIT: (
+        "the gradient is above the tolerance, but no larger than rounding in double precision explains; accept x, "
+        "which result.gap bounds, or rescale the data"
+    ),
+    Status.STALLED: (
+        "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
+        "cannot be had; a ridge > 0 helps"
+    ),
+    Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.x",
+    Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.x",
+    Status.INTERRUPTED: "stopped by Ctrl-C; x is the best point so far",
+}
 
-    def _judged(self, x: FloatVector) -> Optimality:
-        """Return how optimal x is on the caller's data, looked at sharply where rounding decides."""
-        judged = Optimality.of(self.enclosures, x)
-        if judged.value > self.settings.tolerance and judged.is_at_rounding_level and self.sharp is not None:
-            sharply = Optimality.of(self.sharp, x)
-            judged = sharply if sharply.value < judged.value else judged
-        return judged
 
-    def _has_small_gap(self, judged: Optimality) -> bool:
-        """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
-        problem, nearest = self.asked, self.asked.nearest_to_zero
-        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
-        if duality_gap(problem, judged.x) <= most:
-            return True
-        nearer = point_nearer(problem, judged.x, self._iteration)
-        if duality_gap(problem, judged.x, nearer) <= most:
-            return True
-        is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
-        fall = problem.cost(judged.x, judged.residual) - problem.cost(nearer, problem.product(nearer) - problem.b)
-        return bool(is_unbounded.any() and problem.ridge == 0.0 and fall <= most)
+def _result_of(
+    problem: LeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, optimality: float,
+    status: Status, steps: int, seconds: float,
+) -> LeastSquaresResult:
+    """Return the result that these make."""
+    mask = (x >= problem.upper).astype(np.int_)
+    mask[x <= problem.lower] = -1
+    return LeastSquaresResult(
+        x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
+        active_mask=read_only(mask), status=status, nit=steps, seconds=seconds, tolerance=settings.tolerance,
+        is_proved=problem.has_entries, problem=problem,
+    )

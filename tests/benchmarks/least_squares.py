@@ -14,7 +14,8 @@ from lcp_plugin.algorithms.least_squares.faces import Faces, Point
 from lcp_plugin.algorithms.least_squares.projected_steps import projected_steps
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.problem.least_squares import LeastSquares, UnitLeastSquares
-from lcp_plugin.solving.least_squares import DENSE_PATIENCE, SMALL, SPARSE_PATIENCE, bounded_least_squares
+from lcp_plugin.solving.least_squares import SMALL, bounded_least_squares
+from lcp_plugin.solving.least_squares_run import DENSE_PATIENCE, SPARSE_PATIENCE
 
 from .rivals import SEED
 from .timing import medians, rounds, timed

@@ -1,0 +1,227 @@
+"""A least squares run: its stages, and its judge on the caller's own data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+from typing import Any, cast
+
+import numpy as np
+
+from ..algorithms.base import Algorithm, Step
+from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_steps, interior_steps
+from ..algorithms.least_squares.faces import Faces, Point
+from ..algorithms.least_squares.projected_steps import projected_steps
+from ..certificates.least_squares import Enclosures, Optimality, duality_gap
+from ..certificates.references import CommonUnits
+from ..checks import FloatVector
+from ..deadline import Clock
+from ..policy.stages import Choice, Stage
+from ..problem.least_squares import LeastSquares
+from ..settings import Settings, Status
+from .judge import Judge
+from .run import Run
+
+DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
+SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
+ROUNDS = 20  # of active sets to refine an answer
+NARROWER = 0.25  # what is aimed at, ÷ what was reached where that was not enough
+MOST_STEPS_FOR_GAP = 300
+
+
+@np.errstate(all="ignore")
+def run_stages(
+    problem: LeastSquares, settings: Settings, start: FloatVector | None, clock: Clock
+) -> tuple[Optimality, Status, int]:
+    """Return the best point with its optimality, why the run ended, and after how many steps."""
+    unit = problem.unit
+    stages, judge = Stages(problem), LeastSquaresJudge(problem, settings)
+    run = Run(judge.units, stages, settings, None, clock, judge)
+    begin = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
+    try:
+        reason = run.drive(begin, stages.first(unit))
+    except KeyboardInterrupt:
+        reason = Status.INTERRUPTED
+    judged, status = run.ended(begin, reason)
+    return cast(Any, judged), status, max(run.ledger.iteration, 0)
+
+
+@np.errstate(all="ignore")
+def gap_of(problem: LeastSquares, x: FloatVector, steps: int) -> float:
+    """Return an upper bound of what x costs more than the minimum, sharpened by about as many steps as led to x."""
+    return duality_gap(problem, x, point_nearer(problem, x, steps))
+
+
+def point_nearer(problem: LeastSquares, x: FloatVector, steps: int) -> FloatVector:
+    """Return a point nearer to the answer than x, which about as many steps led to."""
+    unit = problem.unit
+    start = Point(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
+    points = islice(projected_steps(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
+    return unit.to_caller(min(points, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0))).x)
+
+
+@dataclass(slots=True)
+class PointStep(Step):
+    """A step with what is known of its point."""
+
+    point: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steps(Algorithm):
+    """Steps from point to point, with the factors that they take or others took before, if any."""
+
+    take: Callable[[Point], Iterator[Point]]
+    faces: Faces | None = None
+    name = "least squares"
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step a point."""
+        return (PointStep(point.x, point=point) for point in self.take(Point(problem, z0)))
+
+    def finish(self, problem: Any, z: FloatVector) -> FloatVector:
+        """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
+        if self.faces is None:
+            return z
+        *_, refined = islice(active_set_steps(Point(problem, z), self.faces), ROUNDS)
+        return refined.x
+
+
+class Stages:
+    """What is tried in turn, each from the best point so far."""
+
+    name = chosen = "least squares"
+
+    def __init__(self, problem: LeastSquares) -> None:
+        self._left = self._stages(problem)
+
+    def first(self, problem: Any) -> Choice:
+        """Return the first stage."""
+        return next(self._left)
+
+    def next_step(self, problem: Any, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return the next stage where one has come to its end."""
+        return next(self._left, None) if failed else None
+
+    def another_start(self, problem: Any, stages: Sequence[Stage]) -> None:
+        """Return None: all minima are alike."""
+
+    @staticmethod
+    def _stages(problem: LeastSquares) -> Iterator[Choice]:
+        faces = None
+        if problem.has_entries:
+            if not problem.is_cheap_to_copy:
+                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
+                yield Choice(Steps(take=lambda start: islice(projected_steps(start), patience)))
+            if (faces := Faces.of(problem.unit)) is not None:
+                yield Choice(Steps(take=lambda start: block_pivot_steps(start, faces), faces=faces))
+                yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
+        yield Choice(Steps(take=projected_steps, faces=faces))
+
+
+class LeastSquaresJudge(Judge):
+    """Measures by the points' own products, and certifies by :mod:`lcp_plugin.certificates.least_squares`.
+
+    Attributes
+    ----------
+    best : Optimality or None
+        The best of those that were certified.
+    is_solved : bool
+        Whether it is what was asked for.
+    """
+
+    def __init__(self, problem: LeastSquares, settings: Settings) -> None:
+        self.asked: Any = problem
+        self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
+        self.enclosures = Enclosures(problem)
+        self.reference = max(self.enclosures.reference)
+        self.errors = self.proof = None
+        self.best: Optimality | None = None
+        self.is_solved, self._size, self._aim, self._iteration = False, np.inf, settings.tolerance, 0
+
+    @cached_property
+    def sharp(self) -> Enclosures | None:
+        """Compensated sums, for what rounding leaves undecided where copies of A cost little."""
+        return Enclosures(self.asked, is_sharp=True) if self.asked.is_cheap_to_copy else None
+
+    def residual_of(self, step: Any) -> float:
+        """Return the optimality of a step as its own residual says, rounding left aside."""
+        self._size = step.point.optimality(self.enclosures.reference)
+        return self._size
+
+    def measure(self, z: FloatVector) -> float:
+        """Return the same of any z."""
+        return Point(self.asked.unit, z).optimality(self.enclosures.reference)
+
+    def certified(self, z: FloatVector) -> float:
+        """Return an upper bound of it; where a step before had not enough, not before this one has clearly more."""
+        if self._size > self._aim:
+            return self._size
+        self._aim = NARROWER * self._size
+        return self._kept(z).value
+
+    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z, certified just now, is what was asked for."""
+        self._iteration = iteration
+        return self.is_solved
+
+    def is_at_floor(self, z: FloatVector | None) -> bool:
+        """Return whether z is as good as rounding allows."""
+        return z is not None and Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
+
+    def is_limited_by_size(self, z: FloatVector | None) -> bool:
+        """Return False."""
+        return False
+
+    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Any:
+        """Return what is certified of the answer: z, the best before, or that one refined."""
+        unit, best = self.asked.unit, self.best
+        if not self.is_solved:
+            return self._kept(z) and self.best
+        if best is None or last is None or reason is not Status.SOLVED or best.is_at_rounding_level:
+            return best
+        z = np.clip(unit.from_caller(best.x), unit.lower, unit.upper)
+        refined = last.finish(unit, z)
+        judged = best if refined is z else self._judged(unit.to_caller(refined))
+        return judged if judged.value <= self.settings.tolerance else best
+
+    def verdict(self, certificate: Any, reason: Status, *, is_chain: bool) -> Status:
+        """Return the status: what is certified, or else why the run ended."""
+        if self.is_solved:
+            return Status.SOLVED
+        if certificate.is_at_rounding_level:
+            return Status.PRECISION_LIMIT
+        return Status.STALLED if reason is Status.DIVERGED else reason
+
+    def _kept(self, z: FloatVector) -> Optimality:
+        """Return how optimal z is, the best so far kept; take note of whether it is what was asked for."""
+        judged = self._judged(self.asked.unit.to_caller(z))
+        if self.best is None or judged.value < self.best.value:
+            self.best = judged
+        is_small = judged.value <= self.settings.tolerance
+        self.is_solved = is_small and (self.asked.has_entries or self._has_small_gap(judged))
+        return judged
+
+    def _judged(self, x: FloatVector) -> Optimality:
+        """Return how optimal x is on the caller's data, looked at sharply where rounding decides."""
+        judged = Optimality.of(self.enclosures, x)
+        if judged.value > self.settings.tolerance and judged.is_at_rounding_level and self.sharp is not None:
+            sharply = Optimality.of(self.sharp, x)
+            judged = sharply if sharply.value < judged.value else judged
+        return judged
+
+    def _has_small_gap(self, judged: Optimality) -> bool:
+        """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
+        problem, nearest = self.asked, self.asked.nearest_to_zero
+        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
+        if duality_gap(problem, judged.x) <= most:
+            return True
+        nearer = point_nearer(problem, judged.x, self._iteration)
+        if duality_gap(problem, judged.x, nearer) <= most:
+            return True
+        is_unbounded = (problem.lower == -np.inf) & (problem.upper == np.inf)
+        fall = problem.cost(judged.x, judged.residual) - problem.cost(nearer, problem.product(nearer) - problem.b)
+        return bool(is_unbounded.any() and problem.ridge == 0.0 and fall <= most)

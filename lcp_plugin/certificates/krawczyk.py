@@ -130,11 +130,12 @@ def _by_krawczyk(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Point
         box = _box(at, rows, radius)
         if not _is_inside(problem, rows, *box):
             return None
-        contraction = _distance_from_identity(inverse, *_derivative(enclosure, *box, rows))
-        image = _affine_above(contraction, radius, distance)
+        least, most = _derivative(enclosure, *box, rows)
+        contraction = _distance_from_identity(inverse, least.toarray(), most.toarray())
+        image = _raised(contraction @ radius + distance, rows.size)
         needed = _raised(image + 2.0 * offset, 2)  # for the image, and for all that is as near to x as it is
         if bool((needed < radius).all()):
-            image = np.minimum(image, _affine_above(contraction, image, distance))  # the zero lies in K(X), too
+            image = np.minimum(image, _raised(contraction @ image + distance, rows.size))  # the zero lies in K(X), too
             found = np.zeros(at.x.size)
             found[rows] = image
             return at, found
@@ -192,7 +193,7 @@ def _by_dominance(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Poin
 
 def _comparison(enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any) -> sp.csr_array | None:
     """Return the comparison matrix of all derivatives over the box: the least diagonal, −1 × the largest others."""
-    least, most = (sp.csr_array(end)[rows][:, rows] for end in enclosure.interval_jacobian(low, high))
+    least, most = _derivative(enclosure, low, high, rows)
     diagonal = least.diagonal()
     if not bool((diagonal > 0.0).all()) or not np.isfinite(least.data).all() or not np.isfinite(most.data).all():
         return None
@@ -208,17 +209,10 @@ def _values(enclosure: Enclosure, low: FloatVector, high: FloatVector) -> tuple[
     return least, most
 
 
-def _derivative(
-    enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any
-) -> tuple[FloatVector, FloatVector]:
-    least, most = (_dense_block(end, rows) for end in enclosure.interval_jacobian(low, high))
+def _derivative(enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any) -> tuple[Any, Any]:
+    """Return the ends of the block of F′ on these rows, CSR arrays."""
+    least, most = (sp.csr_array(end)[rows][:, rows] for end in enclosure.interval_jacobian(low, high))
     return least, most
-
-
-def _dense_block(matrix: Any, rows: Any) -> FloatVector:
-    block = sp.csr_array(matrix)[rows][:, rows]
-    dense: FloatVector = block.toarray()
-    return dense
 
 
 def _middle(low: FloatVector, high: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -274,11 +268,6 @@ def _distance_from_identity(Y: FloatVector, low: FloatVector, high: FloatVector)
     centre, radius = _middle(low, high)
     size, rest = np.abs(Y), np.abs(np.eye(k) - Y @ centre)
     return _raised(rest + gamma(k + 3) * (size @ np.abs(centre) + np.eye(k)) + size @ radius, k)
-
-
-def _affine_above(A: FloatVector, radius: FloatVector, distance: FloatVector) -> FloatVector:
-    """Return an upper bound of A radius + distance, all ≥ 0."""
-    return _raised(A @ radius + distance, A.shape[0])
 
 
 def _raised(value: FloatVector, terms: int) -> FloatVector:

@@ -94,12 +94,6 @@ def rounding_of_data(problem: LCP) -> float:
     return DATA_ROUNDING * problem.peers.largest(largest)
 
 
-def row_references(problem: LCP) -> FloatVector:
-    """Return an upper bound of the reference of each own row's part, shape (own,), or (1,) for all of one part."""
-    references: FloatVector = for_each_row(problem, references_of_parts(problem)[1])
-    return references
-
-
 def exact_reference(problem: LCP, row: int) -> Fraction:
     """Return an upper bound of ‖r_P(z°)‖∞, P the part of an own row; fractions reach beyond the range of doubles."""
     several = parts(problem.matrix)

@@ -63,19 +63,15 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
     """
     rows = fold_simple_rows(program)
     row = contradictory_row(rows.folded)
-    found = row if row is not None and row.margin >= DECISIVE else _larger(_by_programs(rows.folded), row)
+    found: QPInfeasibility | QPUnboundedness | None = row
+    if row is None or row.margin < DECISIVE:
+        other = _by_programs(rows.folded)
+        found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or rows.folded is program:
         return found
     unfolded = _unfolded(rows, found)
     # A bound that a row gives is rounded, the row is not.
     return unfolded if unfolded.verify() else _by_programs(program)
-
-
-def _larger(
-    found: QPInfeasibility | QPUnboundedness | None, row: QPInfeasibility | None
-) -> QPInfeasibility | QPUnboundedness | None:
-    """Return the proof of the larger margin."""
-    return row if found is None or (row is not None and row.margin > found.margin) else found
 
 
 def _by_programs(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:

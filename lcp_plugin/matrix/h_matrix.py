@@ -12,6 +12,7 @@ doi:10.1137/1.9781611971262.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,16 +23,18 @@ from ..checks import FloatVector, read_only
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
 from ..exact.rational import rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
-from .comparison import DIRECT_LIMIT, ComparisonMatrix, shared_comparison
-from .h_on_ranks import positive_product
+from .comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
 from .matrix import Matrix, fact
 from .structure import block_rows, strong_blocks
+from .symmetry import has_symmetric_entries
 
 CHEAP_SWEEPS = 5
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
 REWEIGHTINGS = 3
 TOLERANCES = (0.1, 1e-3, 1e-7)
 COUPLING_SWEEPS = 1_000
+GAINS = (1e-2, 1e-6)  # what a solve with ⟨M⟩ shall leave of its residual
+MOST_STEPS = 30  # a matrix that is not H₊ lets v grow for ever
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +99,8 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
     if not matrix.peers.is_alone:
-        found = positive_product(matrix)
-        certificate = None if found is None else HCertificate(*found)
-        return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), certificate)
+        found = _on_ranks(matrix)
+        return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), found)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
 
 
@@ -303,3 +305,43 @@ def _centred(v: FloatVector) -> FloatVector:
         return v
     middle = int(np.frexp(positive.max())[1] + np.frexp(positive.min())[1]) // 2
     return np.ldexp(v, -middle)
+
+
+@np.errstate(all="ignore")
+def _on_ranks(matrix: Matrix) -> HCertificate | None:
+    """Return a certificate of own parts for a matrix with a positive diagonal, or None; all peers call.
+
+    v is a vector of ones or solves ⟨M⟩v = diag(M) roughly. That it does its work is verified row by row with all
+    rounding counted.
+    """
+    if not matrix.peers.everywhere(bool((matrix.diagonal > 0.0).all())):
+        return None
+    for v in _candidates(matrix):
+        margin = lower_end(*comparison_product(matrix.csr_rows, matrix.whole(v)))
+        least = min(float(v.min(initial=np.inf)), float(margin.min(initial=np.inf)))
+        if matrix.peers.everywhere(least > 0.0):
+            return HCertificate(v, margin)
+    return None
+
+
+def _candidates(matrix: Matrix) -> Iterator[FloatVector]:
+    """Yield vectors that may be such a v: ones, then solutions of ⟨M⟩v = diag(M), each nearer than the one before."""
+    from .hierarchy.levels import COARSEST, build_hierarchy
+    from .hierarchy.truncation import (
+        KrylovCorrection,  # numba, which not every proof needs
+        Truncation,
+    )
+
+    ones = np.ones(matrix.own)
+    yield ones
+    comparison, is_symmetric = comparison_of(matrix.csr_rows), has_symmetric_entries(matrix)
+    hierarchy = build_hierarchy(comparison, COARSEST, scales_rows=not is_symmetric, peers=matrix.peers)
+    residual = matrix.diagonal - comparison @ np.ones(matrix.width)
+    solution = KrylovCorrection(Truncation(hierarchy), residual, is_symmetric)
+    begun, steps = solution.largest(), 0
+    for gain in GAINS:
+        while solution.largest() > gain * begun and steps < MOST_STEPS and solution.step():
+            steps += 1
+        v = np.empty(matrix.own)
+        solution.apply_to(ones, v)
+        yield v

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -138,29 +138,25 @@ class FarkasProgram:
         margin : callable
             Of a proof, which has a radius as well.
         """
-        within: list[Proof] = []
-
-        def plain(y: Multipliers) -> Proof | None:
+        wanted, plain, within = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Proof](), list[Proof]()
+        for y in self._tried(answer):
             proof = proven(y)
-            if proof is not None and proof.radius < math.inf:
-                within.append(proof)
-                return None
-            return proof
-
-        form = self._form
-
-        def tried() -> Iterator[Multipliers]:
-            yield from self.candidates(form.vector(answer.multipliers))
-            for rooms in self._rooms:
-                roomy = self._with_room(answer, rooms)
-                if roomy is not None:
-                    yield from self.candidates(form.vector(roomy))
-
-        best = _best(map(plain, tried()), NEAR_ENOUGH * self.margin_of(answer.optimum), margin)
-        if best is not None or not within:
-            return best
+            if proof is not None:
+                (plain if proof.radius == math.inf else within).append(proof)
+            if is_over() or (plain and margin(plain[-1]) >= wanted):
+                break
+        if plain or not within:
+            return max(plain, key=margin, default=None)
         most = max(map(margin, within))
         return max((proof for proof in within if margin(proof) >= ALIKE * most), key=operator.attrgetter("radius"))
+
+    def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
+        """Yield vectors near the answer, then near others that leave room."""
+        yield from self.candidates(self._form.vector(answer.multipliers))
+        for rooms in self._rooms:
+            roomy = self._with_room(answer, rooms)
+            if roomy is not None:
+                yield from self.candidates(self._form.vector(roomy))
 
     def _with_room(self, answer: FarkasAnswer, rooms: sp.csr_array) -> FloatVector | None:
         """Return v ≥ rooms · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
@@ -309,19 +305,6 @@ class _StandardForm:
         """Return y, shape (m,)."""
         y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
         return y
-
-
-def _best(proofs: Iterable[Proof | None], wanted: float, margin: Callable[[Proof], float]) -> Proof | None:
-    """Return the first proof of the margin wanted, else the one with the largest until time ends."""
-    best: Proof | None = None
-    for proof in proofs:
-        if proof is not None and (best is None or margin(proof) > margin(best)):
-            best = proof
-            if margin(best) >= wanted:
-                break
-        if is_over():
-            break
-    return best
 
 
 def _cut_off(values: FloatVector, unit: float) -> FloatVector:

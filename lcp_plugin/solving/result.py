@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
-from ..certificates.conditioning import estimated_error
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
 from ..errors import NotConverged
@@ -322,6 +321,8 @@ class Result:
         certificate, problem = self.certificate, self.certificate.problem
         if problem.is_distributed:
             return []
+        from ..certificates.active_rows import estimated_error
+
         residual = certificate.scaled_residual
         error = estimated_error(problem, self.z, self.w, residual)
         size = float(np.abs(self.z).max(initial=0.0))

@@ -341,6 +341,17 @@ def test_the_coarsest_grid_is_solved(text: str) -> None:
             np.testing.assert_allclose(top.x, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+def test_a_coarsest_grid_without_unknowns_is_solved_in_silence(capfd: pytest.CaptureFixture[str]) -> None:
+    """A rank may have no unknowns left there: LAPACK is not asked, and does not print."""
+    truncation = Truncation(build_hierarchy(sp.csr_array((0, 0))))
+    truncation.correct(0)
+    truncation.correct_transposed(0)
+    factor, work = truncation.grids[0].factor()
+    assert factor is not None
+    assert factor.solve(np.empty(0)).size == work == 0
+    assert capfd.readouterr() == ("", "")
+
+
 def test_sweeps_agree_with_triangular_solves() -> None:
     """The first forward sweep is a solve with the lower triangle; what it leaves is −U x."""
     M = gallery.build("convection_diffusion", size=15).problem.csr

@@ -136,11 +136,14 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
 def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
     """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
 
-    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A.
+    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A. No rows are regular too, as on the
+    coarsest grid of a rank that has none left; LAPACK calls them an illegal value.
     """
     from scipy.linalg import lapack
 
     n = matrix.shape[0]
+    if n == 0:
+        return Factor("LU", np.copy, np.copy, 0.0, 0.0)
     array = matrix if by_columns else matrix.T
     factor, pivots, info = made(lambda: lapack.dgetrf(array, overwrite_a=overwrite), n**3 / 1.5)
     if info != 0:

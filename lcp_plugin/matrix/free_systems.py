@@ -163,8 +163,6 @@ class FreeSystem:
     @cached_property
     def _doubtful_factor(self) -> Factor | None:
         """The factor of the block, None where a pivot is zero."""
-        if not self.rows.size:
-            return Factor("empty", np.copy, np.copy, 0.0, 0.0)
         return self._counted(self._even_factor(self.block))
 
     @cached_property

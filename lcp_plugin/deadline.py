@@ -172,11 +172,18 @@ class NewKernels:
         with compiling():
             self._count(1)
             try:
-                if tell := _tell.get():
-                    tell()
                 yield
             finally:
                 self._count(-1)
+
+    @contextmanager
+    def watched_by(self, watcher: Callable[[], None]) -> Iterator[None]:
+        """Let this be one of the watchers inside a ``with`` statement."""
+        self.watchers.append(watcher)
+        try:
+            yield
+        finally:
+            self.watchers.remove(watcher)
 
     def _count(self, change: int) -> None:
         with self._lock.held():
@@ -191,17 +198,6 @@ class NewKernels:
 
 
 NEW_KERNELS = NewKernels()
-_tell: ContextVar[Callable[[], None] | None] = ContextVar("tell", default=None)
-
-
-@contextmanager
-def told_of_compilation(tell: Callable[[], None]) -> Iterator[None]:
-    """Call this whenever a kernel begins to be compiled in the runs inside a ``with`` statement."""
-    token = _tell.set(tell)
-    try:
-        yield
-    finally:
-        _tell.reset(token)
 
 
 def _now() -> float:

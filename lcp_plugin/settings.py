@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -168,14 +168,6 @@ def _choice(value: Any, name: str, choices: tuple[str, ...]) -> str:
     return value
 
 
-def _target(value: Any, name: str) -> str:
-    return _choice(value, name, TARGETS)
-
-
-def _measure(value: Any, name: str) -> str:
-    return _choice(value, name, MEASURES)
-
-
 def _flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
@@ -207,8 +199,9 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "tolerance": _number, "tolerance_on": _target, "measure": _measure, "max_iterations": _count,
-    "max_seconds": _seconds, "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
+    "tolerance": _number, "tolerance_on": partial(_choice, choices=TARGETS),
+    "measure": partial(_choice, choices=MEASURES), "max_iterations": _count, "max_seconds": _seconds,
+    "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
     "threads": checked_threads, "verbose": _flag, "refute": _flag,
 }
 

@@ -480,14 +480,14 @@ HOPELESS = {
 def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nothing can be solved every policy ends, after a bounded number of steps, linearisations and stages."""
     stages = []
-    solved_by = josephy_newton.solved
+    solved_by = josephy_newton.solved_within
 
     def counted(*of: Any) -> Result:
         result = solved_by(*of)
         stages.append(len(result.stages))
         return result
 
-    monkeypatch.setattr(josephy_newton, "solved", counted)
+    monkeypatch.setattr(josephy_newton, "solved_within", counted)
     result = solve_nonlinear(NonlinearProblem(HOPELESS[name]), [1.0, 0.5], algorithm)
     assert not result.is_solved
     assert result.iterations <= 7 * 30  # starts, and steps without a gain
@@ -575,7 +575,7 @@ def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch)
             now[0] += 70.0
 
     monkeypatch.setattr("lcp_plugin.deadline.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("lcp_plugin.solving.linear_steps.fused", compiles)
+    monkeypatch.setattr("lcp_plugin.solving.driver.fused", compiles)
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
     assert now[0] > 70.0
     solved(result)

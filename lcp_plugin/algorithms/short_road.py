@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -93,25 +94,22 @@ def steps(problem: LCP, z0: FloatVector, plan: Plan) -> Iterator[Step]:
 def sprint(problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int, plan: Plan) -> Sprint | None:
     """Return where `steps` arrive within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
-    vectors = map(as_batch, (problem.q, problem.lower, problem.upper))
-    return sprint_of_arrays((as_dense(problem.matrix), *vectors, start), tolerance, max_iterations, plan)
-
-
-def sprint_of_arrays(
-    arrays: tuple[Any, ...], tolerance: float, max_iterations: int, plan: Plan = EVERYTHING
-) -> Sprint | None:
-    """Return the same for a problem that is no more than M, q, lower, upper and a start, finite, each `as_batch`."""
-    answers = Answers(*arrays[1].shape)
-    run(arrays, plan, tolerance, max_iterations, 0, 1, answers)
+    vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
+    run((as_dense(problem.matrix), *vectors, start), plan, tolerance, max_iterations, 0, 1, answers)
     return answers.sprint(0)
 
 
 def new_desk(n: int) -> tuple[Any, Any, Any]:
     """Return the work arrays of one problem at a time, as :mod:`~lcp_plugin.kernels.desk` has them."""
+    real, whole, room = _shapes(n)
+    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
+
+
+@cache
+def _shapes(n: int) -> Any:
     from ..kernels.desk import shapes
 
-    real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
-    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
+    return shapes(n)  # type: ignore[no-untyped-call]
 
 
 def run(

@@ -15,7 +15,7 @@ import numpy as np
 from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
 from .desk import AT_LOWER, AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
 from .floats import EPSILON
-from .small_problems import classify, look_at, slack
+from .small_problems import classify, look_at, slack, take
 from .small_systems import solve_free
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
@@ -36,9 +36,8 @@ def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: igno
     for k in range(first, end):
         if not is_plain[k]:
             continue
-        own = k if q.shape[0] > 1 else 0, k if lower.shape[0] > 1 else 0, k if upper.shape[0] > 1 else 0
+        take(q, lower, upper, k, real, n)
         for i in range(n):
-            real[Q, i], real[LOWER, i], real[UPPER, i] = q[own[0], i], lower[own[1], i], upper[own[2], i]
             real[Z, i] = z[k, i]
         is_plain[k] = _settled(M, k if M.shape[0] > 1 else 0, real, whole, room)
         if is_plain[k]:
@@ -121,9 +120,8 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
     for k in range(first, end):
         if not is_plain[k]:
             continue
-        own = k if h.shape[0] > 1 else 0, k if lower.shape[0] > 1 else 0, k if upper.shape[0] > 1 else 0
+        take(h, lower, upper, k, real, n)
         for i in range(n):
-            real[Q, i], real[LOWER, i], real[UPPER, i] = h[own[0], i], lower[own[1], i], upper[own[2], i]
             whole[SIDE, i] = side[k, i]
             is_plain[k] &= side[k, i] < KINK  # others solve a small LCP
         of = k if M.shape[0] > 1 else 0

@@ -165,7 +165,7 @@ def _sweep(M, k, real):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
+def take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
     """Copy a problem's vectors, Z at the point of its box nearest to 0; return whether that is 0."""
     of_q, of_lower, of_upper = (
         item if q.shape[0] > 1 else 0, item if lower.shape[0] > 1 else 0, item if upper.shape[0] > 1 else 0
@@ -307,7 +307,7 @@ def run_all(  # type: ignore[no-untyped-def]
             count, limit = 0, 1
         else:
             limit = max_iterations if steps == ALL else 0
-            is_zero = _take(q, lower, upper, item, real, n)
+            is_zero = take(q, lower, upper, item, real, n)
             nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
             whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
             is_dense = _is_dense(nonzeros, n)
@@ -355,7 +355,7 @@ def follow_all(  # type: ignore[no-untyped-def]
         if not needs_path[item]:
             continue
         k, least, most = item if M.shape[0] > 1 else 0, 1.0, 1.0
-        is_zero = _take(q, lower, upper, item, real, n)
+        is_zero = take(q, lower, upper, item, real, n)
         nonzeros, _, _, is_symmetric = look_at(M, k, real)
         if tolerance >= 0.0:
             least, most = _ends(M, k, real, is_zero, _is_dense(nonzeros, n))

@@ -42,13 +42,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.active_sets.banded import Banded
 from ..algorithms.base import in_driven_sweeps
+from ..algorithms.pivots.lemke import Lemke
 from ..algorithms.short_road import ShortRoad, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
@@ -66,27 +67,37 @@ PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
 BANDED = Banded()
+PATHS = 2  # of pivots, on a linearisation
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
-class Policy(Protocol):
-    """Chooses the first algorithm, and after each step whether another one takes over."""
+class Policy:
+    """Chooses the first algorithm, and after each step whether another one takes over.
+
+    Attributes
+    ----------
+    name : str
+    chosen : str or Algorithm
+        What the caller asked for.
+    """
 
     name: str
     chosen: Any
-    """What the caller asked for: an algorithm, or "auto"."""
 
     def first(self, problem: LCP) -> Choice:
         """Return the algorithm to begin with."""
+        raise NotImplementedError
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
+        return None
 
     def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
+        return None
 
 
-class Single:
+class Single(Policy):
     """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
 
     Where `refutes` is False, nobody looks for a proof.
@@ -102,19 +113,15 @@ class Single:
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return None, or the feasibility check after a method that ended without a solution."""
-        if not failed or len(stages) > 1 or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO:
-            return None
-        if not self._refutes:
+        is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+        if not failed or len(stages) > 1 or is_unfit:
             return None
         from ..algorithms.search.stages import FeasibilityCheck
 
         return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
 
-    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return None: the caller's choice is final."""
 
-
-class Auto:
+class Auto(Policy):
     """What is predicted to need the least work; where `refutes` is False, without a look for proofs.
 
     Where `looks_at_cases` is False, a solution near the start is wanted: no search looks for another one.
@@ -188,7 +195,7 @@ class Auto:
 DIRECT = "newton"  # predicts for all direct methods
 
 
-class AutoOnRanks:
+class AutoOnRanks(Policy):
     """What is left of the tables where no process holds all rows: multigrid, then sweeps."""
 
     name = chosen = "auto"
@@ -201,8 +208,27 @@ class AutoOnRanks:
         """Return PSOR where multigrid came to an end."""
         return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
 
-    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return None."""
+
+class LinearPolicy(Policy):
+    """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
+
+    def __init__(self, algorithm: str | Algorithm) -> None:
+        self._policy = policy_for(algorithm, {}, refutes=False, looks_at_cases=False)
+        self.name, self.chosen = self._policy.name, self._policy.chosen
+
+    def first(self, problem: LCP) -> Choice:
+        """Return what the policy begins with."""
+        return self._policy.first(problem)
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return the policy's next choice; pivots are the last, and nothing has two turns."""
+        if isinstance(stages[-1].algorithm, Lemke):
+            return None
+        choice = self._policy.next_step(problem, stages, target, failed)
+        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
+            return None
+        is_pivoting = isinstance(choice.algorithm, Lemke)
+        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
 
 
 def takes_the_short_road(problem: LCP) -> bool:

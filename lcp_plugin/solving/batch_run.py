@@ -168,6 +168,11 @@ class BatchRun:
 class BatchResult(Results):
     """The answers to a batch of problems.
 
+    Parameters
+    ----------
+    run : BatchRun
+        At its end.
+
     Attributes
     ----------
     z : array, shape (B, n), or a list of arrays where the sizes differ

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,19 +12,23 @@ from ..algorithms import Algorithm, Sprint
 from ..certificates.references import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
-from ..deadline import Clock
+from ..crossovers import INTERIOR_STEPS
+from ..deadline import Clock, seconds_left
 from ..errors import InvalidOption
 from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
 from ..matrix.parts import parts
-from ..policy.choice import Policy, name_of, policy_for
+from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP, checked_start
 from ..problem.nonlinear import NonlinearProblem
-from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
+from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered
-from .result import Result, StageRecord
+from .result import Result, Sample, StageRecord
 from .run import Callback, Run
+
+FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
+LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 
 
 def solve(
@@ -222,3 +227,37 @@ def fused_result(
         absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
         setup_seconds=0.0, stages=stages, chosen=policy.chosen,
     )
+
+
+def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
+    """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
+
+    It solves a linearisation of a nonlinear problem, from the projected gradient step: the methods see a start and look
+    for a solution near it.
+    """
+    left, clock, units = seconds_left(), Clock(problem.peers), CommonUnits.of(problem)
+    policy = LinearPolicy(algorithm)
+    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
+    step = np.nan_to_num(-problem.q / problem.residual_scale)
+    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
+    if (result := fused(units, policy, first, settings, start, clock)) is not None:
+        return result
+    run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
+    return run.judged(start, run.drive(start, first))
+
+
+class _Patience:
+    """Ends a run in which many factorisations have not halved the residual."""
+
+    def __init__(self) -> None:
+        self.lowest, self.idle, self.before = math.inf, 0, 0
+
+    def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether the run has had its time."""
+        residual, steps = math.inf if sample.residual is None else sample.residual, sample.iteration - self.before
+        self.before = sample.iteration
+        if residual <= 0.5 * self.lowest:
+            self.lowest, self.idle = residual, 0
+        elif sample.label in FACTORS:
+            self.idle += steps
+        return self.idle >= FACTORS.get(sample.label, math.inf)

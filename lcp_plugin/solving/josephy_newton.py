@@ -25,7 +25,7 @@ from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations
 from ..settings import Status
-from .linear_steps import LinearPolicy, solved
+from .driver import solved_within
 from .result import Result
 
 SUFFICIENT = 1e-4
@@ -327,11 +327,11 @@ class _Newton:
     def _solved_by(self, algorithm: str | Algorithm, step: LCP, tolerance: float) -> Result:
         """Return the result of that algorithm; of auto where it does not take this linearisation."""
         try:
-            return solved(step, LinearPolicy(algorithm), tolerance)
+            return solved_within(step, algorithm, tolerance)
         except (UnsuitableMatrix, UnsuitableProblem):
             if algorithm == "auto":
                 raise
-            return solved(step, LinearPolicy("auto"), tolerance)
+            return solved_within(step, "auto", tolerance)
 
 
 def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:

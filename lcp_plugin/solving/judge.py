@@ -23,9 +23,13 @@ SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or 
 
 
 class Judge:
-    """Measures, certifies and names the end of a run on the caller's own data.
+    """Measures, certifies and names the end of a run on the caller's own data; this one judges an LCP.
 
-    Every z that it is given is in the common units of the run; what it gives back is the caller's.
+    Every z that it is given is in the common units of the run; what it gives back is the caller's. A problem of another
+    kind brings a judge of its own, which answers what :class:`~lcp_plugin.solving.run.Run` asks: at each step
+    `residual_of` (what the algorithm says), `measure`, `certified` and `passes`; where nothing falls `is_at_floor` and
+    `is_limited_by_size`; of a proof `counts` and `misses_by_rounding`; at the end `final`, whose certificate `verdict`
+    names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an LCP of them.
 
     Attributes
     ----------

@@ -19,6 +19,7 @@ from ..certificates.least_squares import Enclosures, Optimality, duality_gap
 from ..certificates.references import CommonUnits
 from ..checks import FloatVector
 from ..deadline import Clock
+from ..policy.choice import Policy
 from ..policy.stages import Choice, Stage
 from ..problem.least_squares import LeastSquares
 from ..settings import Settings, Status
@@ -90,7 +91,7 @@ class Steps(Algorithm):
         return refined.x
 
 
-class Stages:
+class Stages(Policy):
     """What is tried in turn, each from the best point so far."""
 
     name = chosen = "least squares"
@@ -105,9 +106,6 @@ class Stages:
     def next_step(self, problem: Any, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return the next stage where one has come to its end."""
         return next(self._left, None) if failed else None
-
-    def another_start(self, problem: Any, stages: Sequence[Stage]) -> None:
-        """Return None: all minima are alike."""
 
     @staticmethod
     def _stages(problem: LeastSquares) -> Iterator[Choice]:

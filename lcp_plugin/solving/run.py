@@ -18,8 +18,7 @@ from ..checks import FloatVector, read_only
 from ..deadline import Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..policy.choice import Policy, name_of
-from ..policy.pacing import CheckSchedule, Progress
-from ..policy.stages import Choice, Stage
+from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import CallersOwn, Settings, Status
 from .error_watch import BoundOrReason
 from .judge import Judge

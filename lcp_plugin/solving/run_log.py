@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import Any
 
-from ..deadline import NEW_KERNELS, compilation, told_of_compilation
+from ..deadline import NEW_KERNELS, compilation
 from ..matrix import verdicts
 from ..matrix.matrix import Matrix
 from ..matrix.structure import triangular_form
@@ -43,10 +43,10 @@ class RunLog:
 
     def telling_of_compilation(self) -> AbstractContextManager[None]:
         """Say it once where kernels are compiled inside a ``with`` statement, when that takes more than a second."""
-        return told_of_compilation(self._compiling)
+        return NEW_KERNELS.watched_by(self._compiling)
 
     def _compiling(self) -> None:
-        if NEW_KERNELS.seconds > self._silent_until:
+        if NEW_KERNELS.is_under_way and NEW_KERNELS.seconds > self._silent_until:
             self._silent_until = math.inf
             self._write("(compiling, once an installation: some seconds more)")
 

@@ -16,8 +16,12 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
 from lcp_plugin.algorithms.search import NoSolution, search
-from lcp_plugin.certificates.infeasibility import contradictory_row, decide_feasibility
-from lcp_plugin.certificates.no_solution import ForcedContradiction, find_forced_contradiction
+from lcp_plugin.certificates.infeasibility import (
+    ForcedContradiction,
+    contradictory_row,
+    decide_feasibility,
+    find_forced_contradiction,
+)
 from lcp_plugin.certificates.references import reference_residual
 from lcp_plugin.certificates.refutation import Choices, Infeasibility
 from lcp_plugin.deadline import time_limit

@@ -12,7 +12,7 @@ from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
 from lcp_plugin.algorithms.search import Effort, Found, GaveUp, all_solutions, explore, search
-from lcp_plugin.certificates.no_solution import Case, NoSolution
+from lcp_plugin.certificates.infeasibility import Case, NoSolution
 from lcp_plugin.certificates.refutation import row_choices
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.exact.simplex import QUANTUM

@@ -151,18 +151,13 @@ class Refutation:
     @cached_property
     def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
         """The least relative residual, the least one, and the least square of the euclidean one; None for ∞."""
-        relative: list[Fraction] = []
-        absolute: list[Fraction] = []
-        squared: list[Fraction] = []
-        for closing in self.closings():
-            if closing is None:
-                return Fraction(0), Fraction(0), Fraction(0)
-            if closing.relative:
-                relative.append(closing.contradiction / closing.relative)
-            if closing.absolute:
-                absolute.append(closing.contradiction / closing.absolute)
-            if closing.squares:
-                squared.append(closing.contradiction**2 / closing.squares)
+        found = list(self.closings())
+        closings = [closing for closing in found if closing is not None]
+        if len(closings) < len(found):
+            return ZERO, ZERO, ZERO
+        relative = [one.contradiction / one.relative for one in closings if one.relative]
+        absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
+        squared = [one.contradiction**2 / one.squares for one in closings if one.squares]
         return min(relative, default=None), min(absolute, default=None), min(squared, default=None)
 
 

@@ -28,6 +28,10 @@ CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF012681
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
 GUARANTEED, NOT_COVERED = "guaranteed", "not covered"
+AUTOMATIC = (
+    "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel does, and "
+    f"M is {{}} ({CRYER})"
+)
 POWER_STEPS = 60
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also where it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
@@ -97,10 +101,7 @@ def theorem_of(facts: IterationFacts, problem: LCP, proof: Contraction) -> str:
     """Return the name and source of the theorem that the proof is an instance of."""
     if facts.family == PROJECTED_RELAXATION:
         if facts.relaxation is None:
-            return (
-                "trials of a larger ω are undone where they do not pay, so it converges wherever projected "
-                f"Gauss–Seidel does, and M is an H₊-matrix ({CRYER})"
-            )
+            return AUTOMATIC.format("an H₊-matrix")
         return f"M is an H₊-matrix and |1 − ω| + (|ω − β| + |β|)ℓ + ωu < 1, as for 0 ≤ β ≤ ω < 2/(1 + ρ) ({CRYER})"
     if facts.family == MODULUS:
         small = (facts.relaxation or 0.0) <= 1.0
@@ -129,10 +130,7 @@ def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str 
         return None
     omega, beta = numbers(facts)
     if facts.relaxation is None:
-        return (
-            "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel "
-            f"does, and M is symmetric positive definite ({CRYER})"
-        )
+        return AUTOMATIC.format("symmetric positive definite")
     if omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
         return f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
     if beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:

@@ -10,7 +10,7 @@ from itertools import islice
 
 import numpy as np
 
-from ...certificates.no_solution import Case, NoSolution
+from ...certificates.infeasibility import Case, NoSolution
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...exact.simplex import Effort

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from ...certificates.no_solution import Case
+from ...certificates.infeasibility import Case
 from ...certificates.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
 from ...exact.simplex import Bound, Effort, ExactSimplex
 from ...problem.exactly import integer_matrix, slack_bounds

@@ -13,8 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...certificates.infeasibility import decide_feasibility
-from ...certificates.no_solution import Case, find_forced_contradiction
+from ...certificates.infeasibility import Case, decide_feasibility, find_forced_contradiction
 from ...certificates.refutation import LOWER, SLACKLESS, UPPER
 from ...checks import FloatVector
 from ...crossovers import LINEAR_PROGRAM_UP_TO

@@ -20,7 +20,7 @@ from lcp_plugin.algorithms.pivots.lemke import Lemke, connected_parts
 from lcp_plugin.algorithms.pivots.pivoting_path import Path
 from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.errors import InvalidOption, UnsuitableProblem
-from lcp_plugin.kernels.pivoting import GOING_ON, LOST, RAY, SOLVED
+from lcp_plugin.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.strategies import solved_lcps
 
 INF = np.inf

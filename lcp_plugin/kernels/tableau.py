@@ -1,16 +1,21 @@
-"""Lemke's path on a small dense tableau: half the work of the usual one, and nothing watched on the way.
+"""Lemke's path on a dense tableau: complementary pivoting along w = M z + q + t r, 0 ≤ z ≤ u, from t = ∞ to t = 0.
 
-The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Bounds are those
-of the variables, ties are broken lexicographically as in :mod:`~lcp_plugin.kernels.pivoting`, which does the same with
-an estimate of every rounding error and a renewed inverse; here the caller measures what comes out. Free rows are not
-taken. Variables are numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.kernels.desk`.
+The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
+z_i, w_i is basic for every row i but the *driven* one; SIDE says where z_i stands: AT_LOWER (w_i ≥ 0 basic), BETWEEN
+(z_i basic), AT_UPPER (w_i ≤ 0 basic). Bounds are those of the variables. q is thought of as q + (ε, ε², …) for a tiny
+ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
+numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.kernels.desk`.
+
+On small problems a path is followed in one call and nothing watched on the way: the caller measures what comes out
+(:func:`follow_path`; free rows are not taken). On others a few pivots are made at a time, and whoever asks for them
+renews the tableau (:func:`pivots`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .compilation import compiled_in_any_order, compiled_into_others, compiled_part
+from .compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
 from .desk import (
     AT_LOWER,
     AT_UPPER,
@@ -39,7 +44,10 @@ from .desk import (
 SCALING_ROUNDS = 3
 SMALLEST_PIVOT = 1e-11  # in an equilibrated problem
 TIE = 1e-12
+DOUBTFUL = 1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
+HELD = 8  # pivots whose products are added to a large tableau at once
 OWN_BOUND, NOTHING = -1, -2
+GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
 @compiled_part
@@ -55,32 +63,151 @@ def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
     if row < 0:
         _end(real, whole, n)
         return 0
-    made, column, direction, value, step = 0, n, 1.0, 0.0, -real[KEPT, row]
-    while True:
-        is_falling = direction * room[row, column] < 0.0
-        for i in range(n):
-            real[KEPT, i] += direction * step * room[i, column]
-        real[KEPT, row] = value + direction * step
-        leaving = _exchange(real, whole, room, n, row, column)
+    driven, value, direction = 2 * n, 0.0, 1.0
+    made, column, step = 0, n, -real[KEPT, row]
+    while made < limit:
+        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
         made += 1
-        if leaving == 2 * n:
+        if left == 2 * n:
             _end(real, whole, n)
             return made
-        driven, value, direction = _complement(real, whole, n, leaving, is_falling)
-        while True:  # until a basic variable blocks
-            if made >= limit:
-                return -1
-            column = whole[PLACE, driven] - n
-            row, step = _blocking(real, whole, room, n, column, direction, driven, size)
-            if row >= 0:
-                break
-            if row == NOTHING:
-                return -1
-            made += 1
-            for i in range(n):
-                real[KEPT, i] += direction * step * room[i, column]
-            whole[SIDE, driven] = AT_UPPER if direction > 0.0 else AT_LOWER
-            driven, value, direction = n + driven, 0.0, -direction
+        if row >= 0:
+            _exchange(real, room, n, row, column)
+        column = whole[PLACE, driven] - n
+        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
+        if row == NOTHING:
+            return -1
+        if count > 1:
+            row = _first_in_order(whole, room, n, column, direction, count)
+    return -1
+
+
+@compiled
+def pivots(  # type: ignore[no-untyped-def]
+    real, whole, room, factors, rows, start_side, driven, value, direction, is_fresh, limit
+):
+    """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
+
+    The tableau is what `room` holds plus the products of the columns `factors` with `rows`: those of the last few
+    pivots, which are added at once, so that a large tableau goes through memory once for all of them. What a pivot
+    looks at is brought up to date before.
+
+    Parameters
+    ----------
+    real, whole, room : arrays
+        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE; the tableau. All but WIDTH are updated.
+    factors, rows : arrays, shape (HELD, n) and (HELD, n + 1)
+        Room to work in.
+    start_side : array of int, shape (n,)
+        SIDE of the cell where the path began, in which it must not end; −1 where it began outside of all.
+    is_fresh : bool
+        The tableau has just been computed: a first pivot is taken however small it is.
+    """
+    n, size = start_side.size, 0.0
+    for i in range(n):
+        size = max(size, abs(real[KEPT, i]))
+    made, held, outcome = 0, 0, GOING_ON
+    while made < limit and outcome == GOING_ON:
+        column, largest = whole[PLACE, driven] - n, 0.0
+        for i in range(n):
+            for k in range(held):
+                room[i, column] += factors[k, i] * rows[k, column]
+            largest = max(largest, abs(room[i, column]))
+        for k in range(held):
+            rows[k, column] = 0.0
+        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
+        if row == NOTHING:
+            outcome = RAY
+            break
+        for c in range(count):
+            _bring_up_to_date(room, n, factors, rows, held, whole[CANDIDATE, c])
+        if count > 1:
+            row = _first_in_order(whole, room, n, column, direction, count)
+        if row >= 0 and not (is_fresh and made == 0) and abs(room[row, column]) < DOUBTFUL * largest:
+            outcome = LOST
+            break
+        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
+        made += 1
+        if row >= 0:
+            _hold(room, n, factors[held], rows[held], row, column)
+            held += 1
+        if held == HELD:
+            _add(room, n, factors, rows)
+            held = 0
+        if left == 2 * n:
+            outcome = SOLVED
+            break
+        entered, is_back = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER, True
+        for i in range(n):
+            is_back &= start_side[i] == (entered if i == driven % n else whole[SIDE, i])
+        outcome = RETURNED if is_back else GOING_ON
+    for i in range(n):
+        _bring_up_to_date(room, n, factors, rows, held, i)
+    return outcome, driven, value, direction, made
+
+
+@compiled_into_others
+def _bring_up_to_date(room, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
+    """Add what is held back of a row to the tableau; OWN_BOUND is none."""
+    for k in range(held):
+        if row >= 0 and factors[k, row] != 0.0:
+            factor = factors[k, row]
+            for j in range(n + 1):
+                room[row, j] += factor * rows[k, j]
+            factors[k, row] = 0.0
+
+
+@compiled_into_others
+def _hold(room, n, factor, held, row, column):  # type: ignore[no-untyped-def]
+    """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
+    p = room[row, column]
+    for j in range(n + 1):
+        held[j] = room[row, j] / -p
+        room[row, j] = 0.0
+    held[column] = 1.0 / p
+    for i in range(n):
+        factor[i] = room[i, column]
+        room[i, column] = 0.0
+    factor[row] = 1.0
+
+
+@compiled_into_others
+def _add(room, n, factors, rows):  # type: ignore[no-untyped-def]
+    """Add all that is held back to the tableau: HELD products at once."""
+    for i in range(n):
+        is_zero = True
+        for k in range(HELD):
+            is_zero &= factors[k, i] == 0.0
+        if is_zero:
+            continue
+        a, b, c, d = factors[0, i], factors[1, i], factors[2, i], factors[3, i]
+        e, f, g, h = factors[4, i], factors[5, i], factors[6, i], factors[7, i]
+        for j in range(n + 1):
+            first = (a * rows[0, j] + b * rows[1, j]) + (c * rows[2, j] + d * rows[3, j])
+            room[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
+
+
+@compiled_into_others
+def _move(real, whole, room, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
+    """Move the driven variable by a step, at whose end `row` blocks it; return what left the basis, and what is driven.
+
+    That is 2n at the end of the path, OWN_BOUND where the variable has met its own other bound; then (driven variable,
+    its value, its direction).
+    """
+    is_falling = row >= 0 and direction * room[row, column] < 0.0
+    for i in range(n):
+        real[KEPT, i] += direction * step * room[i, column]
+    if row == OWN_BOUND and driven == 2 * n:
+        return driven, driven, 0.0, direction
+    if row == OWN_BOUND:
+        whole[SIDE, driven] = AT_UPPER if direction > 0.0 else AT_LOWER
+        return row, n + driven, 0.0, -direction
+    real[KEPT, row] = value + direction * step
+    leaving = _swap(real, whole, n, row, column)
+    if leaving == 2 * n:
+        return leaving, driven, value, direction
+    driven, value, direction = _complement(real, whole, n, leaving, is_falling)
+    return leaving, driven, value, direction
 
 
 @compiled_into_others
@@ -153,8 +280,8 @@ def _most_negative(real, whole, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _exchange(real, whole, room, n, row, column):  # type: ignore[no-untyped-def]
-    """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
+def _exchange(real, room, n, row, column):  # type: ignore[no-untyped-def]
+    """Express the other variable of `column` by the basic one of `row`, and all others by it."""
     p = room[row, column]
     for j in range(n + 1):
         real[PIVOT_ROW, j] = room[row, j] / -p
@@ -167,6 +294,11 @@ def _exchange(real, whole, room, n, row, column):  # type: ignore[no-untyped-def
                 room[i, j] += factor * real[PIVOT_ROW, j]
     for j in range(n + 1):
         room[row, j] = real[PIVOT_ROW, j]
+
+
+@compiled_into_others
+def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
+    """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
     whole[BASIC, row], whole[OTHER, column] = entering, leaving
     whole[PLACE, entering], whole[PLACE, leaving] = row, n + column
@@ -191,9 +323,12 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
 
 
 @compiled_into_others
-def _blocking(real, whole, room, n, column, direction, driven, size):  # type: ignore[no-untyped-def]
-    """Return the row that blocks the driven variable, or OWN_BOUND or NOTHING, and the distance."""
-    own = real[WIDTH, driven] if driven < n else np.inf
+def _blocking(real, whole, room, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
+    """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
+
+    Where that is more than one the row is the first of them.
+    """
+    own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
     nearest = own
     for i in range(n):
         rate = direction * room[i, column]
@@ -202,18 +337,19 @@ def _blocking(real, whole, room, n, column, direction, driven, size):  # type: i
         real[DISTANCE, i] = distance
         nearest = distance if distance < nearest else nearest
     if not nearest < np.inf:
-        return NOTHING, nearest
+        return NOTHING, nearest, 0
     count, within = 0, nearest + TIE * (size + nearest)
     for i in range(n):
         if real[DISTANCE, i] <= within:
             if whole[BASIC, i] == 2 * n:
-                return i, nearest
+                whole[CANDIDATE, 0] = i
+                return i, nearest, 1
             whole[CANDIDATE, count] = i
             count += 1
     if own <= within:
         whole[CANDIDATE, count] = OWN_BOUND
         count += 1
-    return _first_in_order(whole, room, n, column, direction, count) if count > 1 else whole[CANDIDATE, 0], nearest
+    return whole[CANDIDATE, 0], nearest, count
 
 
 @compiled_into_others

@@ -178,10 +178,10 @@ class Lemke(Algorithm):
 
         A path lost to rounding is followed once more with an inverse renewed every few pivots.
         """
-        from ...kernels.pivoting import GOING_ON, LOST, RAY, SOLVED
+        from ...kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 
         usual = path.fresh_for
-        for block in (min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 16, 200))), CAREFUL_BLOCK):
+        for block in (min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 32, 200))), CAREFUL_BLOCK):
             path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
             outcome = GOING_ON if start(path) else RAY
             while outcome == GOING_ON and path.pivots < limit:

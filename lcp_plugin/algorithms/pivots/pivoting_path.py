@@ -8,16 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
-from ...kernels import pivoting
-from ...kernels.desk import AT_LOWER, AT_UPPER, BETWEEN
-from ...kernels.pivoting import CANCELLED, GOING_ON, LOST, RETURNED, SOLVED
+from ...kernels import tableau
+from ...kernels.desk import (
+    AT_LOWER,
+    AT_UPPER,
+    BASIC,
+    BETWEEN,
+    HIGH,
+    KEPT,
+    LOW,
+    OTHER,
+    PLACE,
+    SIDE,
+    WIDTH,
+    shapes,
+)
+from ...kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
 from .canonical_box import WELL_CONDITIONED
 
 FloatMatrix = NDArray[np.float64]
 
-FRESH_FOR = 25  # pivots after which B is inverted anew, at least; an inversion costs about n / 3 of them
+FRESH_FOR = 25  # pivots after which the tableau is computed anew, n where that is more: it costs about as much
 ACCURATE = 1e-12
 FEASIBLE = 1e-7
+CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
 NOT_STARTED = -1
 
 
@@ -34,26 +48,19 @@ class Path:
 
     def __init__(self, M: FloatMatrix, q: FloatVector, upper: FloatVector) -> None:
         self.M, self.q, self.upper = M, q, upper
-        self.columns = np.ascontiguousarray(M.T)
-        self.absolute = np.abs(M)
         self.n = n = q.size
-        self.inverse = np.zeros((n, n))
+        self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
+        real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
+        self.real, self.whole, self.room = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(room)
+        self.held = np.zeros((HELD, n)), np.zeros((HELD, n + 1))  # for the kernel
+        self.real[WIDTH, :n] = upper
+        self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
+        self.values, self.tableau = self.real[KEPT, :n], self.room[:n]
         self.entries = 0.0  # touched so far
-        self.fresh_for = max(FRESH_FOR, n // 3)
-        self.is_well_conditioned = True  # B, when it was last inverted
-        self._begin(np.zeros(n), n + np.arange(n), np.zeros(n, dtype=np.int64), 2 * n, 1.0, 0.0)
-
-    def _begin(
-        self, covering: FloatVector, basis: Any, side: Any, driven: int, direction: float, level: float
-    ) -> None:
-        n = self.n
-        self.covering, self.basis, self.side = covering, basis.astype(np.int64), side.astype(np.int64)
-        self.driven, self.direction, self.level = driven, direction, level
-        self.start_side = np.full(n, NOT_STARTED)
-        self.place = np.full(n, -1)
-        self._note_places()
-        self.values, self.noise = np.zeros(n), np.zeros(n)
+        self.fresh_for = max(FRESH_FOR, n)
+        self.is_well_conditioned = True  # the basis, when the tableau was last computed
         self.pivots = self.age = 0
+        self.basis[:] = n + np.arange(n)
 
     # --- starts -----------------------------------------------------------------------------------------
 
@@ -65,47 +72,40 @@ class Path:
         n, q = self.n, self.q
         if not np.all(covering[q < 0.0] > 0.0):
             return False
-        is_usable = covering > 0.0
         with np.errstate(all="ignore"):
-            level = np.where(is_usable, -q / covering, -np.inf)
-        # Among equals the last is the one that the perturbation q + (ε, ε², …) blocks first.
-        k = int(np.flatnonzero(level == level.max())[-1])
-        basis = n + np.arange(n)
-        basis[k] = 2 * n
-        self._begin(covering, basis, np.full(n, AT_LOWER), k, 1.0, 0.0)
-        self.inverse[:] = np.eye(n)
-        self.inverse[k] = -covering / covering[k]
-        self.inverse[k, k] = -1.0 / covering[k]
-        self.values = q + level[k] * covering
-        self.values[k] = level[k]
-        self._reset_noise()
-        return True
+            level = np.where(covering > 0.0, -q / covering, -np.inf)
+        basis, side = n + np.arange(n), np.full(n, AT_LOWER)
+        return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max())))
 
     @np.errstate(all="ignore")
     def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
-        """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if B is singular.
+        """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
 
         `side` names the cell; z and w must lie strictly inside it.
         """
         n = self.n
         basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
-        self._begin(w - self.M @ z - self.q, basis, side, 2 * n, -1.0, 1.0)
-        if not self._invert():
-            return False
+        is_started = self.start_at_vertex(w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0)
         self.start_side = self.side.copy()
-        return True
+        return is_started
 
-    def start_at_vertex(self, covering: FloatVector, basis: Any, side: Any, driven: int, direction: float) -> bool:
-        """Start at a given basis with variable `driven` moving in the direction; t, if driven, stands at 0."""
-        self._begin(covering, basis, side, driven, direction, 0.0)
-        return self._invert()
+    def start_at_vertex(
+        self, covering: FloatVector, basis: Any, side: Any, driven: int, direction: float, *, level: float = 0.0
+    ) -> bool:
+        """Start at a given basis with variable `driven` moving in the direction; t, if driven, stands at the level."""
+        self.covering = self.columns[:, self.n] = covering
+        self.basis[:], self.side[:] = basis, side
+        self.driven, self.value, self.direction = driven, level, direction
+        self.start_side = np.full(self.n, NOT_STARTED)
+        self.pivots = 0
+        return self._renew()
 
     # --- moving -----------------------------------------------------------------------------------------
 
     def advance(self, limit: int) -> int:
-        """Make up to `limit` pivots and return the outcome, a constant of `pivoting`.
+        """Make up to `limit` pivots and return the outcome, a constant of `tableau`.
 
-        A ray, and a pivot too small to trust, are looked at again with a new inverse.
+        A ray, and a pivot too small to trust, are looked at again with a new tableau.
         """
         outcome = self._run(limit)
         if outcome in (SOLVED, RETURNED):
@@ -118,50 +118,42 @@ class Path:
         return GOING_ON if outcome == LOST else outcome
 
     def _run(self, limit: int) -> int:
-        outcome, driven, direction, made, touched = pivoting.pivots(
-            self.columns, self.covering, self.upper, self.basis, self.place, self.side, self.start_side,
-            self.values, self.noise, self.inverse, self.driven, self.direction, self.level, self.age == 0, limit,
+        outcome, driven, value, direction, made = tableau.pivots(
+            self.real, self.whole, self.room, *self.held, self.start_side, self.driven, self.value, self.direction,
+            self.age == 0, limit,
         )
-        self.driven, self.direction = int(driven), float(direction)
+        self.driven, self.value, self.direction = int(driven), float(value), float(direction)
         self.pivots += int(made)
         self.age += int(made)
-        self.entries += float(touched)
+        self.entries += float(made) * self.n * (self.n + 1.0)
         return int(outcome)
 
     @np.errstate(all="ignore")
     def _is_sound(self, is_doubtful: bool) -> bool:
-        """Correct the values, with a new inverse where one is due; return whether they are feasible."""
+        """Correct the values, with a new tableau where one is due; return whether they are feasible."""
         wrong = self._correct()
         if is_doubtful or wrong > ACCURATE or self.age >= self.fresh_for:
-            if not self._invert():
+            if not self._renew():
                 return False
             wrong = self._correct()
         if not wrong <= np.sqrt(ACCURATE):
             return False
-        n, basis = self.n, self.basis
-        rows = basis % n
-        is_z = basis < n
-        low = np.where(~is_z & (self.side[rows] == AT_UPPER) & (basis < 2 * n), -np.inf, 0.0)
-        high = np.where(is_z, self.upper[rows], np.where(low < 0.0, 0.0, np.inf))
-        outside = np.maximum(low - self.values, self.values - high)
+        outside = np.maximum(self.real[LOW, :self.n] - self.values, self.values - self.real[HIGH, :self.n])
         return bool(np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0)))))
 
-    def _note_places(self) -> None:
-        is_w = (self.basis >= self.n) & (self.basis < 2 * self.n)
-        self.place[:] = -1
-        self.place[self.basis[is_w] - self.n] = np.flatnonzero(is_w)
-
     @np.errstate(all="ignore")
-    def _invert(self) -> bool:
-        """Compute B⁻¹ and the basic values from the data; False where B is singular to working precision."""
-        n, basis = self.n, self.basis
-        self._note_places()
-        others, rows = np.flatnonzero((basis < n) | (basis == 2 * n)), np.flatnonzero(self.place < 0)
-        block = np.empty((n, others.size))
-        is_t = basis[others] == 2 * n
-        block[:, ~is_t] = -self.columns[basis[others[~is_t]]].T
-        block[:, is_t] = -self.covering[:, None]
-        core = block[rows]
+    def _renew(self) -> bool:
+        """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
+        n, basis, D = self.n, self.basis, self.columns  # w = D (z, t) + q
+        is_other = np.ones(2 * n + 1, dtype=bool)
+        is_other[basis] = False
+        others = self.others[:] = np.flatnonzero(is_other)
+        self.whole[PLACE, basis], self.whole[PLACE, others] = np.arange(n), n + np.arange(n + 1)
+        inner, outer, is_slack, rows = self._sorted_out()
+        columns, other_columns, slack_rows = (
+            np.minimum(part, n) for part in (basis[inner], others[~is_slack], basis[outer] - n)
+        )
+        core = D[np.ix_(rows, columns)]
         try:
             inverse = np.linalg.inv(core)
         except np.linalg.LinAlgError:
@@ -175,20 +167,34 @@ class Path:
         inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
         if not inverse.any(axis=1).all():  # a row of nothing but rounding
             return False
-        slack_rows = np.flatnonzero(self.place >= 0)
-        below = block[slack_rows]
-        image = -below @ inverse
-        image[np.abs(image) <= CANCELLED * (np.abs(below) @ np.abs(inverse))] = 0.0
-        self.inverse[:] = 0.0
-        self.inverse[slack_rows, self.place[slack_rows]] = 1.0
-        self.inverse[np.ix_(rows, others)] = inverse.T
-        self.inverse[np.ix_(rows, self.place[slack_rows])] = image.T
-        self.entries += 3.0 * float(rows.size) ** 3 + 2.0 * float(n) * float(rows.size) ** 2
-        self.values = self._right_hand_side() @ self.inverse
+        beyond = D[np.ix_(slack_rows, columns)]
+        if inner.size:
+            top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
+            top[:, is_slack], top[:, ~is_slack] = inverse, _product(-inverse, D[np.ix_(rows, other_columns)])
+            below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
+            self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
+        else:
+            self.tableau[:] = D[slack_rows]
+        self.entries += float(rows.size) * (3.0 * float(rows.size) ** 2 + 2.0 * float(n) ** 2)
+        b = self._right_hand_side()
+        self.values[inner] = -inverse @ b[rows]
+        self.values[outer] = beyond @ self.values[inner] + b[slack_rows]
+        low, high = self.real[LOW, :n], self.real[HIGH, :n]
+        is_above = np.ones(n, dtype=bool)
+        is_above[outer] = self.side[slack_rows] != AT_UPPER
+        low[:], high[:] = np.where(is_above, 0.0, -np.inf), np.where(is_above, np.inf, 0.0)
+        is_z = basis < n
+        high[is_z] = self.upper[basis[is_z]]
         self.age = 0
         self._correct()
-        self._reset_noise()
         return True
+
+    def _sorted_out(self) -> tuple[Any, Any, Any, Any]:
+        """Return where z and t, and where w are basic; whether what is not basic is a w, and the rows of these."""
+        n = self.n
+        is_w = (self.basis >= n) & (self.basis < 2 * n)
+        is_slack = (self.others >= n) & (self.others < 2 * n)
+        return np.flatnonzero(~is_w), np.flatnonzero(is_w), is_slack, self.others[is_slack] - n
 
     def _right_hand_side(self) -> FloatVector:
         b = self.q.copy()
@@ -196,32 +202,27 @@ class Path:
         if at_upper.any():
             b += self.M[:, at_upper] @ self.upper[at_upper]
         if self.driven == 2 * self.n:
-            b += self.level * self.covering
+            b += self.value * self.covering
         return b
 
     @np.errstate(all="ignore")
     def _correct(self) -> float:
         """Refine the basic values by one step; return how wrong they were, relative to their terms."""
-        z, w, t = self.z, np.zeros(self.n), self._level_now()
-        is_w = (self.basis >= self.n) & (self.basis < 2 * self.n)
-        w[self.basis[is_w] - self.n] = self.values[is_w]
+        n, z, w = self.n, self.z, np.zeros(self.n)
+        _, outer, is_slack, rows = self._sorted_out()
+        slack_rows = self.basis[outer] - n
+        w[slack_rows] = self.values[outer]
+        t = self.value if self.driven == 2 * n else float(self.values[self.basis == 2 * n].sum())
         error = w - self.M @ z - t * self.covering - self.q
         size = np.abs(w) + self.absolute @ np.abs(z) + abs(t) * np.abs(self.covering) + np.abs(self.q)
-        self.entries += 3.0 * self.n * self.n
-        self.values -= error @ self.inverse
+        self.entries += 3.0 * n * n
+        of_others = np.zeros(n + 1)
+        of_others[is_slack] = error[rows]
+        self.values += self.tableau @ of_others  # the columns of w are those of −B⁻¹
+        self.values[outer] -= error[slack_rows]
         return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
 
-    @np.errstate(all="ignore")
-    def _reset_noise(self) -> None:
-        size = np.abs(self._right_hand_side()) @ np.abs(self.inverse)
-        self.noise = 2.0**-46 * size
-
     # --- reading ----------------------------------------------------------------------------------------
-
-    def _level_now(self) -> float:
-        if self.driven == 2 * self.n:
-            return self.level
-        return float(self.values[self.basis == 2 * self.n].sum())
 
     @property
     def z(self) -> FloatVector:
@@ -234,17 +235,20 @@ class Path:
     @property
     def ray(self) -> FloatVector:
         """The direction of z along which nothing blocks the driven variable, shape (n,)."""
-        n = self.n
-        column = np.zeros(n)
-        direction = np.zeros(n)
-        if self.driven < n:
-            column[:] = -self.columns[self.driven]
+        direction = np.zeros(self.n)
+        if self.driven < self.n:
             direction[self.driven] = self.direction
-        elif self.driven < 2 * n:
-            column[self.driven - n] = 1.0
-        else:
-            column[:] = -self.covering
-        image = self.direction * (column @ self.inverse)
-        is_z = self.basis < n
-        direction[self.basis[is_z]] -= image[is_z]
+        is_z = self.basis < self.n
+        column = self.tableau[:, self.whole[PLACE, self.driven] - self.n]
+        direction[self.basis[is_z]] += self.direction * column[is_z]
         return direction
+
+
+def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
+    """Return A B, or A B + C, with what is rounding of its terms taken for 0."""
+    product, terms = A @ B, np.abs(A) @ np.abs(B)
+    if C is not None:
+        product += C
+        terms += np.abs(C)
+    product[np.abs(product) <= CANCELLED * terms] = 0.0
+    return product

@@ -67,9 +67,7 @@ class Enclosures:
             return compensated_product(self._rows, x, -problem.b)
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
-        sums = self._sums(x, NOTHING, by_rows=True)
-        sums[1] += np.abs(problem.b)
-        return sums[0] - problem.b, _radii(sums, self._terms_of_a_row)
+        return self._product(x, NOTHING, problem.b, by_rows=True)
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
@@ -90,25 +88,19 @@ class Enclosures:
             return value, OUTWARD * (radius + abs(self._columns) @ slip)
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
-        sums = self._sums(weighted, slip, by_rows=False)
-        return sums[0], _radii(sums, self._terms_of_a_column)
+        return self._product(weighted, slip, 0.0, by_rows=False)
 
-    def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
-        """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0; B is A, or else Aᵀ."""
-        from ..kernels.least_squares_sums import along_rows, down_columns
+    def _product(self, v: FloatVector, slip: FloatVector, less: FloatVector | float, *, by_rows: bool) -> Ball:
+        """Return B v − less for a v known up to slip; B is A, or else Aᵀ."""
+        from ..kernels.least_squares_sums import radii
 
         B = self.problem.A if by_rows else self.problem.A.T
-        if self.problem.is_sparse:
-            return _sums_of_sparse(B, v, slip)
-        sums, part = np.zeros((2, 4, B.shape[0]))
-        if B.flags.c_contiguous:
-            along_rows(B, v, slip, sums)
-            return sums
-        for begin in range(0, B.shape[1], ROWS_AT_ONCE):
-            rows = slice(begin, begin + ROWS_AT_ONCE)
-            down_columns(B.T[rows], v[rows], slip[rows], part)
-            sums += part
-        return sums
+        sums = _sums_of_sparse(B, v, slip) if self.problem.is_sparse else _sums_of_dense(B, v, slip)
+        sums[0] -= less
+        sums[1] += np.abs(less)
+        radius = np.empty(sums.shape[1])
+        radii(sums, self._terms[not by_rows], radius)
+        return sums[0], radius
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -135,30 +127,33 @@ class Enclosures:
         return sp.csr_array(self.problem.A.T)
 
     @cached_property
-    def _terms_of_a_row(self) -> int:
-        problem = self.problem
-        return int(np.diff(problem.A.indptr).max(initial=0)) if problem.is_sparse else problem.shape[1]
-
-    @cached_property
-    def _terms_of_a_column(self) -> int:
-        problem, m = self.problem, int(self.problem.shape[0])
-        if problem.is_sparse:
-            return int(np.bincount(problem.A.indices, minlength=1).max())
-        is_by_rows = bool(problem.A.flags.c_contiguous)
-        return min(m, ROWS_AT_ONCE) + m // ROWS_AT_ONCE + 1 if is_by_rows else m
+    def _terms(self) -> tuple[int, int]:
+        """The most terms that a sum along a row, and one down a column, may have."""
+        A, (m, n) = self.problem.A, self.problem.shape
+        if self.problem.is_sparse:
+            return int(np.diff(A.indptr).max(initial=0)), int(np.bincount(A.indices, minlength=1).max())
+        across = m if A.flags.c_contiguous else n
+        in_blocks = min(across, ROWS_AT_ONCE) + across // ROWS_AT_ONCE + 1
+        return (n, in_blocks) if A.flags.c_contiguous else (in_blocks, m)
 
 
-def _radii(sums: Any, terms: int) -> FloatVector:
-    """Return by how much rounding, and slip, may have moved sums of so many terms."""
-    from ..kernels.least_squares_sums import radii
+def _sums_of_dense(B: Any, v: FloatVector, slip: FloatVector) -> Any:
+    """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0, B by rows or by columns."""
+    from ..kernels.least_squares_sums import along_rows, down_columns
 
-    radius = np.empty(sums.shape[1])
-    radii(sums, terms, radius)
-    return radius
+    sums, part = np.zeros((2, 4, B.shape[0]))
+    if B.flags.c_contiguous:
+        along_rows(B, v, slip, sums)
+        return sums
+    for begin in range(0, B.shape[1], ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
+        down_columns(B.T[rows], v[rows], slip[rows], part)
+        sums += part
+    return sums
 
 
 def _sums_of_sparse(B: Any, v: FloatVector, slip: FloatVector) -> Any:
-    """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0, whatever underflows."""
+    """Return the same of a sparse B, whatever underflows."""
     columns = np.zeros((B.shape[1], 3))
     columns[:, 0], columns[:, 1] = np.abs(v), slip if slip.size else 0.0
     columns[:, 2] = columns.any(axis=1)

@@ -8,13 +8,15 @@ D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ..checks import FloatVector
@@ -22,7 +24,7 @@ from ..errors import UnsupportedModel
 from ..expressions.program import Program
 from ..solving.result import Result
 from . import _compat
-from .model import BoundSource, Model
+from .model import Model
 from .reading import Reader
 
 if TYPE_CHECKING:
@@ -45,32 +47,28 @@ class ParametricRows:
     >>> p, x = cp.Parameter(2), cp.Variable(2)
     >>> F = cp.multiply(p**2, x)
     >>> parametric = ParametricRows([F], {p.id: np.array([2.0, 3.0]), x.id: np.array([5.0, 7.0])})
-    >>> parametric.changes({p.id: np.ones(2)})[id(F)], parametric.gradients({id(F): np.ones(2)})[p.id]
+    >>> parametric.change({p.id: np.ones(2)}), parametric.gradient(np.ones(2))[p.id]
     (array([20., 42.]), array([20., 42.]))
     """
 
     def __init__(self, expressions: Iterable[Any], known: Changes) -> None:
-        reader = Reader(held=known)
-        self._expressions = {id(one): one for one in expressions}
-        self._parameters = {p.id: p for one in self._expressions.values() for p in one.parameters()}
-        rows = [reader.rows(one) for one in self._expressions.values()]
-        self._spans, first = {}, 0
-        for key, parameter in self._parameters.items():
-            self._spans[key], first = slice(first, first + parameter.size), first + parameter.size
+        reader, each = Reader(held=known), {id(one): one for one in expressions}
+        self._parameters = {p.id: p for one in each.values() for p in one.parameters()}
+        self._spans, n = _spans(self._parameters)
+        #: Where each expression is among all of them, by its id.
+        self.spans, self.size = _spans(each)
         starts = {key: span.start for key, span in self._spans.items()}
-        self._program = Program.of(reader.compiler, rows, starts, first)
+        self._program = Program.of(reader.compiler, [reader.rows(one) for one in each.values()], starts, n)
         self._at = self._vector({key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()})
-        self._ends = np.cumsum([one.size for one in rows])[:-1]
 
-    def changes(self, changes: Changes) -> Changes:
-        """Return the change of each expression, by its id, from those of parameters; the others do not change."""
-        moved = self._program.change(self._at, self._vector(changes))
-        return dict(zip(self._expressions, np.split(self._finite(moved), self._ends), strict=True))
+    def change(self, changes: Changes) -> FloatVector:
+        """Return the change of the expressions from those of parameters, by their ids; the others do not change."""
+        moved: FloatVector = self._finite(self._program.change(self._at, self._vector(changes)))
+        return moved
 
-    def gradients(self, gradients: Changes) -> Changes:
-        """Return the gradients by parameters, by their ids, from those by expressions; the others have none."""
-        parts = [gradients.get(key, np.zeros(one.size)) for key, one in self._expressions.items()]
-        found = self._finite(self._program.gradient(self._at, np.concatenate([*parts, np.zeros(0)])))
+    def gradient(self, gradient: FloatVector) -> Changes:
+        """Return the gradients by parameters, by their ids, from that by the expressions."""
+        found = self._finite(self._program.gradient(self._at, gradient))
         return {key: found[self._spans[key]].reshape(p.shape, order="F") for key, p in self._parameters.items()}
 
     def _vector(self, values: Changes) -> FloatVector:
@@ -85,6 +83,12 @@ class ParametricRows:
                 "edge of what its atoms accept"
             )
         return values
+
+
+def _spans(leaves: Changes) -> tuple[dict[int, slice], int]:
+    """Return where each expression is where all of them follow each other, and how many entries they have."""
+    ends = np.cumsum([0, *(one.size for one in leaves.values())]).tolist()
+    return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
 
 
 class ModelDerivative:
@@ -109,18 +113,15 @@ class ModelDerivative:
         changes : dict
             From the id of a parameter to its change.
         """
-        model, at, changed = self._model, self._at, self._parametric.changes(changes)
-        rows = np.concatenate([*(changed[id(one)] for one in model.sources.functions), np.zeros(0)])
-        moved = np.zeros(model.elimination.offset.size)
-        pairs, equations = self._split(rows)
-        if (solved := self._definitions) is not None:
-            moved[model.elimination.columns] = -solved(equations[model.elimination.rows], "N")
-            pairs, equations = (
-                part + matrix @ moved for part, matrix in zip((pairs, equations), model.sources.matrices, strict=True)
-            )
-        undefined = np.delete(equations, model.elimination.rows)
-        h = model.sources.signs * np.concatenate([pairs, undefined])[model.sources.places]
-        dlower, dupper = self._moved_bounds(changed)
+        model, at = self._model, self._at
+        changed = self._parametric.change(changes)
+        rows, moved = changed[self._rows], np.zeros(model.elimination.offset.size)
+        if self._definitions is not None:
+            matrix, defining, solved = self._definitions
+            moved[model.elimination.columns] = -solved(rows[defining], "N")
+            rows = rows + matrix @ moved
+        h = model.sources.signs * rows[self._left]
+        dlower, dupper = np.split(self._bounds @ changed, 2)
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper)
         dw = model.elimination.expand_slack(at.dw(dz, dq=h))
         du = moved + dz if model.elimination.expansion is None else moved + model.elimination.expansion @ dz
@@ -128,7 +129,7 @@ class ModelDerivative:
         for report in model.reports:
             change = report.scale * (dw if report.is_slack else du)[report.columns]
             if report.expression is not None:
-                change = change + changed[id(report.expression)]
+                change = change + changed[self._parametric.spans[id(report.expression)]]
             duals.append((report.constraint, change.reshape(report.shape, order="F")))
         return model.split(du), duals
 
@@ -140,7 +141,7 @@ class ModelDerivative:
         by_variable, by_dual : dict
             From the id of a variable, or of a constraint, to the gradient in its shape.
         """
-        model, total = self._model, dict[int, Any]()
+        model, total = self._model, np.zeros(self._parametric.size)
         by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
         for variable in model.variables:
             first = model.offsets[variable.id]
@@ -150,19 +151,18 @@ class ModelDerivative:
                 own = np.ravel(own, order="F")
                 np.add.at(by_slack if report.is_slack else by_unknown, report.columns, report.scale * own)
                 if report.expression is not None:
-                    _add(total, report.expression, own)
+                    total[self._parametric.spans[id(report.expression)]] += own
         kept, expansion = model.elimination.kept, model.elimination.expansion
         g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
         gradient = self._at.vjp(g, by_slack[kept])
-        rows = self._row_multipliers(gradient.q, by_unknown)
-        ends = np.cumsum([one.size for one in model.sources.functions])
-        for one, part in zip(model.sources.functions, np.split(rows, ends[:-1]) if ends.size else [], strict=True):
-            _add(total, one, part)
-        by_lower, by_upper = np.zeros((2, by_unknown.size))
-        by_lower[kept], by_upper[kept] = gradient.lower, gradient.upper
-        for source, is_last in self._bounds():
-            self._pull_bound(source, by_lower[source.columns] * is_last, by_upper[source.columns] * is_last, total)
-        return self._parametric.gradients(total)
+        rows = np.zeros(self._rows.size)
+        rows[self._left] = model.sources.signs * gradient.q
+        if self._definitions is not None:
+            matrix, defining, solved = self._definitions
+            rows[defining] = -solved((by_unknown + matrix.T @ rows)[model.elimination.columns], "T")
+        np.add.at(total, self._rows, rows)
+        total += self._bounds.T @ np.concatenate([gradient.lower, gradient.upper])
+        return self._parametric.gradient(total)
 
     @cached_property
     def _at(self) -> Derivative:
@@ -173,75 +173,54 @@ class ModelDerivative:
     @cached_property
     def _parametric(self) -> ParametricRows:
         """What parameters enter into, at the values of parameters and variables at the solution."""
-        bounds = [part for source in self._model.sources.bounds for part in (source.expression, *_expressions(source))]
-        shifts = [report.expression for report in self._model.reports if report.expression is not None]
+        sources = self._model.sources
+        stated = [part for source in sources.bounds for part in (source.expression, source.lower, source.upper)]
+        shifts = [report.expression for report in self._model.reports]
         known = {**self._known, **self._model.values(self._at.z)}
-        return ParametricRows([*self._model.sources.functions, *bounds, *shifts], known)
-
-    def _split(self, rows: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return the rows of the pairs and those of the equations."""
-        count = self._model.sources.matrices[0].shape[0]
-        return rows[:count], rows[count:]
+        every = [*sources.functions, *stated, *shifts]
+        return ParametricRows([one for one in every if isinstance(one, cp.Expression)], known)
 
     @cached_property
-    def _definitions(self) -> Callable[[FloatVector, str], FloatVector] | None:
-        """Solutions with the matrix of the defined unknowns in the rows that define them, and with its transpose."""
-        elimination = self._model.elimination
+    def _rows(self) -> NDArray[np.int64]:
+        """The places of the model's rows, those of the pairs and of the equations, among the parametric ones."""
+        spans = [self._parametric.spans[id(one)] for one in self._model.sources.functions]
+        return np.concatenate([*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)])
+
+    @cached_property
+    def _left(self) -> NDArray[np.int64]:
+        """The row of the model that each row of the LCP is, up to its sign."""
+        first = self._model.sources.matrices[0].shape[0]
+        rows = np.delete(np.arange(self._rows.size), first + self._model.elimination.rows)
+        return rows[self._model.sources.places]
+
+    @cached_property
+    def _definitions(self) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
+        """All rows of the model, those that define unknowns, and solutions with these and with their transpose."""
+        elimination, (first, second) = self._model.elimination, self._model.sources.matrices
         if elimination.expansion is None:
             return None
-        matrix = self._model.sources.matrices[1][elimination.rows][:, elimination.columns]
-        solution: Callable[[FloatVector, str], FloatVector] = splu(sp.csc_array(matrix)).solve
-        return solution
+        solved = splu(sp.csc_array(second[elimination.rows][:, elimination.columns])).solve
+        return sp.csr_array(sp.vstack([first, second])), first.shape[0] + elimination.rows, solved
 
-    def _row_multipliers(self, multipliers: FloatVector, by_unknown: FloatVector) -> FloatVector:
-        """Return the gradient by each row of the model from that by the rows of the LCP."""
-        model, sources = self._model, self._model.sources
-        first, second = sources.matrices
-        undefined = np.delete(np.arange(second.shape[0]), model.elimination.rows)
-        rows = np.zeros(first.shape[0] + second.shape[0])
-        places = np.append(np.arange(first.shape[0]), first.shape[0] + undefined)
-        rows[places[sources.places]] = sources.signs * multipliers
-        if (solved := self._definitions) is not None:
-            pairs, equations = self._split(rows)
-            by_defined = (by_unknown + first.T @ pairs + second.T @ equations)[model.elimination.columns]
-            rows[first.shape[0] + model.elimination.rows] = -solved(by_defined, "T")
-        return rows
-
-    def _bounds(self) -> Iterator[tuple[BoundSource, Any]]:
-        """Yield where bounds come from, and for which of its unknowns nothing comes later."""
-        last = np.zeros(self._model.elimination.offset.size, dtype=np.int64)
+    @cached_property
+    def _bounds(self) -> sp.csr_array:
+        """The change of the lower bounds, then of the upper ones, by that of the expressions that state them."""
+        n, kept, spans = self._model.elimination.offset.size, self._model.elimination.kept, self._parametric.spans
+        last = np.zeros(n, dtype=np.int64)
         for k, source in enumerate(self._model.sources.bounds):
             last[source.columns] = k
+        parts = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
         for k, source in enumerate(self._model.sources.bounds):
-            yield source, last[source.columns] == k
-
-    def _moved_bounds(self, changed: Changes) -> tuple[FloatVector, FloatVector]:
-        lower, upper = np.zeros((2, self._model.elimination.offset.size))
-        for source, _ in self._bounds():
-            own = changed[id(source.expression)]
-            low, high = (changed.get(id(bound), 0.0) - own for bound in (source.lower, source.upper))
-            positive = source.weights > 0.0
-            lower[source.columns] = np.where(positive, low, high) / source.weights
-            upper[source.columns] = np.where(positive, high, low) / source.weights
-        return lower[self._model.elimination.kept], upper[self._model.elimination.kept]
-
-    @staticmethod
-    def _pull_bound(source: BoundSource, by_lower: FloatVector, by_upper: FloatVector, total: Changes) -> None:
-        positive = source.weights > 0.0
-        low = np.where(positive, by_lower, by_upper) / source.weights
-        high = np.where(positive, by_upper, by_lower) / source.weights
-        _add(total, source.expression, -(low + high))
-        for bound, gradient in ((source.lower, low), (source.upper, high)):
-            if isinstance(bound, cp.Expression):
-                _add(total, bound, np.array([gradient.sum()]) if bound.size == 1 else gradient)
-
-
-def _expressions(source: BoundSource) -> list[Any]:
-    return [bound for bound in (source.lower, source.upper) if isinstance(bound, cp.Expression)]
-
-
-def _add(total: Changes, expression: Any, gradient: FloatVector) -> None:
-    total[id(expression)] = total.get(id(expression), 0.0) + gradient
+            own = np.flatnonzero(last[source.columns] == k)
+            columns, weights = source.columns[own], source.weights[own]
+            for bound, is_upper in ((source.lower, weights < 0.0), (source.upper, weights > 0.0)):
+                parts.append((columns + n * is_upper, spans[id(source.expression)].start + own, -1.0 / weights))
+                if isinstance(bound, cp.Expression):
+                    places = spans[id(bound)].start + (own if bound.size > 1 else 0 * own)
+                    parts.append((columns + n * is_upper, places, 1.0 / weights))
+        rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
+        matrix = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size)))
+        return matrix[np.concatenate([kept, n + kept])]
 
 
 #: They tie the entries of a parameter to each other, or make it no real number.

@@ -8,7 +8,7 @@ a sparse matrix and the factors of the chain rule, so that no pattern is compute
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -44,7 +44,9 @@ class Combination:
     def __call__(self, quantities: Ends) -> Ends:
         """Return the combinations of these quantities."""
         if len(quantities) == 1:
-            return np.atleast_2d(self.matrix @ quantities[0] + self.offset)
+            values: FloatVector = self.matrix @ quantities[0]
+            values += self.offset
+            return values[None]
         return np.array(self._enclosed((quantities[0], quantities[1]), self.offset))
 
     @cached_property
@@ -71,26 +73,23 @@ class Level:
         """The number of functions."""
         return int(self.arguments[0].offset.size)
 
-    def values(self, quantities: Ends) -> Ends:
-        """Return the values of the functions."""
-        result = np.empty((len(quantities), self.size))
-        for function, span, arguments in self._each(quantities):
-            result[:, span] = (function.value if len(quantities) == 1 else function.interval)(*arguments)
+    def values(self, arguments: list[Ends]) -> Ends:
+        """Return the values of the functions at the first and the second arguments."""
+        result = np.empty_like(arguments[0])
+        for function, span in self.spans:
+            evaluate = function.value if len(result) == 1 else function.interval
+            result[:, span] = evaluate(*(u[:, span] for u in arguments[: function.arguments]))
         return result
 
-    def derivatives(self, quantities: Ends) -> list[Ends]:
+    def derivatives(self, arguments: list[Ends]) -> list[Ends]:
         """Return the derivatives by the first and by the second arguments."""
-        found = [np.empty((len(quantities), argument.offset.size)) for argument in self.arguments]
-        for function, span, arguments in self._each(quantities):
-            slopes = function.derivatives if len(quantities) == 1 else function.interval_derivatives
-            for whole, slope in zip(found, slopes(*arguments), strict=False):
+        found = [np.empty_like(u) for u in arguments]
+        for function, span in self.spans:
+            evaluate = function.derivatives if len(found[0]) == 1 else function.interval_derivatives
+            slopes = evaluate(*(u[:, span] for u in arguments[: function.arguments]))
+            for whole, slope in zip(found, slopes, strict=False):
                 whole[:, span] = slope
         return found
-
-    def _each(self, quantities: Ends) -> Iterator[tuple[Function, slice, list[Ends]]]:
-        values = [argument(quantities) for argument in self.arguments]
-        for function, span in self.spans:
-            yield function, span, [value[:, span] for value in values[: function.arguments]]
 
 
 class Program:
@@ -172,12 +171,12 @@ class Program:
     def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
         """Return F′(x) dx without the Jacobian."""
         with np.errstate(all="ignore"):
-            quantities, moved = self._quantities(x[None]), np.zeros(self._count)
+            arguments, moved = self._swept(x[None])[1], np.zeros(self._count)
             moved[: self.n] = dx
-            for level, span in zip(self._levels, self._spans, strict=True):
+            for level, span, values in zip(self._levels, self._spans, arguments, strict=True):
                 first, second = (
                     slope[0] * (argument.matrix @ moved)
-                    for slope, argument in zip(level.derivatives(quantities), level.arguments, strict=True)
+                    for slope, argument in zip(level.derivatives(values), level.arguments, strict=True)
                 )
                 first[: second.size] += second
                 moved[span] = first
@@ -187,10 +186,10 @@ class Program:
     def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
-            quantities: Ends = self._quantities(x[None])
-            total: FloatVector = self._result.matrix.T @ by_result
-            for level, span in zip(reversed(self._levels), reversed(self._spans), strict=True):
-                for slope, argument in zip(level.derivatives(quantities), level.arguments, strict=True):
+            arguments, total = self._swept(x[None])[1], np.zeros(self._count)
+            total += self._result.matrix.T @ by_result
+            for level, span, values in zip(self._levels[::-1], self._spans[::-1], arguments[::-1], strict=True):
+                for slope, argument in zip(level.derivatives(values), level.arguments, strict=True):
                     total += argument.matrix.T @ (slope[0] * total[span][: slope.shape[1]])
             return total[: self.n]
 
@@ -200,24 +199,25 @@ class Program:
 
     def _values(self, x: Ends) -> Ends:
         with np.errstate(all="ignore"):
-            return self._result(self._quantities(x))
+            return self._result(self._swept(x)[0])
 
-    def _quantities(self, x: Ends) -> Ends:
-        quantities = np.zeros((len(x), self._count))  # a level takes none of those that come after it
+    def _swept(self, x: Ends) -> tuple[Ends, list[list[Ends]]]:
+        """Return all quantities, and the arguments of each level."""
+        quantities, arguments = np.zeros((len(x), self._count)), []  # a level takes none of those that come after it
         quantities[:, : self.n] = x
         for level, span in zip(self._levels, self._spans, strict=True):
-            quantities[:, span] = level.values(quantities)
-        return quantities
+            arguments.append([argument(quantities) for argument in level.arguments])
+            quantities[:, span] = level.values(arguments[-1])
+        return quantities, arguments
 
     def _derivative(self, x: Ends) -> Ends:
         """Return the entries of the Jacobian, or intervals of them."""
         with np.errstate(all="ignore"):
-            quantities = self._quantities(x)
-            entries = np.ones((len(x), self._patterns[-1].stop))
-            for level, pattern in zip(self._levels, self._patterns, strict=False):
+            entries, arguments = np.ones((len(x), self._patterns[-1].stop)), self._swept(x)[1]
+            for level, pattern, values in zip(self._levels, self._patterns, arguments, strict=False):
                 first, second = (
                     _product(pattern.repeated(slope), combined(entries[:, : pattern.start]))
-                    for slope, combined in zip(level.derivatives(quantities), pattern.combined, strict=True)
+                    for slope, combined in zip(level.derivatives(values), pattern.combined, strict=True)
                 )
                 count = second.shape[1]
                 first[:, :count] = _sum(first[:, :count], second)

@@ -395,3 +395,9 @@ def test_fractions_solve_exactly() -> None:
     x = solve_fractions(A, [sum(row) for row in A])
     assert x == [1] * 6
     assert solve_fractions([[Fraction(1), Fraction(2)], [Fraction(2), Fraction(4)]], [Fraction(1), Fraction(0)]) is None
+
+
+def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> None:
+    """Why there is no bound is told of a matrix whose quotients overflow, too."""
+    with pytest.raises(UnsuitableMatrix, match="needs an H₊-matrix"):
+        error_bound(LCP([[1e-300, 1e300], [1e300, 1e-300]], [1.0, 1.0]), [0.0, 0.0])

@@ -164,10 +164,10 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = problem.own_part(z), time.perf_counter()
-    family = bounds_of(problem.matrix)
-    if family is None:
-        raise UnsuitableMatrix(_why_not(problem) if problem.peers.is_alone else NO_PROOF_ON_RANKS)
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # what overflows bounds nothing
+        family = bounds_of(problem.matrix)
+        if family is None:
+            raise UnsuitableMatrix(_why_not(problem) if problem.peers.is_alone else NO_PROOF_ON_RANKS)
         found = _bound(problem, z, family, sharp=sharp and problem.peers.is_alone)
     return replace(found, seconds=time.perf_counter() - began)
 

@@ -53,11 +53,9 @@ def positive_definite_solver(P: Any) -> Solver | None:
         return None
     if is_diagonal(P):
         return lambda rhs: rhs / _column_like(diagonal, rhs)
-    if not _can_factorise(P):
-        return None
     scale = 1.0 / np.sqrt(diagonal)
     unit = _scaled(P, scale)
-    factor = factorised(unit, 0.0) if _is_finite(unit) else None
+    factor = None if unit is None else factorised(unit, 0.0)
     if factor is None or factorised(unit, -_margin(scale.size, factor.terms)) is None:
         return None
     solve = factor.solve
@@ -97,14 +95,17 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
         return False
     if is_diagonal(P):
         return True
-    if sp.issparse(P) and _is_quicker_dense(filled.size, P.nnz):
+    is_small = filled.size <= CHOLESKY_UP_TO
+    if sp.issparse(P) and (
+        is_small or (filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > FULL_CHOLESKY_FROM * filled.size**2)
+    ):
         P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
         diagonal = diagonal[filled]
     shift = _margin(diagonal.size, diagonal.size)
-    if shift > LARGEST_SHIFT or not _can_factorise(P):
+    if shift > LARGEST_SHIFT:
         return None
     unit = _scaled(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
-    return factorised(unit, shift) is not None if _is_finite(unit) else None
+    return None if unit is None else factorised(unit, shift) is not None
 
 
 def is_positive_definite(P: Any) -> bool | None:
@@ -137,13 +138,10 @@ def is_positive_definite(P: Any) -> bool | None:
         return False
     if is_diagonal(P):
         return True
-    unit = _scaled(P, 1.0 / np.sqrt(diagonal))
-    if not _is_finite(unit) or not _can_factorise(P):
-        return None
     if positive_definite_solver(P) is not None:
         return True
-    shift = _margin(diagonal.size, diagonal.size)
-    return False if shift <= LARGEST_SHIFT and factorised(unit, shift) is None else None
+    unit, shift = _scaled(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
+    return False if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None else None
 
 
 def symmetric_part(M: Any) -> Any:
@@ -199,29 +197,22 @@ def is_diagonal(P: Any) -> bool:
     return int(nonzeros) == np.count_nonzero(P.diagonal())
 
 
-def _can_factorise(P: Any) -> bool:
-    return not sp.issparse(P) or factor_fits(P)
-
-
-def _is_quicker_dense(n: int, entries: int) -> bool:
-    return n <= CHOLESKY_UP_TO or (n <= FULL_CHOLESKY_UP_TO and entries > FULL_CHOLESKY_FROM * n * n)
-
-
 def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
 
 def _scaled(P: Any, scale: FloatVector) -> Any:
+    """Return P in these units of its rows and columns; None where it overflows, or is too large to be factorised."""
     if not sp.issparse(P):
         with np.errstate(over="ignore", invalid="ignore"):
-            return scale[:, None] * P * scale
+            dense = scale[:, None] * P * scale
+        return dense if np.isfinite(dense).all() else None
+    if not factor_fits(P):
+        return None
     rows = sp.csr_array(P)
     data = rows.data * np.repeat(scale, np.diff(rows.indptr)) * scale[rows.indices]
-    return sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape)  # of its transpose, which is the same
-
-
-def _is_finite(matrix: Any) -> bool:
-    return bool(np.isfinite(matrix.data if sp.issparse(matrix) else matrix).all())
+    # Of its transpose, which is the same.
+    return sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape) if np.isfinite(data).all() else None
 
 
 def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:

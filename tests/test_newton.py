@@ -14,10 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.algorithms.active_sets.active_set import classify, solve_active_set
-from lcp_plugin.algorithms.active_sets.damped_newton import fischer_burmeister
-from lcp_plugin.algorithms.active_sets.newton_state import NewtonState
-from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, full_steps
+from lcp_plugin.algorithms.active_sets.active_set import NewtonState, classify, solve_active_set
+from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton, fischer_burmeister, full_steps
 from lcp_plugin.evidence import gallery
 from lcp_plugin.matrix.factors import diagonal_pivot_factor, factorise
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..algorithms import Algorithm, Step
-from ..algorithms.active_sets.damped_newton import Linearised, fischer_burmeister, phi_jacobian
+from ..algorithms.active_sets.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
 from ..algorithms.base import without_warnings
 from ..certificates.nonlinear import NonlinearCertificate, Reference
 from ..certificates.references import largest_of_parts

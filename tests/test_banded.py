@@ -184,14 +184,15 @@ def test_one_side_alone_ends_too() -> None:
         problem, z = planted(tridiagonal_m(30, rng), rng, boxes=True)
         band, scale = band_of(problem.csr), problem.residual_scale
         vectors, sets, memory = np.empty((4, 30)), np.empty((2, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
-        kernels.begin(True, problem.lower, problem.upper, memory)
-        memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]
         data = problem.q, problem.lower, problem.upper
         now = rng.normal(scale=50.0, size=30)
-        kernels.measure(band.entries, 1, data[0], *data[1:], scale, now, vectors[0], sets[1])
+        given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3))
+        memory[kernels.WAY] = kernels.BEGINNING
+        kernels.step(*given)
+        memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]
         held: list[int] = []
         while not held or not np.allclose(now, z, atol=1e-9):
-            kernels.advance(band.entries, 1, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3)))
+            kernels.step(*given)
             assert memory[kernels.SIDE] == side
             assert memory[kernels.LAST_WAY] == kernels.DIRECT
             held.append(int(np.count_nonzero(sets[1] == side)))
@@ -448,7 +449,7 @@ def test_a_run_of_each_kind_compiles_all_there_is() -> None:
     problem = gallery.build("american_put", size=40).problem
     for record in (False, True):
         solve(problem, Banded(), record=record)
-    compiled = [kernels.run_all, kernels.advance, kernels.measure, kernels.begin]
+    compiled = [kernels.run_all, kernels.step]
     before = [len(kernel.signatures) for kernel in compiled]
     Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 10)
     list(Banded().iterates(problem, problem.nearest_to_zero.copy()))

@@ -13,21 +13,16 @@ from .tridiagonal import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
 WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)
-DIRECT, BLOCKS = 0, 1
+DIRECT, BLOCKS, BEGINNING = 0, 1, 2
 RIDGE = 1e-8  # of a row of size 1: stands for a negligible pivot, so that no z gets too large to tell its residual
 TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what arrives needed less than 100
 
 
-@compiled
-def measure(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore[no-untyped-def]
-    """Fill w = M z + q and, in target, the bounds that z − w/d reaches (−1, 0, 1); return ‖r(z)‖∞."""
-    return _measured(bands, below, q, lower, upper, scale, z, w, target)
-
-
 @compiled_part
 def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore[no-untyped-def]
+    """Fill w = M z + q and, in target, the bounds that z − w/d reaches (−1, 0, 1); return ‖r(z)‖∞."""
     width, n = bands.shape
     for i in range(n):
         w[i] = 0.0
@@ -158,23 +153,27 @@ def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(  # type: ignore[no-untyped-def]
-    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+def step(  # type: ignore[no-untyped-def]
+    bands, below, is_direct, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
 ):
-    """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
-
-    On the direct way the contacts on one side are found for the given ones on the other. An active set that comes
-    out again has its z refined once.
-    """
-    return _advanced(
-        bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, _room_for_contacts(z.size)
-    )
+    """Begin where memory[WAY] is BEGINNING, else make one round; return ‖r‖∞ of z, and whether to go on."""
+    if memory[WAY] == BEGINNING:
+        _begin(is_direct, lower, upper, memory)
+        memory[LAST_WAY] = BEGINNING
+        return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
+    room = _room_for_contacts(z.size)
+    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room)
 
 
 @compiled_part
 def _advanced(  # type: ignore[no-untyped-def]
     bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
 ):
+    """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
+
+    On the direct way the contacts on one side are found for the given ones on the other. An active set that comes
+    out again has its z refined once.
+    """
     n, state, target = z.size, sets[0], sets[1]
     w, value, slope, step = vectors[0], vectors[1], vectors[2], vectors[3]
     is_refined = memory[IS_SETTLED] == 1
@@ -210,14 +209,9 @@ def _room_for_contacts(n):  # type: ignore[no-untyped-def]
     return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
 
 
-@compiled
-def begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
-    """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
-    _begin(is_direct, lower, upper, memory)
-
-
 @compiled_part
 def _begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
+    """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
     n = lower.size
     lowers = uppers = 0
     for i in range(n):
@@ -259,7 +253,7 @@ def run_all(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     bands, below, weights, scale, indptr, indices, data
-        M: its bands, what `advance` asks for, and its entries by rows.
+        M: its bands, what `step` asks for, and its entries by rows.
     is_direct : bool
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
     carry_indptr, carry_indices, carry_data

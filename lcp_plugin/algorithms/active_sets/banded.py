@@ -88,19 +88,16 @@ class Banded(Algorithm):
         if n == 0:
             yield Step(z0, 0.0)
             return
-        costs = _costs(band, problem)
+        costs = *_costs(band, problem), 1.0
         vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(kernels.SLOTS, np.int64)
-        rows = np.empty((n, band.entries.shape[0]))
-        entries, weights, scale = band.entries, band.weights, problem.residual_scale
-        q, lower, upper, z = problem.q, problem.lower, problem.upper, z0
-        kernels.begin(band.is_tridiagonal_z, lower, upper, memory)
-        residual, goes_on = kernels.measure(entries, band.below, q, lower, upper, scale, z, vectors[0], sets[1]), True
-        yield Step(z, residual, work=1.0)
+        memory[kernels.WAY], goes_on = kernels.BEGINNING, True
+        given = (
+            band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, problem.q,
+            problem.lower, problem.upper, z0, vectors, sets, memory, np.empty((n, band.entries.shape[0])),
+        )
         while goes_on:
-            residual, goes_on = kernels.advance(
-                entries, band.below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
-            )
-            yield Step(z, residual, work=costs[memory[kernels.LAST_WAY]])
+            residual, goes_on = kernels.step(*given)
+            yield Step(z0, residual, work=costs[memory[kernels.LAST_WAY]])
 
     def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
         """Return the answer of the same rounds in one call."""

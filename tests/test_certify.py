@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+import lcp_plugin
 from lcp_plugin import (
     InvalidOption,
     InvalidProblem,
@@ -801,3 +802,18 @@ def test_many_flat_variables_apart_from_each_other() -> None:
     found = certify(program, answer)
     assert found.lower is not None
     assert found.verdict == "proved"
+
+
+@pytest.mark.parametrize("attributes", [{"bounds": [-1, 2]}, {"nonpos": True}, {"bounds": [1.5, 2.5]}, {}])
+def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
+    """An optimal x is proved to be near the optimal one, whatever attributes bound its variables."""
+    x, y = cp.Variable(3, **attributes), cp.Variable(2, bounds=[-1, 3])
+    goal = cp.sum_squares(x - [0.3, -0.4, 1.7]) + cp.sum_squares(y - [0.5, 2.0])
+    problem = cp.Problem(cp.Minimize(goal), [cp.sum(x) + cp.sum(y) <= 6.25])
+    problem.solve(solver=lcp_plugin.QPSolver)
+    found = certify(problem)
+    assert found.verdict == "proved"
+    assert found.distance is not None
+    assert found.distance < 1e-4
+    x.save_value(x.value + np.array([1e-3, -1e-3, 0.0]))
+    assert certify(problem).verdict != "proved"

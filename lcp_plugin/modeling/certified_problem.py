@@ -183,7 +183,8 @@ class ReducedProblem:
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
         program = quadratic_program(data)
-        return cls(program, float(inverse[-1][settings.OFFSET]), ProgramEntries.of(problem, program, chain, inverse))
+        entries = ProgramEntries.of(problem, program, data, chain, inverse)
+        return cls(program, float(inverse[-1][settings.OFFSET]), entries)
 
     @property
     def columns(self) -> NDArray[np.int64]:
@@ -221,7 +222,7 @@ class ReducedProblem:
     def multipliers(self, duals: dict[int, Any]) -> FloatVector | None:
         """Return these duals as multipliers of [G; A], NaN for rows that cvxpy added; None where one has no place."""
         places = self.entries.duals
-        if places is None or any(key not in places for key in duals):
+        if any(key not in places for key in duals):
             return None
         unknowns = np.full(self.program.n + self.program.constraints.rows, np.nan)
         for key, dual in duals.items():

@@ -80,14 +80,14 @@ class ProgramDerivative:
     ) -> None:
         self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
         self._equations = int(data["n_eq"])
-        variables, duals = ProgramEntries.of(problem, answer.solution.program, chain, inverse_data)
+        variables, duals = ProgramEntries.of(problem, answer.solution.program, data, chain, inverse_data)
         if variables is None:
             raise UnsupportedModel(
                 f"cvxpy {cp.__version__} made a program in which a variable is not found again; leave requires_grad "
                 "out, or use plain variables"
             )
         self._variables = variables
-        self._duals = [(one, (duals or {})[one.id]) for one in problem.constraints if one.id in (duals or {})]
+        self._duals = [(one, duals[one.id]) for one in problem.constraints if one.id in duals]
 
     def confirm(self, problem: Any) -> None:
         """Raise where the compiled program, as it is read here, is not the one that was solved and unpacked.

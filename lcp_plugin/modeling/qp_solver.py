@@ -248,6 +248,12 @@ class Entries(NamedTuple):
     signs: FloatVector
     shape: tuple[int, ...]
 
+    @classmethod
+    def of(cls, numbers: Any, first: int, shape: tuple[int, ...]) -> Entries:
+        """Return the entries from numbers that count the unknowns from 1; `first` is the place of the first."""
+        flat = np.rint(np.ravel(np.broadcast_to(dense_value(numbers), shape), order="F"))
+        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), shape)
+
     @property
     def used(self) -> NDArray[np.int64]:
         """The unknowns of the entries that are not always zero."""
@@ -270,43 +276,44 @@ class Entries(NamedTuple):
 class ProgramEntries(NamedTuple):
     """The entries of each variable and of each dual value that cvxpy gives, by the ids of variables and constraints.
 
-    None where one of them is no unknown. cvxpy's way back is linear: what it makes of unknowns that are counted from 1
-    says which unknown each entry is.
+    No variables where one of them is not found again. Duals come back as numbers do that count the multipliers.
     """
 
     variables: dict[int, Entries] | None
-    duals: dict[int, Entries] | None
+    duals: dict[int, Entries]
 
     @classmethod
-    def of(cls, problem: Any, program: QuadraticProgram, chain: Any, inverse: Any) -> ProgramEntries:
-        """Return the entries, from what ``problem.get_problem_data`` gave."""
-        rows = program.constraints
-        counted = np.arange(1.0, program.n + rows.rows + 1.0)
-
-        def inverted(unknowns: FloatVector) -> tuple[dict[int, Any], dict[int, Any]]:
-            x, y = np.split(unknowns, [program.n])
-            solution = QPSolution(program, x, *rows.split(np.append(y, np.zeros(2 * program.n))))
-            found = chain.invert(Answer(None, solution, settings.OPTIMAL, np.inf), inverse)
-            return found.primal_vars, found.dual_vars or {}
-
-        found, nothing = inverted(counted), inverted(np.zeros(counted.size))
-        variables = {variable.id: variable.shape for variable in problem.variables()}
-        duals = {one.id: one.dual_variables[0].shape for one in problem.constraints if one.id in found[1]}
-        return cls(*map(_entries, (variables, duals), found, nothing))
+    def of(cls, problem: Any, program: QuadraticProgram, data: Any, chain: Any, inverse: Any) -> ProgramEntries:
+        """Return the entries in a program, from what ``problem.get_problem_data`` gave."""
+        columns, rows, nothing = data[settings.PARAM_PROB].var_id_to_col, program.constraints, np.zeros(program.n)
+        variables = {one.id: _entries_of(one, columns, chain, inverse) for one in problem.variables()}
+        inequality, equality = np.split(1.0 + np.arange(rows.rows), [program.h.size])
+        counted = QPSolution(program, nothing, inequality, equality, nothing, nothing)
+        found = chain.invert(Answer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars or {}
+        duals = {
+            one.id: Entries.of(found[one.id], program.n, one.dual_variables[0].shape)
+            for one in problem.constraints if one.id in found and not np.mod(dense_value(found[one.id]), 1.0).any()
+        }
+        known = {key: entries for key, entries in variables.items() if entries is not None}
+        return cls(known if len(known) == len(variables) else None, duals)
 
 
-def _entries(
-    shapes: dict[int, tuple[int, ...]], counted: dict[int, Any], nothing: dict[int, Any]
-) -> dict[int, Entries] | None:
-    entries = {}
-    for key, shape in shapes.items():
-        if key not in counted or np.any(dense_value(nothing[key])):
-            return None
-        numbers = np.ravel(np.broadcast_to(dense_value(counted[key]), shape), order="F")
-        if np.any(numbers != np.rint(numbers)):
-            return None
-        entries[key] = Entries(np.maximum(np.abs(numbers).astype(np.int64) - 1, 0), np.sign(numbers), shape)
-    return entries
+def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any) -> Entries | None:
+    """Return which of the program's unknowns are the entries of a user's variable; None where it is not found.
+
+    All of cvxpy's way back would project the numbers on the variable's bounds.
+    """
+    numbers, leaf = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F"), variable
+    for reduction, known in zip(chain.reductions, inverse, strict=False):
+        if isinstance(known, tuple) and known and isinstance(known[0], dict) and variable.id in known[0]:
+            leaf = known[0][variable.id]  # CvxAttr2Constr's, in the place of the variable
+            if leaf.size != variable.size:
+                counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
+                found = reduction.invert(Solution(settings.OPTIMAL, 0.0, counted, {}, {}), known)
+                numbers = found.primal_vars[variable.id]
+    if leaf.id not in columns and variable.size:
+        return None
+    return Entries.of(numbers, columns.get(leaf.id, 0), variable.shape)
 
 
 QPSolver = _LCPQuadraticSolver()

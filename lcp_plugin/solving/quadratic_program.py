@@ -84,8 +84,8 @@ def program_runs(
     has_run, refusal = False, None
 
     def ends(sample: Sample, z: FloatVector) -> bool:
-        is_told = callback is not None and bool(callback(sample, z))
-        return is_told or (is_refuted is not None and sample.label == PROVES_ITSELF and is_refuted())
+        wants_end = callback is not None and bool(callback(sample, z))
+        return wants_end or (is_refuted is not None and sample.label == PROVES_ITSELF and is_refuted())
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=True):

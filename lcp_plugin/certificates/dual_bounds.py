@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 
 from ..checks import BoolVector, FloatVector
 from ..conversions.program import QuadraticProgram
-from ..conversions.program_matrices import largest_entries
 from ..conversions.reductions import fold_simple_rows
 from ..deadline import is_over
 from ..exact.linear_systems import independent_rows, solved_nearby
 from ..exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
 from ..exact.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
+from ..matrix.matrix import largest_in_rows
 from ..matrix.structure import row_numbers
 from .curvature import Curvature
 
@@ -143,7 +143,7 @@ class DualBounds:
         needs_rise, needs_fall = self._open_sides
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
-        largest = largest_entries(self._rows, 0) * np.abs(at.y).max(initial=0.0)
+        largest = largest_in_rows(sp.csr_array(self._rows.T)) * np.abs(at.y).max(initial=0.0)
         for _ in range(ROUNDS):
             v = np.concatenate(at)
             s = self._stacked @ v + self.program.c

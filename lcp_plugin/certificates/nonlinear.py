@@ -41,6 +41,7 @@ import scipy.sparse as sp
 from ..checks import FloatVector, read_only
 from ..errors import InvalidProblem
 from ..kernels.floats import EPSILON
+from ..matrix.matrix import largest_in_rows
 from ..matrix.parts import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, NonlinearProblem
@@ -172,12 +173,8 @@ def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVec
 
 def _largest_unknowns(problem: LCP, x: FloatVector) -> FloatVector:
     """Return the largest |x_j| of the entries of each row, shape (n,)."""
-    rows, largest = problem.matrix.csr_rows, np.zeros(x.size)
-    filled = np.flatnonzero(np.diff(rows.indptr))
-    if filled.size:
-        sizes = np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)
-        largest[filled] = np.maximum.reduceat(sizes, rows.indptr[filled])
-    return largest
+    rows = problem.matrix.csr_rows
+    return largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,10 @@ from ..checks import (
 from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_semidefinite_to_rounding
+from ..matrix.matrix import largest_in_rows
 from ..matrix.symmetry import mismatch
 from .constraints import Constraints, dual_unit
-from .program_matrices import ProgramMatrices, largest_entries
+from .program_matrices import ProgramMatrices
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -357,4 +358,4 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    return mismatch(M, largest_entries(M, 1), SYMMETRIC_TO)
+    return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, frozen
 from ..matrix.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
-from ..matrix.matrix import Matrix
+from ..matrix.matrix import Matrix, largest_in_rows
 from ..peers.alone import ALONE
 
 Indices = NDArray[np.intp]
@@ -69,12 +69,14 @@ class ProgramMatrices:
     @cached_property
     def row_sizes(self) -> FloatVector:
         """The largest |entry| of each constraint, 1 where there is none."""
-        return or_one(np.concatenate([largest_entries(self.rows, 1), np.ones(2 * self.P.shape[0])]))
+        return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
     @cached_property
     def column_sizes(self) -> FloatVector:
         """The largest |entry| of each column of P, G and A, 1 where there is none."""
-        return or_one(np.maximum(largest_entries(as_csr(self.P), 1), largest_entries(self.rows, 0)))
+        largest = largest_in_rows(self.P)
+        np.maximum.at(largest, self.rows.indices, np.abs(self.rows.data))
+        return or_one(largest)
 
     @cached_property
     def entries(self) -> tuple[int, int]:
@@ -167,22 +169,6 @@ def is_full(entries: int, shape: tuple[int, int]) -> bool:
 def is_kept_dense(n: int, entries: int) -> bool:
     """Return whether a matrix of that size is small and full."""
     return n <= DENSE_UP_TO_SIZE and is_full(entries, (n, n))
-
-
-def largest_entries(matrix: Any, axis: int) -> FloatVector:
-    """Return the largest |entry| of each row (axis 1) or column (axis 0), 0 where there is none."""
-    if 0 in matrix.shape:
-        return np.zeros(matrix.shape[1 - axis])
-    if not sp.issparse(matrix):
-        return np.asarray(abs(matrix).max(axis=axis), dtype=np.float64)
-    rows, largest = sp.csr_array(matrix), np.zeros(matrix.shape[1 - axis])
-    if axis == 0:
-        np.maximum.at(largest, rows.indices, np.abs(rows.data))
-        return largest
-    filled = np.flatnonzero(np.diff(rows.indptr))
-    if filled.size:
-        largest[filled] = np.maximum.reduceat(np.abs(rows.data), rows.indptr[filled])
-    return largest
 
 
 def or_one(sizes: FloatVector) -> FloatVector:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
+from ..matrix.matrix import largest_in_rows
 from .constraints import constraint_tolerance, enclosed_sum_of_two
 from .program_matrices import as_csr
 
@@ -228,8 +229,4 @@ def _largest(values: FloatVector) -> float:
 def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
     """Return max_j |a_ij v_j| of each row."""
     rows = as_csr(matrix)
-    filled = np.flatnonzero(np.diff(rows.indptr))
-    largest = np.zeros(rows.shape[0])
-    if filled.size:
-        largest[filled] = np.maximum.reduceat(np.abs(rows.data * vector[rows.indices]), rows.indptr[filled])
-    return largest
+    return largest_in_rows(rows, np.abs(rows.data * vector[rows.indices]))

@@ -191,7 +191,7 @@ class Matrix:
     @fact
     def row_largest(self) -> FloatVector:
         """max_j |m_ij| of each row, 1 for an empty one, shape (own,)."""
-        row_largest = _row_largest(self.rows)
+        row_largest = largest_in_rows(self.rows)
         return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
 
     @property
@@ -231,14 +231,14 @@ def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
     return frozen(compressed)
 
 
-def _row_largest(M: Any) -> FloatVector:
+def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
+    """Return the largest |entry| of each row of an ndarray or CSR array, or size of a stored one; 0 where none is."""
     if not sp.issparse(M):
-        largest: FloatVector = np.abs(M).max(axis=1, initial=0.0)
-        return largest
-    row_largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
+        return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
+    largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
     if filled.size:
-        row_largest[filled] = np.maximum.reduceat(np.abs(M.data), M.indptr[filled])
-    return row_largest
+        largest[filled] = np.maximum.reduceat(np.abs(M.data) if sizes is None else sizes, M.indptr[filled])
+    return largest
 
 
 def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
@@ -248,7 +248,7 @@ def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
     largest = max(float(entries.max()), -float(entries.min()))
     if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
-    row_largest = _row_largest(M)
+    row_largest = largest_in_rows(M)
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
     scale = np.where(is_usable, diagonal, row_largest)

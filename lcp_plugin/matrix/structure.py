@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
-from .matrix import Matrix, fact
+from .matrix import Matrix, fact, largest_in_rows
 from .parts import parts
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -120,9 +120,7 @@ def scale_spread(matrix: Matrix) -> Mapping[str, float]:
     """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
     M = matrix.csr
     magnitudes = np.abs(M.data)
-    row_largest, column_largest = (np.zeros(size) for size in M.shape)
-    np.maximum.at(row_largest, row_numbers(M), magnitudes)
-    np.maximum.at(column_largest, M.indices, magnitudes)
+    row_largest, column_largest = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
     parts = {
         "entries": magnitudes, "rows": row_largest, "columns": column_largest, "diagonal": np.abs(M.diagonal())
     }

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bip
 from ..checks import FloatVector
 from ..conversions.reductions import put_in
 from ..kernels.floats import EPSILON
+from ..matrix.matrix import largest_in_rows
 from ..matrix.structure import row_numbers
 from ..problem.linear_constraints import activity
 from .model import Elimination
@@ -100,8 +101,7 @@ def _pivots(
     part = sp.csr_array(equations.matrix[rows])
     part.eliminate_zeros()
     place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
-    largest = np.zeros(rows.size)
-    np.maximum.at(largest, place, np.abs(part.data))
+    largest = largest_in_rows(part)
     variables = variable_of[part.indices]
     _, pair, count = np.unique(place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True)
     times = np.bincount(part.indices, minlength=is_open.size)
@@ -153,9 +153,7 @@ def matching(block: sp.csr_array) -> Indices:
     """Return for each equation the unknown it goes with: large entries on the diagonal where that is possible."""
     size = block.shape[0]
     rows = np.repeat(np.arange(size), np.diff(block.indptr))
-    magnitude = np.abs(block.data)
-    largest = np.zeros(size)
-    np.maximum.at(largest, rows, magnitude)
+    magnitude, largest = np.abs(block.data), largest_in_rows(block)
     # Costs must be positive; a hint of the distance from the diagonal settles ties in natural order.
     cost = 1.0 + np.log(largest[rows] / magnitude) + 1e-9 * np.abs(rows - block.indices)
     index, pointer = block.indices.astype(np.int32), block.indptr.astype(np.int32)

@@ -445,10 +445,10 @@ def test_rows_are_made_monotone_where_they_can_be() -> None:
         assert monotone_rows(M) is None
         exponents = generator.integers(-300, 301, size=M.shape[0])
         r = monotone_rows(in_powers_of_two(LCP(M, np.zeros(M.shape[0])), exponents, 0).csr)
-        assert np.ptp(np.log2(r) + exponents) == 0.0  # on a connected grid they are known but for a common one
+        assert np.ptp(r + exponents) == 0.0  # on a connected grid they are known but for a common one
     for column in (-7, 7):
         windy = in_powers_of_two(BASES[2], np.resize([column, 0], 16), 0).csr
-        assert monotone_rows(sp.csr_array(sp.diags_array(monotone_rows(windy)) @ windy)) is None
+        assert monotone_rows(sp.csr_array(sp.diags_array(np.ldexp(1.0, monotone_rows(windy))) @ windy)) is None
     assert monotone_rows(np.array([[1.0, 5.0], [5.0, 1.0]])) is None
     assert monotone_rows(np.array([[0.0, 5.0], [-5.0, 1.0]])) is None
     assert monotone_rows(np.zeros((0, 0))) is None

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import FloatVector
+from ..matrix.equilibration import power_of_two
 from ..matrix.hierarchy import sweeps, transfers
 from ..matrix.hierarchy.levels import hierarchy_of
 from ..matrix.hierarchy.truncation import KrylovCorrection, Truncation
-from ..matrix.hierarchy.vectors import dot, power_of_two, span
+from ..matrix.hierarchy.vectors import dot, span
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step

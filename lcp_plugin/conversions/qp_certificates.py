@@ -186,7 +186,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
     sides = sp.hstack([matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr")
-    scale = np.where(is_row, np.ldexp(1.0, np.clip(evened(sides, LARGEST_ENTRY).row, -900, 900)), 1.0)
+    scale = np.where(is_row, np.ldexp(1.0, evened(sides, LARGEST_ENTRY, 900).row), 1.0)
     equal, most = finite[is_equality[finite]], finite[~is_equality[finite]]
     is_fixed = np.tile(program.lower == program.upper, 2)
     margin = ~np.concatenate([np.zeros(constraints.rows, dtype=bool), is_fixed])

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import FloatVector, read_only
+from .equilibration import power_of_two
 from .factors import LARGEST_FILL, LARGEST_OPERATIONS
 from .matrix import Matrix, fact
 from .structure import row_numbers
@@ -48,5 +49,4 @@ def bands(matrix: Matrix) -> Bands | None:
     entries = np.zeros((below + above + 1, matrix.n))
     entries[offsets + below, rows] = M.data
     is_z = below == above == 1 and not bool((entries[::2] > 0.0).any()) and bool((entries[1] > 0.0).all())
-    exponents = np.clip(np.frexp(matrix.residual_scale)[1], -1000, 1000)
-    return Bands(read_only(entries), below, read_only(np.ldexp(1.0, -exponents)), is_z)
+    return Bands(read_only(entries), below, read_only(1.0 / power_of_two(matrix.residual_scale, 1000)), is_z)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector
 from .structure import row_numbers
@@ -25,6 +26,18 @@ class Exponents(NamedTuple):
 
     row: IntVector
     column: IntVector
+
+
+def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
+    """Return the powers of two just above sizes ≥ 0, with exponents of at most so much; 1 for 0 and what is not finite.
+
+    Examples
+    --------
+    >>> power_of_two([0.0, 3.0, 0.5, np.inf]), power_of_two(1e-300, 500) == 2.0**-500
+    (array([1., 4., 1., 1.]), True)
+    """
+    exponents = np.clip(np.frexp(sizes)[1], -most, most)
+    return np.ldexp(1.0, np.where(np.isfinite(sizes), exponents, 0))
 
 
 def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
@@ -62,7 +75,7 @@ def unit_diagonal(diagonal: FloatVector) -> Exponents:
     return Exponents(half, half)
 
 
-def evened(M: Any, aims: Sequence[float]) -> Exponents:
+def evened(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
     """Return powers of two that bring the entries of a CSR array near 1, rows and columns in turn.
 
     Parameters
@@ -71,6 +84,8 @@ def evened(M: Any, aims: Sequence[float]) -> Exponents:
     aims : sequence of float
         For each pass what is brought to 1 of a row or column: 1 its largest entry, ½ the middle of largest and
         smallest.
+    most : float
+        No exponent is larger in size.
     """
     exponents, places = np.frexp(M.data)[1].astype(float), (row_numbers(M), M.indices)
     scales = [np.zeros(count) for count in M.shape]
@@ -83,27 +98,24 @@ def evened(M: Any, aims: Sequence[float]) -> Exponents:
             with np.errstate(invalid="ignore"):
                 middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
             scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
-    return Exponents(*(scale.astype(np.int64) for scale in scales))
+    return Exponents(*(np.clip(scale, -most, most).astype(np.int64) for scale in scales))
 
 
 def scaled(M: Any, exponents: Exponents | None) -> Any:
     """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
     if exponents is None:
         return M
+    row, column = (side.astype(np.int32) for side in exponents)
     if not sp.issparse(M):
-        return _ldexp(M, exponents.row[:, None] + exponents.column)
-    shift = exponents.row[row_numbers(M)] + exponents.column[M.indices]
-    return sp.csr_array((_ldexp(M.data, shift), M.indices, M.indptr), shape=M.shape)
+        return times_power(M, row[:, None] + column)
+    shift = row[row_numbers(M)] + column[M.indices]
+    return sp.csr_array((times_power(M.data, shift), M.indices, M.indptr), shape=M.shape)
 
 
-def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
-    """Return x_i 2^exponent_i, shape (n,)."""
-    return x if exponent is None else np.asarray(_ldexp(x, exponent))
-
-
-def _ldexp(x: Any, exponent: IntVector) -> Any:
+def times_power(x: FloatVector, exponent: NDArray[Any] | None) -> FloatVector:
+    """Return x_i 2^exponent_i, of the shape of x."""
     with np.errstate(under="ignore", over="ignore"):
-        return np.ldexp(x, np.clip(exponent, -5000, 5000).astype(np.int32))
+        return x if exponent is None else np.asarray(np.ldexp(x, exponent))
 
 
 def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:

@@ -21,7 +21,7 @@ from ..checks import FloatVector
 from ..deadline import is_over, seconds_left
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
-from ..matrix.equilibration import Exponents, evened, scaled
+from ..matrix.equilibration import evened, power_of_two, scaled
 from .linear_constraints import LinearConstraints, without_rounding
 
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
@@ -96,7 +96,7 @@ class FarkasProgram:
 
     def __post_init__(self) -> None:
         matrix = self.constraints.matrix
-        exponents = Exponents(*(np.clip(side, -500, 500) for side in evened(without_rounding(matrix), AIMS)))
+        exponents = evened(without_rounding(matrix), AIMS, 500)
         rows, columns = (np.ldexp(1.0, side) for side in exponents)
         for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
             object.__setattr__(self, name, value)
@@ -107,7 +107,7 @@ class FarkasProgram:
         q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
         sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
         largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
-        return float(np.ldexp(0.5, np.frexp(max(largest, 2.0**-900))[1]))
+        return float(0.5 * power_of_two(max(largest, 2.0**-900)))
 
     def margin_of(self, optimum: float) -> float:
         """Return the margin beside their reference, as far as an optimum of the program can be trusted."""
@@ -197,7 +197,7 @@ class FarkasProgram:
             units = weights, weights, *(weight / self.columns for weight in reversed(asked.bound_weights))
         cost, norm = (np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)]) for side in (values, units))
         place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
-        scale = np.ldexp(1.0, 1 - np.frexp(np.clip(norm, 1.0, MOST_SHRUNK))[1])
+        scale = 2.0 / power_of_two(np.clip(norm, 1.0, MOST_SHRUNK))
         signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
         equations = sp.csc_array(sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place])
         equations.data *= np.repeat(signed, np.diff(equations.indptr))

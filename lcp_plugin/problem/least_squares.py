@@ -22,12 +22,14 @@ from ..checks import (
 )
 from ..deadline import is_over
 from ..errors import InvalidOption, InvalidProblem
+from ..matrix.equilibration import power_of_two
 from ..peers.alone import Peers
 
 COPIED_UP_TO = 10**6  # places of A
 ALONE = Peers()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
+LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -129,7 +131,7 @@ class LeastSquares:
         if not self.has_entries:
             signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, root.size))
             seen = np.array([self.transposed(root * row) for row in signs])
-            unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0))
+            unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_UNIT)
             lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
             typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
             lengths = np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
@@ -137,12 +139,12 @@ class LeastSquares:
             largest, squares = np.zeros((2, self.shape[1]))
             for rows, block in self.blocks():
                 _raise_to_largest(largest, block, root[rows])
-            unit = power_of_two(largest)
+            unit = power_of_two(largest, LARGEST_UNIT)
             for rows, block in self.blocks():
                 _add_squares(squares, block, root[rows], unit)
             lengths = unit * np.sqrt(squares)
         with np.errstate(over="ignore"):
-            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge))))
+            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
 
     @cached_property
     def unit(self) -> UnitLeastSquares:
@@ -179,7 +181,7 @@ class UnitLeastSquares:
         self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_units
         sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
-        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes)))
+        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_UNIT))
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
@@ -229,12 +231,6 @@ class UnitLeastSquares:
         scaled = self.problem.A[rows].copy()
         scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
         return scaled
-
-
-def power_of_two(sizes: ArrayLike) -> FloatVector:
-    """Return the powers of two just above the sizes, within what can be multiplied by; 1 for 0."""
-    exponents = np.clip(np.frexp(sizes)[1], -500, 500)
-    return np.where(np.asarray(sizes) > 0.0, np.ldexp(1.0, exponents), 1.0)
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
 from ...crossovers import DENSE_NEWTON_UP_TO
+from ...matrix.equilibration import Exponents, IntVector, scaled, unit_diagonal
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import compressed_rows
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
@@ -55,13 +56,12 @@ class SuitedMatrix:
         M, signs, is_symmetric = _stored(M, is_mirrored)
         r = None if is_symmetric else monotone_rows(M)
         if r is not None:
-            M = rows_scaled_by(M, r)
+            M = scaled(M, Exponents(r, np.zeros_like(r)))
             if sp.issparse(M):
                 M, signs, is_symmetric = _stored(M)
         c = equilibration(M)
-        if c is None:
-            return cls(M, r, read_only(np.ones(M.shape[0])), signs, is_symmetric)
-        return cls(scaled_by(M, c), r, read_only(c), signs, is_symmetric)
+        unit = read_only(np.ones(M.shape[0]) if c is None else np.ldexp(1.0, c.row))
+        return cls(scaled(M, c), None if r is None else np.ldexp(1.0, r), unit, signs, is_symmetric)
 
     @cached_property
     def symbolic(self) -> Symbolic | None:
@@ -111,51 +111,26 @@ def _known_parts(matrix: Matrix) -> dict[bytes | None, SuitedMatrix]:
     return {}
 
 
-def equilibration(M: Any) -> FloatVector | None:
-    """Return c, powers of two, shape (n,), such that c_i m_ij c_j has rows and columns of even size; None for c = 1.
+def equilibration(M: Any) -> Exponents | None:
+    """Return powers of two, alike for rows and columns, that bring these to even size; None where they are not needed.
 
     The same factors on both sides keep a monotone matrix monotone and a symmetric one symmetric.
     """
-    n = M.shape[0]
-    c = np.ones(n)
-    if not n:
+    if not M.shape[0]:
         return None
-    if not sp.issparse(M):
-        diagonal = M.diagonal()
-        if diagonal.min() > 0.0:
-            if diagonal.max() <= EVEN * diagonal.min():
-                return None
-            return _power_of_two(1.0 / np.sqrt(diagonal))
+    diagonal = M.diagonal()
+    if not sp.issparse(M) and diagonal.min() > 0.0:
+        return None if diagonal.max() <= EVEN * diagonal.min() else unit_diagonal(diagonal)
     from ...kernels.rows import even
 
+    c = np.ones(diagonal.size)
     even(*compressed_rows(M), RUIZ_PASSES, c)
-    return _power_of_two(c)
+    half = np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64)
+    return Exponents(half, half)
 
 
-def scaled_by(M: Any, c: FloatVector) -> Any:
-    """Return c_i m_ij c_j."""
-    scaled = rows_scaled_by(M, c)
-    if sp.issparse(M):
-        scaled.data *= c[M.indices]
-    else:
-        scaled *= c
-    return scaled
-
-
-def rows_scaled_by(M: Any, r: FloatVector) -> Any:
-    """Return r_i m_ij."""
-    if not sp.issparse(M):
-        return r[:, None] * M
-    return sp.csr_array((np.repeat(r, np.diff(M.indptr)) * M.data, M.indices, M.indptr), shape=M.shape)
-
-
-def _power_of_two(c: FloatVector) -> FloatVector:
-    rounded: FloatVector = np.ldexp(1.0, np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64))
-    return rounded
-
-
-def monotone_rows(M: Any) -> FloatVector | None:
-    """Return r, powers of two, shape (n,), such that diag(r) M may be monotone although M is not; else None.
+def monotone_rows(M: Any) -> IntVector | None:
+    """Return r, shape (n,), such that the rows 2^r_i M_i may be monotone although M is not; else None.
 
     M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and only what is so clearly is changed. Tried are the
     factors that make M symmetric, if there are any, and those that make its diagonal 1.
@@ -163,42 +138,40 @@ def monotone_rows(M: Any) -> FloatVector | None:
     Examples
     --------
     >>> monotone_rows(np.array([[2.0, -1.0], [-64.0, 128.0]]))
-    array([1.      , 0.015625])
+    array([ 0, -6])
     >>> monotone_rows(np.array([[2.0, -1.0], [-1.0, 2.0]])) is None
     True
     """
-    diagonal = M.diagonal()
+    diagonal: FloatVector = M.diagonal()
     if not diagonal.size or diagonal.min() <= 0.0:
         return None
     rows = sp.csr_array(M)
-    exponents = np.zeros(diagonal.size)
+    exponents = np.zeros(diagonal.size, np.int64)
     if _may_be_monotone(rows, exponents):
         return None
     candidates = [_symmetrising(rows)] if diagonal.size <= LARGEST_SEARCH else []
-    for exponents in (*candidates, -np.rint(np.log2(diagonal))):
+    for exponents in (*candidates, -np.rint(np.log2(diagonal)).astype(np.int64)):
         if np.abs(exponents).max() <= LARGEST_EXPONENT and _may_be_monotone(rows, exponents):
-            factors: FloatVector = np.ldexp(1.0, exponents.astype(np.int64))
-            return factors
+            return exponents
     return None
 
 
-def _may_be_monotone(M: sp.csr_array, exponents: FloatVector) -> bool:
-    scaled = M.copy()
+def _may_be_monotone(M: sp.csr_array, exponents: IntVector) -> bool:
     with np.errstate(all="ignore"):
-        scaled.data = np.ldexp(M.data, np.repeat(exponents, np.diff(M.indptr)).astype(np.int64))
-        root = np.sqrt(scaled.diagonal())
-        both = sp.coo_array(scaled + scaled.T)
+        M = scaled(M, Exponents(exponents, np.zeros_like(exponents)))
+        root = np.sqrt(M.diagonal())
+        both = sp.coo_array(M + M.T)
         allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
         return bool(np.all(np.abs(both.data) <= allowed))
 
 
-def _symmetrising(M: sp.csr_array) -> FloatVector:
+def _symmetrising(M: sp.csr_array) -> IntVector:
     """Return the exponents r of 2^r_i m_ij = 2^r_j m_ji along a tree through each connected part of the pattern."""
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
     pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
     mutual = sp.csr_array(pattern * pattern.T)
-    size = _logarithms(M)
+    size = sp.csr_array((np.log2(np.abs(M.data)), M.indices, M.indptr), shape=M.shape)
     ratio = sp.csr_array(mutual * size) - sp.csr_array(mutual * size.T)  # log₂ of m_ij/m_ji
     exponents = np.zeros(M.shape[0])
     count, part = connected_components(mutual, directed=False)
@@ -208,9 +181,4 @@ def _symmetrising(M: sp.csr_array) -> FloatVector:
         order, before = breadth_first_order(mutual, start, directed=False)
         for i in order[1:].tolist():
             exponents[i] = exponents[before[i]] - ratio[i, before[i]]
-    return np.rint(exponents)
-
-
-def _logarithms(M: sp.csr_array) -> sp.csr_array:
-    """Return log₂|m_ij| in the pattern of M."""
-    return sp.csr_array((np.log2(np.abs(M.data)), M.indices, M.indptr), shape=M.shape)
+    return np.rint(exponents).astype(np.int64)

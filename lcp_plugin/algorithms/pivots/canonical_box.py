@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...deadline import is_over
+from ...matrix.equilibration import power_of_two
 from ...problem.lcp import LCP
 
 FloatMatrix = NDArray[np.float64]
@@ -113,7 +114,7 @@ def _without_free_rows(
 ) -> CanonicalBox:
     free = np.flatnonzero(is_free)
     if not free.size:
-        size = _unit_of(q)
+        size = power_of_two(np.abs(q).max(initial=0.0))
         none, nothing = np.empty(0, dtype=np.intp), np.empty((0, keep.size))
         return CanonicalBox(M, q / size, upper / size, base, keep, unit[keep] * size, none, nothing)
     gone_rows, gone = _pivot_rows_and_columns(M, free)
@@ -136,18 +137,12 @@ def _without_free_rows(
         constant = np.concatenate([constant, -constant[split]])
         elimination = np.hstack([elimination, -elimination[:, split]])
         upper = np.concatenate([upper, np.full(split.size, np.inf)])
-    size = _unit_of(constant)
+    size = power_of_two(np.abs(constant).max(initial=0.0))
     rows = keep[np.concatenate([stays, stays[split]])]
     step = unit[rows] * size
     step[stays.size :] *= -1.0
     elimination = elimination * (unit[keep[gone]] * size)[:, None]
     return CanonicalBox(reduced, constant / size, upper / size, offset, rows, step, keep[gone], elimination)
-
-
-def _unit_of(q: FloatVector) -> float:
-    """Return the power of two that makes the largest |q_i| about 1."""
-    _, exponent = np.frexp(np.abs(q).max(initial=0.0))
-    return float(np.ldexp(1.0, int(exponent)))
 
 
 def is_well_conditioned(block: FloatMatrix) -> bool:

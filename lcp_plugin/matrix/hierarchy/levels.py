@@ -26,6 +26,7 @@ from ...crossovers import SINGLE_FROM
 from ...kernels import splitting_sweeps as kernels
 from ...kernels.threads import share
 from ...peers.alone import ALONE, NOBODY, Arrays, Peers
+from ..equilibration import power_of_two
 from ..factors import dense_lu
 from ..matrix import Matrix, fact
 from ..pivots import pivot_weight
@@ -34,7 +35,7 @@ from . import coarsening, galerkin
 from . import transfers as ways
 from .equal_rows import runs_of_equal_rows
 from .grids import NO_WEIGHT, SMALLEST_PIECE, Grid, Hierarchy, Operator, Transfer, blocks_of, written_rows
-from .vectors import power_of_two, span, units_of
+from .vectors import span, units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02

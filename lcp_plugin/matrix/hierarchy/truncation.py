@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ...checks import FloatVector, read_only
+from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps, transfers
 from .equal_rows import without
 from .grids import Grid, Hierarchy
-from .vectors import add_both, add_within, dot, largest_product, power_of_two, span
+from .vectors import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
 FACTORISED_UP_TO = 150  # unknowns: the factor takes no more than sweeps over some thousand entries
@@ -244,7 +245,7 @@ class KrylovCorrection:
         self.transposed = transposed and not is_symmetric
         self.peers = truncation.grids[0].grid.peers
         # Squares of very large or small numbers leave the range of a double.
-        self.unit = power_of_two(self.peers.largest(span(residual)))
+        self.unit: float = power_of_two(self.peers.largest(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
         # A transposed V-cycle divides by the diagonal last.

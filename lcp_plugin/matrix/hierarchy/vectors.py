@@ -55,13 +55,6 @@ def span(vector: FloatVector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-def power_of_two(largest: float) -> float:
-    """Return the power of two just above a number ≥ 0, whose inverse is finite; 1 where that is 0 or not finite."""
-    if not 0.0 < largest < np.inf:
-        return 1.0
-    return float(np.ldexp(1.0, max(min(int(np.frexp(largest)[1]), 1023), -1022)))
-
-
 @compiled
 def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
     for piece in range(first, end):

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from ...checks import FloatVector, read_only
 from ...kernels.floats import REFINED, REFINEMENTS, STABLE, USEFUL
 from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
+from ...matrix.structure import row_numbers
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
 SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
@@ -147,26 +148,35 @@ class SparseNewtonMatrix(NewtonMatrix):
 
     def __init__(self, M: sp.csr_array) -> None:
         super().__init__(M.shape[0], M)
-        self._ordered, self._order = M, np.arange(self.n)
+        self._arrange(np.arange(self.n))
         self._factor: Any = None
         self._factor_order = self._order
         self._factor_work = 0.0
         self._pivoting = 0
 
+    def _arrange(self, order: Any) -> None:
+        """Put rows and columns in this order, every entry of the diagonal stored."""
+        self._order, self._own_diagonal = order, self.M.diagonal()[order]
+        stored = sp.diags_array(1.0 + np.abs(self._own_diagonal))
+        self._rows = sp.csr_array(self.M[order][:, order] + stored)
+        self._rows.sort_indices()
+        self._places = np.flatnonzero(row_numbers(self._rows) == self._rows.indices)
+
     def _try(self, diagonal: FloatVector) -> bool:
         for pivoting in range(self._pivoting, len(PIVOTS)):
-            rows, is_first = self._ordered + sp.diags_array(diagonal[self._order]), not self._factor_work
+            self._rows.data[self._places] = self._own_diagonal + diagonal[self._order]
+            is_first = not self._factor_work
             try:  # CSR of the matrix is CSC of its transpose
                 self._factor = sparse_lu(
-                    rows.T, permc_spec="MMD_AT_PLUS_A" if is_first else "NATURAL", diag_pivot_thresh=PIVOTS[pivoting],
-                    options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
+                    self._rows.T, permc_spec="MMD_AT_PLUS_A" if is_first else "NATURAL",
+                    diag_pivot_thresh=PIVOTS[pivoting], options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
                 )
             except RuntimeError:
                 continue
             self._factor_order = self._order
             if is_first:  # rows and columns stay in the order that was found
-                self._factor_work, self._order = sparse_work(self._factor), np.argsort(self._factor.perm_c)
-                self._ordered = self.M[self._order][:, self._order]
+                self._factor_work = sparse_work(self._factor)
+                self._arrange(np.argsort(self._factor.perm_c))
             self.work += self._factor_work
             if self.is_useful(diagonal):
                 self._pivoting = pivoting

@@ -19,7 +19,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_extraction import FORMS, SPARSE, Unknowns, expression
 
-from lcp_plugin import LCP, ComplementarityProblem, ModelWarning, UnsuitableProblem, UnsupportedModel, box, complements
+from lcp_plugin import (
+    LCP,
+    ComplementarityProblem,
+    ModelWarning,
+    UnsuitableProblem,
+    UnsupportedModel,
+    box,
+    certify,
+    complements,
+)
 from lcp_plugin.modeling._compat import refuse_without_derivatives
 from lcp_plugin.modeling.model_derivative import ParametricRows
 from lcp_plugin.modeling.reading import Reader, folded
@@ -430,6 +439,20 @@ def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Part
         ends.append([np.asarray(leaf.value) for leaf in (*variables, *duals)])
     for before, after, change in zip(ends[1], ends[0], found, strict=True):
         np.testing.assert_allclose(change, (after - before) / (2 * step), atol=3e-7)
+
+
+@pytest.mark.parametrize("attributes", [{"nonpos": True}, {"bounds": [-3.0, 1.5]}, {"bounds": [-2.5, -0.5]}], ids=str)
+def test_entries_of_bounded_variables_are_found(attributes: dict[str, Any]) -> None:
+    """Of x = p inside any bounds of its own the change is that of p, and the values can be certified."""
+    p, x, y = cp.Parameter(4, value=[-1.0, -2.0, -1.5, -1.2]), cp.Variable(4, **attributes), cp.Variable(2)
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(x - p) + cp.sum_squares(y - p[:2])))
+    problem.solve(method="LCP", requires_grad=True)
+    p.delta = np.arange(1.0, 5.0)
+    problem.derivative()
+    np.testing.assert_allclose(x.delta, p.delta, atol=1e-12)
+    said = certify(problem)
+    assert said.verdict == "proved"
+    assert said.distance is not None
 
 
 @pytest.mark.parametrize("make", PROGRAMS, ids=lambda make: make.__name__)

@@ -18,7 +18,7 @@ from lcp_plugin.algorithms import Step
 from lcp_plugin.algorithms.active_sets.banded import Banded
 from lcp_plugin.kernels import bands as kernels
 from lcp_plugin.kernels.tridiagonal import find_contacts
-from lcp_plugin.matrix.bands import bands
+from lcp_plugin.matrix.factors import bands
 
 Generator = np.random.Generator
 MANY = 10_000

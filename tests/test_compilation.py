@@ -349,7 +349,7 @@ def test_shell_completes_scenes_and_algorithms() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("matrix/hierarchy/equal_rows.py", "    return low\n", "    return runs.shape[0]\n"),
+    ("matrix/hierarchy/grids.py", "    return low\n", "    return runs.shape[0]\n"),
     ("matrix/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
 ])
 def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
@@ -381,13 +381,13 @@ def test_constants_of_other_files_are_part_of_kernels() -> None:
     from lcp_plugin import crossovers
     from lcp_plugin.exact import upward
     from lcp_plugin.kernels import compilation, small_problems
-    from lcp_plugin.matrix.hierarchy import equal_rows
+    from lcp_plugin.matrix.hierarchy import grids
 
     stamps = compilation._sources()
-    for module in (crossovers, upward, small_problems, equal_rows):
+    for module in (crossovers, upward, small_problems, grids):
         stat = Path(str(module.__file__)).stat()
         assert (stat.st_mtime_ns, stat.st_size) in stamps
-    _, others = equal_rows.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
+    _, others = grids.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
     assert others == stamps
 
 

@@ -29,8 +29,8 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.matrix import analyze
+from lcp_plugin.matrix.comparison import nonnegative_radius
 from lcp_plugin.matrix.row_sums import automatic_factors, triangle_sums
-from lcp_plugin.matrix.spectral_radius import nonnegative_radius
 from lcp_plugin.solving.guarantees import convergence_guarantee
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
-from lcp_plugin.matrix.hierarchy import coarsening, equal_rows, galerkin, levels, sweeps, vectors
+from lcp_plugin.matrix.hierarchy import coarsening, galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.grids import Blocks, Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import KrylovCorrection, Truncation
@@ -517,7 +517,7 @@ def test_what_changed_drops_out_of_runs(seed: int, share: float) -> None:
     """EqualRows cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
     grid = levels.build_hierarchy(gallery.parse("obstacle_2d:size=40").problem.csr, coarsest=10_000).grids[0]
     changed = np.random.default_rng(seed).random(grid.n) < share
-    left = equal_rows.without(grid.runs, changed)
+    left = grids.without(grid.runs, changed)
     assert left[0, 0] == 0
     assert left[-1, 1] == grid.n
     assert np.array_equal(left[1:, 0], left[:-1, 1])

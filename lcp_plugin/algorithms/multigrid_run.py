@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..matrix.equilibration import power_of_two
-from ..matrix.hierarchy import sweeps, transfers
+from ..matrix.hierarchy import sweeps, vectors
 from ..matrix.hierarchy.levels import hierarchy_of
 from ..matrix.hierarchy.truncation import KrylovCorrection, Truncation
 from ..matrix.hierarchy.vectors import dot, span
@@ -137,7 +137,7 @@ class MultigridRun:
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
             dtype = coarser.inverse.dtype
             finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n, dtype)
-            transfers.restrict(transfer, finer, unit, q)
+            vectors.restrict(transfer, finer, unit, q)
             self.work += transfer.restriction.data.size
             coarse = np.flatnonzero(transfer.is_coarse)
             lower, upper = ((bound[coarse] / unit).astype(dtype) for bound in (lower, upper))
@@ -161,7 +161,7 @@ class MultigridRun:
         everywhere = np.ones(z.size, np.bool_)
         self.hierarchy.grids[k + 1].peers.fetch(coarse)
         unit = self.nested_unit if k == 0 else 1.0
-        transfers.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
+        vectors.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
         return z
 
@@ -288,14 +288,14 @@ class MultigridRun:
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         fine.peers.fetch(fine.residual)
         unit = self.truncation.unit
-        transfers.restrict(transfer, fine.residual, unit, below.b)
+        vectors.restrict(transfer, fine.residual, unit, below.b)
         self.truncation.correct(k + 1)
         below.grid.peers.fetch(below.x)
         before = None
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
             np.copyto(before, z[: before.size])
-        cut = transfers.prolong(transfer, below.x, unit, top.is_free, fine.lower, fine.upper, z)
+        cut = vectors.prolong(transfer, below.x, unit, top.is_free, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return

@@ -18,8 +18,7 @@ from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..exact.rational import Rational
 from ..kernels.floats import EPSILON, TINY
-from ..matrix.parts import IntVector
-from ..matrix.structure import compressed_rows, row_numbers
+from ..matrix.structure import IntVector, compressed_rows, row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DECISIVE, LinearConstraints, activity
 from .references import reference_residual

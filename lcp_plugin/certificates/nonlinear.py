@@ -42,7 +42,7 @@ from ..checks import FloatVector, read_only
 from ..errors import InvalidProblem
 from ..kernels.floats import EPSILON
 from ..matrix.matrix import largest_in_rows
-from ..matrix.parts import parts
+from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, NonlinearProblem
 from .references import VectorEnds, for_each_row, largest_of_parts

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
-from ..matrix.parts import IntVector, Parts, parts
+from ..matrix.structure import IntVector, Parts, parts
 from ..problem.exactly import exact_residuals
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DATA_ROUNDING

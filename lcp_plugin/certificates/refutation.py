@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ..checks import FloatVector
 from ..exact.rational import ZERO, Rational, rounded_down
 from ..kernels.floats import EPSILON
-from ..matrix.parts import IntVector
+from ..matrix.structure import IntVector
 from ..problem.exactly import integer_matrix
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import Contradiction, within

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, read_only, restored
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import gamma
-from ..matrix.parts import parts
+from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..settings import MEASURES
 from .references import VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts

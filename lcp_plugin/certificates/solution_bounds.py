@@ -31,7 +31,7 @@ from ..matrix.equilibration import Exponents, scaled, unit_diagonal
 from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.free_systems import FreeSystem
 from ..matrix.matrix import Matrix, fact
-from ..matrix.parts import Parts, parts
+from ..matrix.structure import Parts, parts
 from ..problem.lcp import LCP
 from .row_inequality import NearPoint, RowInequality
 

@@ -10,16 +10,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector
-from .structure import row_numbers
+from .structure import IntVector, row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 DENSE_LIMIT = 300
 BALANCING_SWEEPS = 12
 LARGEST_EXPONENT = 1000.0
-
-IntVector = np.ndarray[Any, np.dtype[np.int64]]
-
 
 class Exponents(NamedTuple):
     """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one a column."""

@@ -13,7 +13,7 @@ from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..kernels.threads import threads_for
-from ..matrix.bands import bands
+from ..matrix.factors import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status, checked_threads

@@ -16,7 +16,7 @@ from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import largest_ratio
 from ..checks import BoolVector, read_only
 from ..kernels.threads import in_chunks
-from ..matrix.parts import IntVector, parts
+from ..matrix.structure import IntVector, parts
 from ..problem.lcp import LCP
 from ..settings import Settings
 from .driver import beside_the_largest

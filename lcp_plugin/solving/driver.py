@@ -17,7 +17,7 @@ from ..deadline import Clock, seconds_left
 from ..errors import InvalidOption
 from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
-from ..matrix.parts import parts
+from ..matrix.structure import parts
 from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP, checked_start

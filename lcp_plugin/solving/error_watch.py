@@ -12,8 +12,8 @@ import numpy as np
 from ..checks import FloatVector
 from ..crossovers import SHARP_SAMPLES_UP_TO
 from ..errors import UnsuitableMatrix
-from ..matrix.parts import parts
 from ..matrix.row_sums import unit_triangle_sums
+from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..settings import Settings
 

@@ -37,9 +37,9 @@ from ..certificates.theorems import (
 from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..matrix import analyze, comparison_certificate, h_verdict
+from ..matrix.comparison import jacobi_radius
 from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
-from ..matrix.spectral_radius import jacobi_radius
 from ..matrix.structure import within_blocks
 from ..policy.choice import Policy, Single, policy_for
 from ..policy.direct_methods import last_resort

@@ -21,7 +21,7 @@ from ..checks import FloatVector
 from ..deadline import is_over
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..matrix.factors import factor_fits, factorise
-from ..matrix.parts import parts
+from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations
 from ..settings import Status

@@ -16,7 +16,7 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError
-from ..matrix.parts import parts
+from ..matrix.structure import parts
 from ..policy.choice import Policy
 from ..problem.lcp import LCP
 from ..settings import Settings

@@ -14,7 +14,7 @@ from ...checks import FloatVector
 from ...crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...errors import UnsuitableMatrix
 from ...exact.rounding import read_only_views
-from ...matrix.bands import Bands, bands
+from ...matrix.factors import Bands, bands
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP

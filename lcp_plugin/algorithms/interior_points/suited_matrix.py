@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
 from ...crossovers import DENSE_NEWTON_UP_TO
-from ...matrix.equilibration import Exponents, IntVector, scaled, unit_diagonal
+from ...matrix.equilibration import Exponents, scaled, unit_diagonal
 from ...matrix.matrix import Matrix, fact
-from ...matrix.structure import compressed_rows
+from ...matrix.structure import IntVector, compressed_rows
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from .quasidefinite import Symbolic, signs_of
 

@@ -15,8 +15,8 @@ from ...certificates.row_residuals import measured_residual
 from ...checks import FloatVector
 from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
-from ...matrix.parts import parts as parts_of
 from ...matrix.structure import block_rows
+from ...matrix.structure import parts as parts_of
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
 from ..base import Algorithm, Plan, Sprint, Step, without_warnings

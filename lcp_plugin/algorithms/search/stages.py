@@ -20,7 +20,7 @@ from ...crossovers import LINEAR_PROGRAM_UP_TO
 from ...errors import UnsuitableProblem
 from ...exact.rational import integers
 from ...exact.simplex import QUANTUM
-from ...matrix.parts import IntVector
+from ...matrix.structure import IntVector
 from ...problem.lcp import LCP
 from ...settings import MEASURES
 from ..base import Algorithm, Step, without_warnings

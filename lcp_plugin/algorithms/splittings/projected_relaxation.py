@@ -13,7 +13,7 @@ from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ...checks import FloatVector
 from ...crossovers import PSOR_GAIN, PSOR_PASSES
 from ...errors import InvalidOption
-from ...matrix.pivots import pivot_weight
+from ...matrix.row_sums import pivot_weight
 from ...matrix.symmetry import has_symmetric_entries
 from ...problem.lcp import LCP
 from ..base import Step, check_positive, directions, inverse_residual_scale, require_positive_diagonal, row_splits

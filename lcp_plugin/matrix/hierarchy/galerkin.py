@@ -21,8 +21,7 @@ from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
 from ...peers.alone import Arrays
-from .equal_rows import EqualRows, mark_equal, run_at
-from .grids import NO_WEIGHT, SMALLEST_PIECE, joined
+from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 
 Indices = NDArray[Any]
 

@@ -29,12 +29,21 @@ from ...peers.alone import ALONE, NOBODY, Arrays, Peers
 from ..equilibration import power_of_two
 from ..factors import dense_lu
 from ..matrix import Matrix, fact
-from ..pivots import pivot_weight
+from ..row_sums import pivot_weight
 from ..symmetry import has_symmetric_entries
 from . import coarsening, galerkin
-from . import transfers as ways
-from .equal_rows import runs_of_equal_rows
-from .grids import NO_WEIGHT, SMALLEST_PIECE, Grid, Hierarchy, Operator, Transfer, blocks_of, written_rows
+from . import vectors as ways
+from .grids import (
+    NO_WEIGHT,
+    SMALLEST_PIECE,
+    Grid,
+    Hierarchy,
+    Operator,
+    Transfer,
+    blocks_of,
+    runs_of_equal_rows,
+    written_rows,
+)
 from .vectors import span, units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5

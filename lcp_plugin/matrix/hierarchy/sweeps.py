@@ -18,8 +18,7 @@ from ...checks import BoolVector, FloatVector, read_only
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from .equal_rows import LONGEST_REACH, EqualRows, run_at
-from .grids import Blocks
+from .grids import LONGEST_REACH, Blocks, EqualRows, run_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}

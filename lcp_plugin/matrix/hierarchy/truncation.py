@@ -12,9 +12,8 @@ import numpy as np
 from ...checks import FloatVector, read_only
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
-from . import galerkin, sweeps, transfers
-from .equal_rows import without
-from .grids import Grid, Hierarchy
+from . import galerkin, sweeps, vectors
+from .grids import Grid, Hierarchy, without
 from .vectors import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
@@ -166,10 +165,10 @@ class Truncation:
         grid.peers.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
         unit = self.unit if k == self.top else 1.0
-        transfers.restrict(transfer, level.residual, unit, below.b)
+        vectors.restrict(transfer, level.residual, unit, below.b)
         self.correct(k + 1)
         below.grid.peers.fetch(below.x)
-        transfers.add_prolonged(transfer, below.x, unit, level.inverse, level.x)
+        vectors.add_prolonged(transfer, below.x, unit, level.inverse, level.x)
         grid.peers.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
@@ -182,22 +181,22 @@ class Truncation:
         arrays = *level.grid.matrix.arrays[:2], level.values
         is_free, residual = level.inverse != 0.0, level.b.copy()
         level.x[:] = 0.0
-        transfers.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
+        vectors.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
         if k < len(self.transfers):
             below, transfer = self.grids[k + 1], self.transfers[k]
             residual *= is_free
             below.b[:] = 0.0
             unit = self.unit if k == self.top else 1.0
-            transfers.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, residual, below.b)
+            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, residual, below.b)
             self.correct_transposed(k + 1)
             correction = np.zeros_like(level.b)
-            transfers.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
+            vectors.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
             correction *= is_free
             level.x += correction
-            transfers.add_transposed_product(*arrays, -1.0, correction, residual)
+            vectors.add_transposed_product(*arrays, -1.0, correction, residual)
             self.work += level.values.size + 2.0 * transfer.prolongation.data.size
         for sweep in range(1 if k < len(self.transfers) else 2 * COARSEST_SWEEPS + 1):
-            transfers.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
+            vectors.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
             self.work += level.values.size
         self.work += level.values.size
 
@@ -288,7 +287,7 @@ class KrylovCorrection:
             self.truncation.correct_transposed(0)
             np.copyto(p, top.x)
             product[:] = 0.0
-            transfers.add_transposed_product(*matrix.arrays, 1.0, p, product)
+            vectors.add_transposed_product(*matrix.arrays, 1.0, p, product)
             product *= top.is_free
         else:
             self.truncation.correct(0)

@@ -30,11 +30,13 @@ def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
 
     Examples
     --------
-    >>> power_of_two([0.0, 3.0, 0.5, np.inf]), power_of_two(1e-300, 500) == 2.0**-500
-    (array([1., 4., 1., 1.]), True)
+    >>> power_of_two([0.0, 3.0, 0.5, np.inf])
+    array([1., 4., 1., 1.])
+    >>> bool(power_of_two(1e-300, 500) == 2.0**-500)
+    True
     """
-    exponents = np.clip(np.frexp(sizes)[1], -most, most)
-    return np.ldexp(1.0, np.where(np.isfinite(sizes), exponents, 0))
+    exponents = np.minimum(np.maximum(np.frexp(sizes)[1], -most), most)  # np.clip takes twice as long for one number
+    return np.ldexp(1.0, exponents * np.isfinite(sizes))
 
 
 def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:

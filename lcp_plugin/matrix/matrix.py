@@ -161,12 +161,6 @@ class Matrix:
 
     @property
     @fact
-    def index_width(self) -> str:
-        """The integer type of the indices of `csr_rows`, which need not exist yet for that."""
-        return "int32" if self._dense is not None else str(self.csr_rows.indices.dtype.name)
-
-    @property
-    @fact
     def nonzeros(self) -> int:
         """Number of nonzero entries of all rows."""
         own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))

@@ -250,7 +250,8 @@ class KrylovCorrection:
         # A transposed V-cycle divides by the diagonal last.
         scaled = 1.0 if self.transposed else self.peers.largest(largest_product(residual, inverse))
         truncation.unit = power_of_two(scaled)
-        self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if self._weighs(transposed) else None
+        is_weighted = not (is_symmetric or transposed)
+        self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if is_weighted else None
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -316,9 +317,6 @@ class KrylovCorrection:
 
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
         return self.peers.total(dot(one, other))
-
-    def _weighs(self, transposed: bool) -> bool:
-        return not (self.is_symmetric or transposed)
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         if self.is_symmetric:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
 if TYPE_CHECKING:
-    from .peers.alone import Peers
+    from .communicator.alone import Communicator
 
 T = TypeVar("T")
 AT_LEAST = 0.1  # seconds
@@ -120,19 +120,19 @@ class Clock:
         Whether one of them was, before the last reading.
     """
 
-    def __init__(self, peers: Peers) -> None:
+    def __init__(self, communicator: Communicator) -> None:
         self._compilation = compilation()  # of the thread that runs; others may read
         self._began = time.perf_counter() - self._compilation.seconds
         self._paused = self.elapsed = 0.0
-        self._peers, self.is_interrupted = peers, False
+        self._communicator, self.is_interrupted = communicator, False
         self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
         seconds = self.elapsed - self._paused
-        if not self._peers.is_alone:
-            seconds, self.elapsed, wishes = self._peers.all_largest(seconds, self.elapsed, self.hears())
+        if not self._communicator.is_alone:
+            seconds, self.elapsed, wishes = self._communicator.all_largest(seconds, self.elapsed, self.hears())
             self.is_interrupted = wishes > 0.0
         return seconds
 

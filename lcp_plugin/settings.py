@@ -32,7 +32,7 @@ class Status(Enum):
     MAX_ITERATIONS = "the iteration limit came first: raise max_iterations, go on from z0=result.z, or change algorithm"
     MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
     STALLED = (
-        "the residual no longer falls enough to arrive within max_iterations; for a projected-type method try "
+        "the residual no longer falls enough to converge within max_iterations; for a projected-type method try "
         'scaling="auto", otherwise algorithm="auto" or a better start z0'
     )
     DIVERGED = (

@@ -427,21 +427,21 @@ def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
 
 
 def test_many_offsets_of_one_matrix_in_one_loop() -> None:
-    """Row k is what the sprint of problem k alone is, each with bounds of its own; one that does not arrive is None."""
+    """Row k is what the fused solve of problem k alone is, each with bounds of its own, or None."""
     rng = np.random.default_rng(6)
     for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
         made = [planted(M, rng, boxes=True)[0] for _ in range(8)]
         made[3] = made[3].with_q(np.full(40, 1e308), lower=made[3].lower, upper=made[3].upper)
         names = ("q", "lower", "upper", "nearest_to_zero")
         Q, lower, upper, Z = (np.array([getattr(problem, name) for problem in made]) for name in names)
-        together = Banded().sprints(made[0], Q, Z, 1e-8, 100, bounds=(lower, upper))
-        for problem, sprint in zip(made, together, strict=True):
-            alone = Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 100)
-            assert (sprint is None) == (alone is None)
-            if sprint is not None and alone is not None:
-                assert np.array_equal(sprint.z, alone.z)
-                assert (sprint.residual, sprint.parts) == (alone.residual, alone.parts)
-        assert sum(sprint is not None for sprint in together) >= 7
+        together = Banded().fused_solves(made[0], Q, Z, 1e-8, 100, bounds=(lower, upper))
+        for problem, solve_fused in zip(made, together, strict=True):
+            alone = Banded().solve_fused(problem, problem.nearest_to_zero, 1e-8, 100)
+            assert (solve_fused is None) == (alone is None)
+            if solve_fused is not None and alone is not None:
+                assert np.array_equal(solve_fused.z, alone.z)
+                assert (solve_fused.residual, solve_fused.parts) == (alone.residual, alone.parts)
+        assert sum(solve_fused is not None for solve_fused in together) >= 7
 
 
 def test_a_run_of_each_kind_compiles_all_there_is() -> None:
@@ -451,7 +451,7 @@ def test_a_run_of_each_kind_compiles_all_there_is() -> None:
         solve(problem, Banded(), record=record)
     compiled = [kernels.run_all, kernels.step]
     before = [len(kernel.signatures) for kernel in compiled]
-    Banded().sprint(problem, problem.nearest_to_zero, 1e-8, 10)
+    Banded().solve_fused(problem, problem.nearest_to_zero, 1e-8, 10)
     list(Banded().iterates(problem, problem.nearest_to_zero.copy()))
     march(problem, np.zeros((2, 40)))
     solve(problem.with_q(np.array(problem.q), upper=np.full(40, 200.0)), z0=np.ones(40))

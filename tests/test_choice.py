@@ -84,7 +84,7 @@ def test_rows_that_are_clearly_dominated_begin_with_psor(diagonal: float, first:
         d[-min(60, size)] = diagonal
         M = sp.diags_array([-np.ones(size - 40), d, -np.ones(size - 40)], offsets=[-40, 0, 40]).tocsr()
         begun = Auto().first(LCP(M.toarray() if dense else M, -np.ones(size)))
-        assert begun.algorithm.name == (first if size == n else "short road" if size == 50 else "npsor")
+        assert begun.algorithm.name == (first if size == n else "small dense solver" if size == 50 else "npsor")
     everywhere = sp.csr_array(sp.diags_array([np.full(n, 3.0), -np.ones(n - 40)], offsets=[0, 40]))
     assert Auto().first(LCP(everywhere, -np.ones(n))).algorithm.name == "npsor"  # a triangle: one sweep is exact
 
@@ -101,8 +101,8 @@ def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
     (band(1, 2.0, 1.0), "banded"), (band(1, 9.0, 1.0), "banded"), (band(1, -2.0, 1.0), "banded"),
     (band(1, 9.0, 1.0, n=20_000), "psor"),
     (band(15, 1.0, 0.5), "banded"), (band(40, 1.0, 0.5), "npsor"), (band(15, 99.0, 0.5), "psor"),
-    (band(1, 2.0, -1.0, n=128), "banded"), (band(1, 2.0, 1.0, n=128), "short road"),
-    (band(15, 1.0, 0.5, n=128), "short road"),
+    (band(1, 2.0, -1.0, n=128), "banded"), (band(1, 2.0, 1.0, n=128), "small dense solver"),
+    (band(15, 1.0, 0.5, n=128), "small dense solver"),
 ])
 def test_a_narrow_band_comes_before_everything(problem: LCP, first: str) -> None:
     """Tridiagonal M-matrices always, other bands where rounds are cheap and no psor is proved quick."""
@@ -121,7 +121,7 @@ def test_where_banded_ends_the_projected_type_iteration_begins() -> None:
 
 @pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 1)])
 def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> None:
-    """Where it does not promise to arrive within 20 sweeps npsor ends after 10 of them, from 1 on where M is dense."""
+    """Where it does not promise to converge within 20 sweeps npsor ends after 10 of them, 1 where M is dense."""
     problem = chain(30, dense=dense)
     assert 1 <= solve(problem).stages[0].iterations <= max(trial, 3)
     for iterations in range(1, trial + 45):
@@ -132,7 +132,7 @@ def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> N
 
 
 def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_ten() -> None:
-    """On dense M npsor is asked at every sweep: at rate 0.2 eleven more would arrive, and later nine."""
+    """On dense M npsor is asked at every sweep: at rate 0.2 eleven more would converge, and later nine."""
     for iterations, goes_on in ((1, False), (3, True)):
         assert (following(chain(30, dense=True), after(create("npsor", {}), iterations, 0.2)) is None) == goes_on
 
@@ -162,7 +162,7 @@ def test_two_rates_that_agree_end_the_trial() -> None:
 
 @pytest.mark.parametrize(("rate", "goes_on"), [(0.5, True), (0.9, False)])
 def test_npsor_goes_on_where_it_arrives_within_twenty(rate: float, goes_on: bool) -> None:
-    """After 10 sweeps at rate ½, 17 more arrive at 1e-8; at rate 0.9 it takes 165."""
+    """After 10 sweeps at rate ½, 17 more reach 1e-8; at rate 0.9 it takes 165."""
     assert (following(chain(300), after(create("npsor", {}), 10, rate)) is None) == goes_on
 
 
@@ -233,7 +233,7 @@ def test_psor_is_between_quick_and_slow(n: int) -> None:
     [(20, 0.999, True), (40, 0.999, False), (41, 0.999, True), (60, 0.999, False), (40, 0.95, True), (40, 0.97, False)],
 )
 def test_how_long_psor_goes_on(iterations: int, rate: float, goes_on: bool) -> None:
-    """Asked every 20 sweeps from the 40th on, psor goes on where 440 more arrive; else multigrid takes over."""
+    """Asked every 20 sweeps from the 40th on, psor goes on where 440 more converge; else multigrid takes over."""
     found = following(chain(1001), after(create("psor", {}), iterations, rate))
     assert found == (None if goes_on else "multigrid")
 
@@ -246,7 +246,7 @@ def test_what_psor_needs_is_judged_by_all_its_sweeps() -> None:
 
 
 def test_a_wall_at_rest_is_left_to_psor() -> None:
-    """12 courses of 12 bricks, semidefinite: psor, whose first trial of a relaxation lasts 33 sweeps, arrives."""
+    """12 courses of 12 bricks, semidefinite: psor, whose first trial of a relaxation lasts 33 sweeps, converges."""
     result = solve(brick_wall(12, 12))
     assert result.is_solved
     assert names(result) == ["npsor", "psor"]

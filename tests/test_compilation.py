@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 import lcp_plugin
 from lcp_plugin import LCP, Status, bounded_least_squares, gallery, solve
 from lcp_plugin.commands.cli import app
+from lcp_plugin.communicator.alone import ALONE
 from lcp_plugin.deadline import NEW_KERNELS, Clock, compilation
 from lcp_plugin.kernels.compilation import cache_folder, compiled, compiling_at_once
 from lcp_plugin.kernels.enclosures import fused, split_sum
-from lcp_plugin.peers.alone import ALONE
 from lcp_plugin.solving import run_log
 
 COUNT_COMPILED = """

@@ -203,7 +203,7 @@ def test_np_finishes_with_exact_zeros(name: str) -> None:
 
 
 def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
-    """Unscaled NPSOR(1.7) cycles beside z*; the status says that it did not arrive and advises scaling."""
+    """Unscaled NPSOR(1.7) cycles beside z*; the status says that it did not converge and advises scaling."""
     trap = gallery.scaling_trap()
     result = solve(trap.problem, "npsor", relaxation=1.7, scaling=None, z0=trap.start)
     assert result.status in (Status.STALLED, Status.DIVERGED)
@@ -227,7 +227,7 @@ def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
     ],
 )
 def test_the_scaling_trap_is_solved_otherwise(name: str, options: dict[str, Any], measured: int) -> None:
-    """From z = 0 unscaled NPGS arrives slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
+    """From z = 0 unscaled NPGS converges slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
     trap = gallery.scaling_trap()
     result = solve(trap.problem, name, **options)
     assert result.status is Status.SOLVED

@@ -72,7 +72,7 @@ def parameters(thing: Any) -> dict[str, str]:
     if inspect.isclass(thing) and not (is_dataclass(thing) or "__init__" in vars(thing)):
         return {}
     given = inspect.signature(inspect.unwrap(thing)).parameters
-    return {name: str(p.annotation) for name, p in given.items() if name not in ("self", "cls", "_")}
+    return {name: str(p.annotation) for name, p in given.items() if name not in ("self", "cls") and name[0] != "_"}
 
 
 @pytest.mark.parametrize("name", DESCRIBED)

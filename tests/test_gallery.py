@@ -440,7 +440,7 @@ def test_random_scene_has_every_kind_of_index_and_no_dominance() -> None:
 
 
 def test_scaling_trap_traps() -> None:
-    """Unscaled NPSOR(1.7) never arrives, NPGS takes over 1000 sweeps, scaled NPSOR(1.7) at most thirty."""
+    """Unscaled NPSOR(1.7) never converges, NPGS takes over 1000 sweeps, scaled NPSOR(1.7) at most thirty."""
     scene = gallery.build("scaling_trap")
     assert projected_type_sweeps(scene, 1.7, scaled=False) is None
     assert 1000 < projected_type_sweeps(scene, 1.0, scaled=False) < 3000

@@ -418,7 +418,7 @@ def test_what_rounding_may_undo_is_not_guaranteed(M: Any, name: str, options: di
 
 
 def test_the_example_at_the_limit_does_not_converge() -> None:
-    """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not arrive."""
+    """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not converge."""
     problem = LCP([[1.0]], [-1.0])
     result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
     assert not result.is_solved

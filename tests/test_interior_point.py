@@ -124,7 +124,7 @@ def test_contact_matrix_of_low_rank() -> None:
 
 
 def test_interior_steps_take_over_where_the_first_guess_is_poor() -> None:
-    """With no budget for the guess the interior point alone arrives at the same answer."""
+    """With no budget for the guess the interior point alone converges to the same answer."""
     problem = with_answer(random_matrix("definite", 50, np.random.default_rng(0)), np.zeros(50), np.full(50, np.inf),
                           np.random.default_rng(1), degenerate=0.0)
     guessed = solve(problem, InteriorPoint(), tolerance=1e-12)

@@ -258,12 +258,12 @@ def test_scene_that_no_splitting_solves_is_counted() -> None:
     """A scene with active constraints that no splitting solves is named, not dropped in silence."""
     text = said(scene_part("a", 0.5, NPSOR=30, PGS=10), scene_part("b", 0.5, NPSOR=-30, PGS=-10))
     assert "On 1 scene with" in text
-    assert "On 1 more no splitting arrives." in text
+    assert "On 1 more no splitting converges." in text
     assert "On 1 more" not in said(scene_part("a", 0.5, NPSOR=30, PGS=10))
 
 
 def test_multigrid_that_fails_does_not_win() -> None:
-    """Where M has no diagonal to spare and multigrid does not arrive, the scene counts all the same."""
+    """Where M has no diagonal to spare and multigrid does not converge, the scene counts all the same."""
     text = said(scene_part("a", 0.5, 0.0, multigrid=5, PGS=100), scene_part("b", 0.5, 0.0, multigrid=-5, PGS=100))
     assert "On 2 scenes whose matrix" in text
     assert "fewest passes on 1 " in text

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from collection.truth import ExactData
 from small_families import FAMILIES, problem
 
-import lcp_plugin.algorithms.short_road as short_road
+import lcp_plugin.algorithms.small_dense as small_dense
 from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.errors import ConvergenceWarning, InvalidOption
 from lcp_plugin.kernels import threads as sharing
@@ -73,8 +73,8 @@ def test_the_roads_agree(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
         if short.status is Status.SOLVED:
             assert not ExactData(drawn).is_lie(short.z, 1e-8)
         with monkeypatch.context() as patch:
-            patch.setattr(short_road, "COMPILED_UP_TO", 0)
-            patch.setattr(short_road, "COMPILED_SPARSE_UP_TO", 0)
+            patch.setattr(small_dense, "COMPILED_UP_TO", 0)
+            patch.setattr(small_dense, "COMPILED_SPARSE_UP_TO", 0)
             long = solve(LCP(drawn.M, drawn.q, lower=drawn.lower, upper=drawn.upper))
         assert (short.status in SOLVED) == (long.status in SOLVED)
 
@@ -331,7 +331,7 @@ def test_what_a_batch_did_not_begin_costs_nothing(algorithm: str) -> None:
     assert np.isnan(batch.relative_residual).all()
     late = batch[4999]
     assert (late.status, late.tolerance) == (Status.MAX_SECONDS, 1e-6)
-    assert late.chosen == solve(LCP(M[0], q[0]), algorithm).chosen
+    assert late._asked == solve(LCP(M[0], q[0]), algorithm)._asked
     assert late.iterations == 0
 
 

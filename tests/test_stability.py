@@ -236,7 +236,7 @@ def test_zeros_in_q_are_nothing_special(name: str) -> None:
 
 @EVERY_ALGORITHM
 def test_a_solution_degenerate_everywhere(name: str) -> None:
-    """With w* = 0 in every row, active or not, every algorithm still arrives, and z is accurate."""
+    """With w* = 0 in every row, active or not, every algorithm still converges, and z is accurate."""
     scene = gallery.half_active(n=100, block=5)
     problem = LCP(scene.problem.csr, -(scene.problem.csr @ scene.exact))
     assert not problem.slack(scene.exact).any()
@@ -330,7 +330,7 @@ def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits:
 
 
 def test_automatic_relaxation_goes_very_close_to_two() -> None:
-    """At ρ = 1 − 1e-6 the iteration itself arrives within 5000 sweeps, where PGS would take ten million."""
+    """At ρ = 1 − 1e-6 the iteration itself converges within 5000 sweeps, where PGS would take ten million."""
     problem, exact = nearly_singular(20)
     for step in islice(create("psor", {}).iterates(problem, np.zeros(2)), 5001):
         if Certificate.of(problem, step.z).relative_residual <= 1e-8:
@@ -341,7 +341,7 @@ def test_automatic_relaxation_goes_very_close_to_two() -> None:
 
 @EVERY_ALGORITHM
 def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> None:
-    """At ρ = 1 − 1e-6 most runs cannot arrive; whatever they end with is honest and says how far it came."""
+    """At ρ = 1 − 1e-6 most runs cannot converge; whatever they end with is honest and says how far it came."""
     problem, exact = nearly_singular(20)
     result = solve(problem, name, max_iterations=1000)
     assert_honest(result)
@@ -492,7 +492,7 @@ def string(n: int) -> LCP:
 @pytest.mark.parametrize("name", ["psor", "auto"])
 @pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
 def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
-    """Where a large relaxation explodes within a sweep, the automatic one still arrives, about as soon as PGS."""
+    """Where a large relaxation explodes within a sweep, the automatic one still converges, about as soon as PGS."""
     problem = ring(n, weight)
     result, plain = solve(problem, name), solve(problem, "pgs")
     assert result.status is plain.status is Status.SOLVED
@@ -518,7 +518,7 @@ def test_automatic_relaxation_does_not_give_up_on_a_long_string(name: str) -> No
 
 @pytest.mark.parametrize("name", ["pj", "mj"])
 def test_a_front_is_no_standstill(name: str) -> None:
-    """Where a front crosses 600 unknowns one a sweep, the run is not called STALLED before it arrives."""
+    """Where a front crosses 600 unknowns one a sweep, the run is not called STALLED before it converges."""
     n = 600
     M = sp.diags_array([-np.ones(n - 1), np.ones(n)], offsets=[-1, 0])
     q = np.zeros(n)

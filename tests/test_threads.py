@@ -64,7 +64,7 @@ def _divide_on_two_threads() -> None:
 
 
 def test_pieces_run_at_the_same_time() -> None:
-    """Three pieces that wait for each other arrive."""
+    """Three pieces that wait for each other converge."""
     together = threading.Barrier(3, timeout=60.0)
     with threads_for(3):
         assert sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]

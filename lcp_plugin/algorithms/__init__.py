@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..settings import OF_SOLVE
-from .base import Algorithm, Sprint, Step
+from .base import Algorithm, FusedSolve, Step
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -32,7 +32,7 @@ __all__ = [
     "ENTRY_POINT_GROUP",
     "REGISTRY",
     "Algorithm",
-    "Sprint",
+    "FusedSolve",
     "Step",
     "algorithm_class",
     "create",

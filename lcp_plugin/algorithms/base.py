@@ -20,7 +20,7 @@ from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
 from ..problem.lcp import LCP
 
 SWEEPS = ("forward", "backward", "symmetric")
-Plan = tuple[bool, bool, bool]  # sweeps, rounds, pivots
+Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots
 
 
 @dataclass(slots=True)
@@ -65,8 +65,8 @@ class Step:
 
 
 @dataclass(slots=True)
-class Sprint:
-    """Where all steps of a run at once have arrived: an answer within the tolerance.
+class FusedSolve:
+    """Where all steps of a run at once have converged: an answer within the tolerance.
 
     Attributes
     ----------
@@ -92,9 +92,9 @@ class Algorithm(ABC):
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
-    `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, asking `problem.peers` for
-    what other ranks know; `is_monotone` False says that rises of the residual are legal, and that the iterator ends by
-    itself where nothing more can be done.
+    `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
+    `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
+    that the iterator ends by itself where nothing more can be done.
     """
 
     name: ClassVar[str]
@@ -121,10 +121,10 @@ class Algorithm(ABC):
             Before the first step, naming the row that stands in the way.
         """
 
-    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
-        """Return where the steps of `iterates`, taken without Python between them, arrive within the tolerance.
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where the steps of `iterates`, taken without Python between them, converge within the tolerance.
 
-        z, iterations and work are those that single steps give, bit for bit. None where they do not arrive, or where
+        z, iterations and work are those that single steps give, bit for bit. None where they do not converge, or where
         there is no such loop for this problem: then the steps are taken one by one.
 
         Parameters
@@ -138,7 +138,7 @@ class Algorithm(ABC):
         """
         return None
 
-    def short_plan(self) -> Plan | None:
+    def phases_of_small(self) -> Phases | None:
         """Return the phases of the compiled road that this algorithm takes on small problems from z°, or None."""
         return None
 
@@ -247,7 +247,7 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
                 f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
             )
 
-    problem.peers.together(check)
+    problem.communicator.together(check)
     return diagonal
 
 

@@ -29,7 +29,7 @@ class GridProblem:
         self.residual = np.zeros(grid.width, grid.inverse.dtype)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
-        self.peers = grid.peers
+        self.communicator = grid.communicator
         if self.is_projected_type:
             pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
             # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
@@ -39,7 +39,7 @@ class GridProblem:
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
-        self.peers.fetch(z)
+        self.communicator.fetch(z)
         if not self.is_projected_type:
             sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z)
             return
@@ -53,8 +53,8 @@ class GridProblem:
     def gauss_seidel(self, z: FloatVector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
         before = z[: self.q.size].copy()
-        self.peers.fetch(z)
+        self.communicator.fetch(z)
         sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
         with np.errstate(over="ignore"):  # between bounds of ±1e308
             before -= z[: self.q.size]
-        return self.peers.largest(span(before))
+        return self.communicator.largest(span(before))

@@ -78,7 +78,7 @@ def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
     >>> rows.free, rows.at_lower, rows.z
     (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
     """
-    settled = _settled(problem, z) if problem.peers.is_alone else None
+    settled = _settled(problem, z) if problem.communicator.is_alone else None
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
     at, system, left = settled

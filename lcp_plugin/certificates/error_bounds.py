@@ -167,8 +167,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     with np.errstate(all="ignore"):  # what overflows bounds nothing
         family = bounds_of(problem.matrix)
         if family is None:
-            raise UnsuitableMatrix(_why_not(problem) if problem.peers.is_alone else NO_PROOF_ON_RANKS)
-        found = _bound(problem, z, family, sharp=sharp and problem.peers.is_alone)
+            raise UnsuitableMatrix(_why_not(problem) if problem.communicator.is_alone else NO_PROOF_ON_RANKS)
+        found = _bound(problem, z, family, sharp=sharp and problem.communicator.is_alone)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -195,10 +195,10 @@ def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatV
 
 
 def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
-    if not problem.peers.everywhere(bool(np.isfinite(z).all())):
+    if not problem.communicator.everywhere(bool(np.isfinite(z).all())):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
-    found = _Found(z, at, family.of_error(at), family.method)
+    found = Enclosure(z, at, family.of_error(at), family.method)
     if not sharp:
         return found.result(family.kind)
     if isinstance(family, DefiniteBounds):
@@ -215,7 +215,7 @@ def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *
     return found.result(family.kind)
 
 
-class _Found:
+class Enclosure:
     """The best bound so far, and the point near z at which most is known of z*."""
 
     def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
@@ -249,9 +249,9 @@ class _Found:
             active, inactive = active | more_active, inactive | more_inactive
         is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
-        infinity, residual = problem.peers.all_largest(*sizes)
+        infinity, residual = problem.communicator.all_largest(*sizes)
         of_parts = (largest_of_parts(problem, np.abs(one)).tolist() for one in (y, self.z))
-        relative = problem.peers.largest(max(map(relative_to, *of_parts), default=0.0))
+        relative = problem.communicator.largest(max(map(relative_to, *of_parts), default=0.0))
         return _counted(
             problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
             relative=relative, kind=kind, method=self.method, residual=residual,
@@ -259,7 +259,7 @@ class _Found:
         )
 
 
-def _sweep_nearer(found: _Found, family: HPlusBounds) -> None:
+def _sweep_nearer(found: Enclosure, family: HPlusBounds) -> None:
     """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
     problem = found.at.problem
     gap = float((family.margin / (problem.diagonal * family.v)).min(initial=1.0))
@@ -279,7 +279,7 @@ def _sweep_nearer(found: _Found, family: HPlusBounds) -> None:
             found.go_to(near, y)
 
 
-def _sharpen(found: _Found, judge: Judge) -> None:
+def _sharpen(found: Enclosure, judge: Judge) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
     problem = found.at.problem
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
@@ -300,7 +300,7 @@ def _sharpen(found: _Found, judge: Judge) -> None:
             return
 
 
-def _is_worth_more(found: _Found) -> bool:
+def _is_worth_more(found: Enclosure) -> bool:
     """Whether a component's bound is far above what its error is known to be, or a row is undecided."""
     error = found.near.distance(found.z) - found.near_y
     active, inactive = found.near.classified(found.near_y)
@@ -330,7 +330,7 @@ def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
 def _counted(
     problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
 ) -> ErrorBound:
-    counts = [int(problem.peers.total(float(np.count_nonzero(rows)))) for rows in (active, inactive)]
+    counts = [int(problem.communicator.total(float(np.count_nonzero(rows)))) for rows in (active, inactive)]
     return ErrorBound(
         componentwise=componentwise, proven_active=active, proven_inactive=inactive, n=problem.n, active=counts[0],
         inactive=counts[1], **known,

@@ -43,7 +43,7 @@ def largest_of_parts(problem: LCP, values: FloatVector) -> FloatVector:
     several = parts(problem.matrix)
     if several is not None:
         return several.largest(values)
-    return np.array([problem.peers.largest(float(values.max()) if values.size else 0.0)])
+    return np.array([problem.communicator.largest(float(values.max()) if values.size else 0.0)])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:
@@ -61,7 +61,7 @@ def references_of_parts(problem: LCP) -> VectorEnds:
         ends = residual_ends_of(rows, whole, problem, z, problem.residual_scale)
         least, most = (largest_of_parts(problem, end) for end in ends)
         is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
-        if not problem.peers.everywhere(not is_open.any()):
+        if not problem.communicator.everywhere(not is_open.any()):
             sharp = [largest_of_parts(problem, end) for end in sharp_residual_ends(problem, z)]
             least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
         _references[problem] = least, most
@@ -76,9 +76,9 @@ def least_reference(least: FloatVector, most: FloatVector) -> float:
 def reference_ends(problem: LCP) -> Ends:
     """Return bounds of ‖r(z°)‖∞ over all parts."""
     least, most = references_of_parts(problem)
-    if problem.peers.is_alone:
+    if problem.communicator.is_alone:
         return float(least.max()), float(most.max())
-    ends = problem.peers.all_largest(*(float(end.max(initial=0.0)) for end in (least, most)))
+    ends = problem.communicator.all_largest(*(float(end.max(initial=0.0)) for end in (least, most)))
     return ends[0], ends[1]
 
 
@@ -91,7 +91,7 @@ def rounding_of_data(problem: LCP) -> float:
     """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q_i|/d_i."""
     with np.errstate(over="ignore"):
         largest = float(np.abs(problem.q / problem.residual_scale).max(initial=0.0))
-    return DATA_ROUNDING * problem.peers.largest(largest)
+    return DATA_ROUNDING * problem.communicator.largest(largest)
 
 
 def exact_reference(problem: LCP, row: int) -> Fraction:
@@ -148,7 +148,7 @@ class CommonUnits:
         most = np.maximum(most, least)
         exponents = _exponents(problem, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (not problem.peers.everywhere(not rows.any()) for rows in (exponents, answered))
+        has_units, has_answers = (not problem.communicator.everywhere(not rows.any()) for rows in (exponents, answered))
         scaled = _scaled(problem, exponents) if has_units else problem
         units = exponents if has_units else None, read_only(answered) if has_answers else None
         return cls(problem, scaled, *units, least)
@@ -179,7 +179,7 @@ class CommonUnits:
         least, most = self.references
         if parts(self.problem.matrix) is None:
             return float(most.max(initial=0.0))
-        smallest = -self.problem.peers.largest(-least_reference(least, most))
+        smallest = -self.problem.communicator.largest(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
 
     @property
@@ -218,7 +218,7 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
-    if problem.peers.everywhere(not z.any()):  # what r(0) is made of is not rounded
+    if problem.communicator.everywhere(not z.any()):  # what r(0) is made of is not rounded
         return np.asarray(references_of_parts(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
@@ -250,7 +250,7 @@ def _exponents(problem: LCP, several: Parts, most: FloatVector) -> IntVector:
     is_open = (most > 0.0) & np.isfinite(most)
     wanted = 1 - np.frexp(most)[1].astype(np.int64)
     ends = np.max(wanted, initial=-(10**6), where=is_open), np.max(-wanted, initial=-(10**6), where=is_open)
-    highest, minus_lowest = problem.peers.all_largest(*map(float, ends))
+    highest, minus_lowest = problem.communicator.all_largest(*map(float, ends))
     if highest == -minus_lowest:  # they are alike
         wanted -= int(highest)
     unit = 1 - int(highest) if highest == -minus_lowest else 1

@@ -141,7 +141,7 @@ class Certificate:
 
     def _largest(self, values: FloatVector) -> float:
         """Return the largest of all rows' values."""
-        return self.problem.peers.largest(_largest(values))
+        return self.problem.communicator.largest(_largest(values))
 
     @cached_property
     def _row_references(self) -> FloatVector:
@@ -159,10 +159,10 @@ class Certificate:
             if several is not None:  # as the relative residual is proved, so that its part is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
-        peers, is_empty = self.problem.peers, not relative.size
-        largest, row = peers.worst(0.0 if is_empty else float(relative[worst]), worst)
+        communicator, is_empty = self.problem.communicator, not relative.size
+        largest, row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)
         is_here = not is_empty and row == self.problem.first + worst
-        return largest, peers.largest(float(residual[worst]) if is_here else 0.0), row
+        return largest, communicator.largest(float(residual[worst]) if is_here else 0.0), row
 
     @property
     def worst_index(self) -> int:
@@ -183,10 +183,10 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts, rounded upwards; 0 for 0/0."""
-        peers = self.problem.peers
-        if not peers.everywhere(not np.isinf(self.references[1]).any()):
+        communicator = self.problem.communicator
+        if not communicator.everywhere(not np.isinf(self.references[1]).any()):
             return np.nan
-        return peers.largest(largest_ratio(*self.residuals_of_parts))
+        return communicator.largest(largest_ratio(*self.residuals_of_parts))
 
     @property
     def residuals_of_parts(self) -> VectorEnds:
@@ -200,7 +200,7 @@ class Certificate:
         several = parts(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
-        if self.problem.peers.everywhere(not is_exact.any()):
+        if self.problem.communicator.everywhere(not is_exact.any()):
             return ends
         return np.where(is_exact, self._sharp_ends(), ends)
 
@@ -234,8 +234,8 @@ class Certificate:
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        peers, terms = self.problem.peers, self.problem.n + 7 + self.problem.peers.size
-        norm = euclidean_norm(self._natural, peers)
+        communicator, terms = self.problem.communicator, self.problem.n + 7 + self.problem.communicator.size
+        norm = euclidean_norm(self._natural, communicator)
         return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
 
     @cached_property
@@ -317,14 +317,15 @@ class Certificate:
         """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
         scale = self.problem.residual_scale
         extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
-        most, minus_least = self.problem.peers.all_largest(*map(float, extremes))
+        most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
         with np.errstate(over="ignore"):
             return float(np.divide(most, -minus_least)) if self.problem.n else 1.0
 
     @cached_property
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
-        return self.problem.peers.everywhere(bool(at_rounding_level(self._scaled_ends[1], self.rounding_floor).all()))
+        is_low = at_rounding_level(self._scaled_ends[1], self.rounding_floor)
+        return self.problem.communicator.everywhere(bool(is_low.all()))
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
@@ -337,16 +338,16 @@ class Certificate:
         largest, least = self.residuals_of_parts
         with np.errstate(all="ignore"):
             is_large = ~(over(largest, least) <= GAINED)
-        if self.problem.peers.everywhere(not is_large.any()):
+        if self.problem.communicator.everywhere(not is_large.any()):
             return True
-        return self.problem.peers.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
+        return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
 
     def relative_above(self, least: float) -> float:
         """Return the relative residual with no part's reference taken for less than `least`."""
         if not least:
             return self.relative_residual
         largest, references = self.residuals_of_parts
-        return self.problem.peers.largest(largest_ratio(largest, np.maximum(references, least)))
+        return self.problem.communicator.largest(largest_ratio(largest, np.maximum(references, least)))
 
     def measured(self, measure: str) -> float:
         """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""

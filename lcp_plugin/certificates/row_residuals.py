@@ -9,10 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
+from ..communicator.alone import ALONE, Communicator
 from ..exact.rounding import compensated_product, lower_end, read_only_views, upper_end
 from ..kernels.floats import EPSILON, TINY
 from ..kernels.threads import share
-from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
 
 BLOCK = 2**14  # rows
@@ -41,7 +41,7 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
     """Return ‖r(z)‖∞ as double precision gives it; on ranks of the own part z, and all of them call."""
     with np.errstate(all="ignore"):
         residual = scaled_residual(problem, z, problem.slack(z))
-        return problem.peers.largest(float(np.abs(residual, out=residual).max(initial=0.0)))
+        return problem.communicator.largest(float(np.abs(residual, out=residual).max(initial=0.0)))
 
 
 def residual_ends_of(
@@ -186,10 +186,10 @@ def ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
 
 
-def euclidean_norm(vector: FloatVector, peers: Peers = ALONE) -> float:
+def euclidean_norm(vector: FloatVector, communicator: Communicator = ALONE) -> float:
     """Return ‖vector‖₂, of everybody's parts, without overflow or underflow on the way."""
-    largest = peers.largest(float(np.abs(vector).max(initial=0.0)))
+    largest = communicator.largest(float(np.abs(vector).max(initial=0.0)))
     if largest == 0.0 or not np.isfinite(largest):
         return largest
     scaled = vector / largest
-    return largest * math.sqrt(peers.total(float(scaled @ scaled)))
+    return largest * math.sqrt(communicator.total(float(scaled @ scaled)))

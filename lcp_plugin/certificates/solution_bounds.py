@@ -65,7 +65,7 @@ class HPlusBounds:
     def of_solution(self, size: FloatVector) -> FloatVector:
         """Return a bound of |x| for every x with |M x| ≤ size, shape (own,)."""
         share = quotient_above(size, self.margin).max(initial=0.0)
-        return product_above(np.float64(self.matrix.peers.largest(float(share))), self.v)
+        return product_above(np.float64(self.matrix.communicator.largest(float(share))), self.v)
 
     def of_error(self, at: RowInequality) -> FloatVector:
         """Return a bound of |z − z*|, shape (own,)."""
@@ -100,11 +100,11 @@ def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
 
     On ranks only H₊-matrices are looked for.
     """
-    is_positive = matrix.peers.everywhere(bool((matrix.diagonal > 0.0).all()))
+    is_positive = matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all()))
     certificate = comparison_certificate(matrix) if is_positive else None
     if certificate is not None:
         return HPlusBounds(matrix, certificate.v, certificate.margin)
-    eigenvalue = smallest_eigenvalue_bound(matrix) if matrix.peers.is_alone else None
+    eigenvalue = smallest_eigenvalue_bound(matrix) if matrix.communicator.is_alone else None
     return None if eigenvalue is None else DefiniteBounds(eigenvalue)
 
 
@@ -295,7 +295,7 @@ def block_solution_bound(system: FreeSystem, size: FloatVector) -> FloatVector:
     >>> block_solution_bound(system, np.array([1.0, 0.0])) >= [2 / 3, 1 / 3]
     array([ True,  True])
     """
-    if not system.matrix.peers.is_alone:
+    if not system.matrix.communicator.is_alone:
         return _of_solution(system.matrix, np.where(system.free, size, 0.0))
     bound = np.zeros(size.size)
     if system.rows.size:

@@ -37,7 +37,7 @@ def on_all_ranks() -> Iterator[None]:
     try:
         from mpi4py import MPI
 
-        from ..peers.ranks.collective import ends_together
+        from ..communicator.ranks.collective import ends_together
     except (ImportError, RuntimeError, LCPError):  # `solve` says what is missing
         yield
         return
@@ -52,13 +52,13 @@ class OnRanks(OneProcess):
     """Every rank of the job, which all call in the same order."""
 
     def __init__(self) -> None:
-        from ..peers.ranks.collective import Ranks
+        from ..communicator.ranks.collective import Ranks
 
-        self.peers = self.ranks = Ranks(None)
+        self.communicator = self.ranks = Ranks(None)
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which the first failure ends all ranks."""
-        from ..peers.ranks.collective import ends_together
+        from ..communicator.ranks.collective import ends_together
 
         return ends_together(self.ranks.comm, speaker=SPEAKER)
 
@@ -89,7 +89,7 @@ class OnRanks(OneProcess):
         text = scene_text(target, size)
         if text is None:
             path = Path(target)
-            if self.peers.from_first(lambda: path.is_dir() and not (path / "M.mtx").exists()):
+            if self.communicator.from_first(lambda: path.is_dir() and not (path / "M.mtx").exists()):
                 return LCP.load(target, self.ranks.comm), None
             whole = LCP.load(target)
             self._note_whole(whole.n, "this file is read")
@@ -117,7 +117,7 @@ class OnRanks(OneProcess):
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
         problem = result.certificate.problem
-        token, is_new = self.peers.from_first(lambda: _make_folder(out, problem.n))
+        token, is_new = self.communicator.from_first(lambda: _make_folder(out, problem.n))
         temporary = {name: out / f".{token}-{name}" for name in FILES}
 
         def finish() -> None:
@@ -127,11 +127,11 @@ class OnRanks(OneProcess):
 
         try:
             for name, own in (("z.npy", result.z), ("w.npy", result.w)):
-                begin = self.peers.from_first(partial(_begin_array, temporary[name], problem.n))
-                self.peers.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
-            self.peers.from_first(finish)
+                begin = self.communicator.from_first(partial(_begin_array, temporary[name], problem.n))
+                self.communicator.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
+            self.communicator.from_first(finish)
         finally:
-            if self.peers.rank == 0:
+            if self.communicator.rank == 0:
                 for path in temporary.values():
                     path.unlink(missing_ok=True)
                 if is_new and not any(out.iterdir()):

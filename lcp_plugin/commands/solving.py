@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from ..certificates.row_residuals import is_at_bound
+from ..communicator.alone import ALONE, Communicator
 from ..errors import InvalidOption, UnreadableFile
-from ..peers.alone import ALONE, Peers
 from ..problem.lcp import LCP
 from ..settings import Settings
 from ..solving.result import Result
@@ -26,7 +26,7 @@ WORDS = {"none": None, "true": True, "false": False}
 class OneProcess:
     """The parts of the command that differ where the rows lie on ranks."""
 
-    peers: Peers = ALONE
+    communicator: Communicator = ALONE
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which no process waits for one that has failed."""
@@ -73,8 +73,8 @@ def run(
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
-        chosen = policy_for(algorithm, options, on_ranks=not here.peers.is_alone).chosen
-        here.peers.from_first(lambda: here.check_outputs(target, plot, out))
+        chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
+        here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
         results = _solve_all(problem, scene, {**settings, "algorithm": chosen, "record": plot is not None})
         more, lines = here.beyond()
@@ -158,7 +158,7 @@ def _story(results: list[Result], scene: Any, more: list[str]) -> str:
     result = results[-1]
     problem = result.certificate.problem
     lines = ["" if scene is None else str(scene), f"{problem!r}", result.explain(), str(result.certificate)]
-    at_bound = problem.peers.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
+    at_bound = problem.communicator.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
     lines.append(f"{'at a bound':<18} {at_bound:.0f} of {problem.n}")
     if scene is not None and scene.steps > 1:
         total = "{iterations} iterations, {seconds:.3g} s".format(**_totals(results))
@@ -166,6 +166,6 @@ def _story(results: list[Result], scene: Any, more: list[str]) -> str:
     elif scene is not None and problem.n:
         for name, known in (("true error", scene.exact), ("from the continuum", scene.continuum)):
             if known is not None:
-                distance = problem.peers.largest(float(np.abs(result.z - known).max(initial=0.0)))
+                distance = problem.communicator.largest(float(np.abs(result.z - known).max(initial=0.0)))
                 lines.append(f"{name:<18} {distance:.3e}")
     return "\n".join(filter(None, [*lines, *more]))

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, frozen
+from ..communicator.alone import ALONE
 from ..matrix.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
 from ..matrix.matrix import Matrix, largest_in_rows
-from ..peers.alone import ALONE
 
 Indices = NDArray[np.intp]
 T = TypeVar("T")

@@ -189,7 +189,7 @@ def tuned(
     as much work as the best one so far. An algorithm that cannot run on the problem keeps its defaults.
     """
     name, settings = TUNING[label]
-    best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it arrives, else (1, residual): the smaller the better
+    best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it converges, else (1, residual): the smaller the better
     for options in settings:
         limit = WorkLimit(best[1] if best[0] == 0.0 else max_work)
         try:

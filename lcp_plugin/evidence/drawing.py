@@ -136,13 +136,13 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 
 
 class Line(NamedTuple):
-    """One line of a figure: its name, the family that colours it, whether it arrives, and how far x spreads."""
+    """One line of a figure: its name, the family that colours it, whether it converges, and how far x spreads."""
 
     label: str
     family: str
     x: Any
     y: Any
-    arrives: bool
+    converged: bool
     band: tuple[Any, Any] | None = None
 
 
@@ -190,7 +190,7 @@ def _range(lines: Sequence[Line]) -> tuple[float, float]:
     positive = [value for line in lines for value in line.y if 0.0 < value < math.inf]
     if not positive:
         return 1e-16, 1.0
-    ends = [line.y[-1] for line in lines if line.arrives and line.y[-1] > 0.0]
+    ends = [line.y[-1] for line in lines if line.converged and line.y[-1] > 0.0]
     starts = [line.y[0] for line in lines if 0.0 < line.y[0] < math.inf]
     least = min(ends, default=min(positive))
     floor = float(np.median(ends or [least])) * DEEPEST_BELOW_TOLERANCE
@@ -216,7 +216,7 @@ def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float
     if line.band is not None:
         low, high = line.band
         axes.fill_betweenx(y, _positive(low), high, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
-    label, marker = (line.label, "o") if line.arrives else (f"{line.label} ✕", "x")
+    label, marker = (line.label, "o") if line.converged else (f"{line.label} ✕", "x")
     return float(x[-1]), float(y[-1]), label, look["color"], marker
 
 
@@ -289,7 +289,7 @@ def draw_shares(lines: Sequence[Line], labels: tuple[str, str]) -> Any:
         for line, look in zip(lines, styles([line.family for line in lines]), strict=True):
             x, y = [1.0, *line.x, end], [0.0, *line.y, line.y[-1] if line.y else 0.0]
             axes.step(x, y, where="post", linewidth=1.5, **look)
-            names.append((x[-2], float(y[-1]), line.label, look["color"], "o" if line.arrives else "x"))
+            names.append((x[-2], float(y[-1]), line.label, look["color"], "o" if line.converged else "x"))
         axes.axhspan(1.02, 2.0, color="#f8f8f8", zorder=0)
         axes.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0], ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])
         _tick_width(axes)

@@ -17,7 +17,7 @@ DIRECT, BLOCKS, BEGINNING = 0, 1, 2
 RIDGE = 1e-8  # of a row of size 1: stands for a negligible pivot, so that no z gets too large to tell its residual
 TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
-HALVES = 200  # changes of every other wrong row, by lot, before the end; what arrives needed less than 100
+HALVES = 200  # changes of every other wrong row, by lot, before the end; what converges needed less than 100
 
 
 @compiled_part
@@ -258,13 +258,13 @@ def run_all(  # type: ignore[no-untyped-def]
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
     carry_indptr, carry_indices, carry_data
         C by rows, or nothing: C z of each row is added to the q of the next, which starts from that z, in a march that
-        ends where it does not arrive.
+        ends where it does not converge.
     Q, Z : arrays, shape (k, n)
         Offsets; starts, then answers.
     lower, upper, nearest : arrays, shape (k, n), or (1, n) for all
         Bounds, and the point between them that is nearest to 0.
     rounds : array of int, shape (k, 2)
-        How many there were on the direct way and on the other; −1 where they did not arrive.
+        How many there were on the direct way and on the other; −1 where they did not converge.
     ends : array, shape (k, 2)
         An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, where they did.
     """

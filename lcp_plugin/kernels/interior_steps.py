@@ -1,7 +1,8 @@
 """All of a predictor–corrector step but its factorisation, between linear solves; one array holds every vector.
 
-A step asks for solutions of (M + diag(desk[DIAGONAL])) x = desk[RIGHT], wanted in desk[FOUND], and `advance` says with
-each what is wanted next. :mod:`lcp_plugin.algorithms.interior_points.predictor_corrector` has the mathematics.
+A step asks for solutions of (M + diag(vectors[DIAGONAL])) x = vectors[RIGHT], wanted in vectors[FOUND], and `advance`
+says with each what is wanted next. :mod:`lcp_plugin.algorithms.interior_points.predictor_corrector` has the
+mathematics.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ SMALLEST = 1e-300
 LARGEST_CENTRING = 1e3
 SHARP = 0.01  # share of the infeasibility that a linear system may leave
 
-# Rows of `desk`, each of n numbers: the problem (bounds 0 where there are none, and whether there are, 0 or 1), the
+# Rows of `vectors`, each of n numbers: the problem (bounds 0 where there are none, and whether there are, 0 or 1), the
 # point (a distance of 1 and a multiplier of 0 where there is no bound), residuals, what a solve is asked and answers,
 Q, LOWER, UPPER, HAS_LOWER, HAS_UPPER = 0, 1, 2, 3, 4
 Z, BELOW, ABOVE, W_LOWER, W_UPPER = 5, 6, 7, 8, 9
@@ -36,72 +37,72 @@ BEGUN, PREDICTED, AIMED, CORRECTED, DONE = range(5)
 
 
 @interpreted_while_small
-def begin(desk, facts):  # type: ignore[no-untyped-def]
-    """Fill the residuals, M z given in desk[LEFT], and the diagonal, aim at 0; return whether all are finite."""
+def begin(vectors, facts):  # type: ignore[no-untyped-def]
+    """Fill the residuals, M z given in vectors[LEFT], and the diagonal, aim at 0; return whether all are finite."""
     largest, is_finite = 0.0, True
-    for i in range(desk.shape[1]):
-        w_lower, w_upper, below, above = desk[W_LOWER, i], desk[W_UPPER, i], desk[BELOW, i], desk[ABOVE, i]
-        left = desk[LEFT, i] + desk[Q, i] - w_lower + w_upper
+    for i in range(vectors.shape[1]):
+        w_lower, w_upper, below, above = vectors[W_LOWER, i], vectors[W_UPPER, i], vectors[BELOW, i], vectors[ABOVE, i]
+        left = vectors[LEFT, i] + vectors[Q, i] - w_lower + w_upper
         largest = max(largest, abs(left))
-        desk[LEFT, i] = left
-        desk[LEFT_LOWER, i] = desk[HAS_LOWER, i] * (desk[Z, i] - desk[LOWER, i] - below)
-        desk[LEFT_UPPER, i] = desk[HAS_UPPER, i] * (desk[UPPER, i] - desk[Z, i] - above)
+        vectors[LEFT, i] = left
+        vectors[LEFT_LOWER, i] = vectors[HAS_LOWER, i] * (vectors[Z, i] - vectors[LOWER, i] - below)
+        vectors[LEFT_UPPER, i] = vectors[HAS_UPPER, i] * (vectors[UPPER, i] - vectors[Z, i] - above)
         diagonal = w_lower / below + w_upper / above
         is_finite &= np.isfinite(diagonal)
-        desk[DIAGONAL, i] = diagonal
-        desk[AIM_LOWER, i] = desk[AIM_UPPER, i] = 0.0
+        vectors[DIAGONAL, i] = diagonal
+        vectors[AIM_LOWER, i] = vectors[AIM_UPPER, i] = 0.0
     facts[INFEASIBILITY], facts[IS_SECOND_TRY] = largest, 0.0
     return is_finite
 
 
 @interpreted_while_small
-def move(desk, facts):  # type: ignore[no-untyped-def]
+def move(vectors, facts):  # type: ignore[no-untyped-def]
     """Follow the chosen direction; return whether z is finite."""
     length, is_finite, total = facts[LENGTH], True, 0.0
-    for i in range(desk.shape[1]):
-        desk[Z, i] += length * desk[CHOSEN, i]
-        is_finite &= np.isfinite(desk[Z, i])
+    for i in range(vectors.shape[1]):
+        vectors[Z, i] += length * vectors[CHOSEN, i]
+        is_finite &= np.isfinite(vectors[Z, i])
         for part in range(1, 5):
-            least = SMALLEST * desk[HAS_LOWER if part in (1, 3) else HAS_UPPER, i]
-            desk[Z + part, i] = max(desk[Z + part, i] + length * desk[CHOSEN + part, i], least)
-        total += desk[BELOW, i] * desk[W_LOWER, i] + desk[ABOVE, i] * desk[W_UPPER, i]
+            least = SMALLEST * vectors[HAS_LOWER if part in (1, 3) else HAS_UPPER, i]
+            vectors[Z + part, i] = max(vectors[Z + part, i] + length * vectors[CHOSEN + part, i], least)
+        total += vectors[BELOW, i] * vectors[W_LOWER, i] + vectors[ABOVE, i] * vectors[W_UPPER, i]
     facts[GAP] = total / max(facts[PAIRS], 1.0)
     return is_finite
 
 
 @interpreted_while_small
-def advance(desk, facts, phase):  # type: ignore[no-untyped-def]
+def advance(vectors, facts, phase):  # type: ignore[no-untyped-def]
     """Take the solution of what `phase` asked for; return what is asked for now, DONE where the step was made."""
-    phase = PREDICTED if phase == BEGUN else _aim(desk, facts, phase, _turn(desk))
-    for i in range(desk.shape[1] if phase != DONE else 0):
-        w_lower, w_upper, below, above = desk[W_LOWER, i], desk[W_UPPER, i], desk[BELOW, i], desk[ABOVE, i]
-        right = (desk[AIM_LOWER, i] - w_lower * desk[LEFT_LOWER, i]) / below - w_lower
-        right -= (desk[AIM_UPPER, i] - w_upper * desk[LEFT_UPPER, i]) / above - w_upper
-        desk[RIGHT, i] = right - desk[LEFT, i]
+    phase = PREDICTED if phase == BEGUN else _aim(vectors, facts, phase, _turn(vectors))
+    for i in range(vectors.shape[1] if phase != DONE else 0):
+        w_lower, w_upper, below, above = vectors[W_LOWER, i], vectors[W_UPPER, i], vectors[BELOW, i], vectors[ABOVE, i]
+        right = (vectors[AIM_LOWER, i] - w_lower * vectors[LEFT_LOWER, i]) / below - w_lower
+        right -= (vectors[AIM_UPPER, i] - w_upper * vectors[LEFT_UPPER, i]) / above - w_upper
+        vectors[RIGHT, i] = right - vectors[LEFT, i]
     return phase
 
 
 @compiled_in_place
-def _aim(desk, facts, phase, length):  # type: ignore[no-untyped-def]
+def _aim(vectors, facts, phase, length):  # type: ignore[no-untyped-def]
     """Choose the direction on trial, of that length, or not; fill the products that the next one aims at."""
     if phase == PREDICTED:
         gap = facts[GAP]
-        share = _gap_after(desk, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap if gap > 0.0 else 0.0
+        share = _gap_after(vectors, min(1.0, length)) / max(facts[PAIRS], 1.0) / gap if gap > 0.0 else 0.0
         centring = share * (share * share)
-        for i in range(desk.shape[1]):
-            desk[SECOND_LOWER, i] = desk[TRIAL + 1, i] * desk[TRIAL + 3, i]
-            desk[SECOND_UPPER, i] = desk[TRIAL + 2, i] * desk[TRIAL + 4, i]
+        for i in range(vectors.shape[1]):
+            vectors[SECOND_LOWER, i] = vectors[TRIAL + 1, i] * vectors[TRIAL + 3, i]
+            vectors[SECOND_UPPER, i] = vectors[TRIAL + 2, i] * vectors[TRIAL + 4, i]
         weight = 1.0 if length > SHORT else length
     else:
         is_better = phase == AIMED or length >= WORTH_A_CORRECTION * facts[LENGTH]
         if is_better:
             facts[LENGTH] = length
             for part in range(5):
-                for i in range(desk.shape[1]):
-                    desk[CHOSEN + part, i] = desk[TRIAL + part, i]
+                for i in range(vectors.shape[1]):
+                    vectors[CHOSEN + part, i] = vectors[TRIAL + part, i]
         if is_better and facts[LEFT_TO_CORRECT] > 0.0:
             facts[LEFT_TO_CORRECT] -= 1.0
-            _pull(desk, facts[TARGET], min(1.0, 1.1 * length + 0.1))
+            _pull(vectors, facts[TARGET], min(1.0, 1.1 * length + 0.1))
             return CORRECTED
         weight = facts[LENGTH]
         if weight > SHORT or facts[IS_PROGRAM] == 0.0 or facts[IS_SECOND_TRY] > 0.0:
@@ -110,57 +111,60 @@ def _aim(desk, facts, phase, length):  # type: ignore[no-untyped-def]
         # What is infeasible has become small more slowly than the gap: first larger products, then less of it.
         # (Where M is no program's there may be no solution, and products would grow beyond all bounds.)
         facts[IS_SECOND_TRY] = 1.0
-        for i in range(desk.shape[1]):
-            desk[LEFT, i] *= SHARP
+        for i in range(vectors.shape[1]):
+            vectors[LEFT, i] *= SHARP
         centring = min(1.0 / max(weight, SMALLEST), LARGEST_CENTRING)
     facts[TARGET], facts[LEFT_TO_CORRECT] = centring * facts[GAP], facts[CORRECTIONS]
-    for i in range(desk.shape[1]):
-        desk[AIM_LOWER, i] = desk[HAS_LOWER, i] * facts[TARGET] - weight * desk[SECOND_LOWER, i]
-        desk[AIM_UPPER, i] = desk[HAS_UPPER, i] * facts[TARGET] - weight * desk[SECOND_UPPER, i]
+    for i in range(vectors.shape[1]):
+        vectors[AIM_LOWER, i] = vectors[HAS_LOWER, i] * facts[TARGET] - weight * vectors[SECOND_LOWER, i]
+        vectors[AIM_UPPER, i] = vectors[HAS_UPPER, i] * facts[TARGET] - weight * vectors[SECOND_UPPER, i]
     return AIMED
 
 
 @compiled_in_place
-def _turn(desk):  # type: ignore[no-untyped-def]
+def _turn(vectors):  # type: ignore[no-untyped-def]
     """Fill the direction on trial; return the longest step, at most 1/TO_THE_BOUNDARY, that keeps all positive."""
     steepest = TO_THE_BOUNDARY
-    for i in range(desk.shape[1]):
-        z = desk[FOUND, i]
-        w_lower, w_upper, below, above = desk[W_LOWER, i], desk[W_UPPER, i], desk[BELOW, i], desk[ABOVE, i]
-        to_lower = desk[HAS_LOWER, i] * (z + desk[LEFT_LOWER, i])
-        to_upper = desk[HAS_UPPER, i] * (desk[LEFT_UPPER, i] - z)
-        more_lower = (desk[AIM_LOWER, i] - w_lower * to_lower) / below - w_lower
-        more_upper = (desk[AIM_UPPER, i] - w_upper * to_upper) / above - w_upper
-        desk[TRIAL, i] = z
-        desk[TRIAL + 1, i], desk[TRIAL + 2, i] = to_lower, to_upper
-        desk[TRIAL + 3, i], desk[TRIAL + 4, i] = more_lower, more_upper
+    for i in range(vectors.shape[1]):
+        z = vectors[FOUND, i]
+        w_lower, w_upper, below, above = vectors[W_LOWER, i], vectors[W_UPPER, i], vectors[BELOW, i], vectors[ABOVE, i]
+        to_lower = vectors[HAS_LOWER, i] * (z + vectors[LEFT_LOWER, i])
+        to_upper = vectors[HAS_UPPER, i] * (vectors[LEFT_UPPER, i] - z)
+        more_lower = (vectors[AIM_LOWER, i] - w_lower * to_lower) / below - w_lower
+        more_upper = (vectors[AIM_UPPER, i] - w_upper * to_upper) / above - w_upper
+        vectors[TRIAL, i] = z
+        vectors[TRIAL + 1, i], vectors[TRIAL + 2, i] = to_lower, to_upper
+        vectors[TRIAL + 3, i], vectors[TRIAL + 4, i] = more_lower, more_upper
         steepest = max(steepest, -to_lower / below, -to_upper / above)
-        if desk[HAS_LOWER, i] > 0.0:
+        if vectors[HAS_LOWER, i] > 0.0:
             steepest = max(steepest, -more_lower / w_lower)
-        if desk[HAS_UPPER, i] > 0.0:
+        if vectors[HAS_UPPER, i] > 0.0:
             steepest = max(steepest, -more_upper / w_upper)
     return 1.0 / steepest
 
 
 @compiled_in_place
-def _gap_after(desk, length):  # type: ignore[no-untyped-def]
+def _gap_after(vectors, length):  # type: ignore[no-untyped-def]
     """Return the sum of all products after a step on trial, at least 0."""
     total = 0.0
-    for i in range(desk.shape[1]):
-        total += (desk[BELOW, i] + length * desk[TRIAL + 1, i]) * (desk[W_LOWER, i] + length * desk[TRIAL + 3, i])
-        total += (desk[ABOVE, i] + length * desk[TRIAL + 2, i]) * (desk[W_UPPER, i] + length * desk[TRIAL + 4, i])
+    for i in range(vectors.shape[1]):
+        below = vectors[BELOW, i] + length * vectors[TRIAL + 1, i]
+        above = vectors[ABOVE, i] + length * vectors[TRIAL + 2, i]
+        total += below * (vectors[W_LOWER, i] + length * vectors[TRIAL + 3, i])
+        total += above * (vectors[W_UPPER, i] + length * vectors[TRIAL + 4, i])
     return max(total, 0.0)
 
 
 @compiled_in_place
-def _pull(desk, target, length):  # type: ignore[no-untyped-def]
+def _pull(vectors, target, length):  # type: ignore[no-untyped-def]
     """Aim, as Gondzio does, away from products that a step of that length would leave far from the target."""
-    for i in range(desk.shape[1]):
-        below, above = desk[BELOW, i] + length * desk[CHOSEN + 1, i], desk[ABOVE, i] + length * desk[CHOSEN + 2, i]
-        w_lower = desk[W_LOWER, i] + length * desk[CHOSEN + 3, i]
-        w_upper = desk[W_UPPER, i] + length * desk[CHOSEN + 4, i]
-        desk[AIM_LOWER, i] += desk[HAS_LOWER, i] * _towards(below * w_lower, target)
-        desk[AIM_UPPER, i] += desk[HAS_UPPER, i] * _towards(above * w_upper, target)
+    for i in range(vectors.shape[1]):
+        below = vectors[BELOW, i] + length * vectors[CHOSEN + 1, i]
+        above = vectors[ABOVE, i] + length * vectors[CHOSEN + 2, i]
+        w_lower = vectors[W_LOWER, i] + length * vectors[CHOSEN + 3, i]
+        w_upper = vectors[W_UPPER, i] + length * vectors[CHOSEN + 4, i]
+        vectors[AIM_LOWER, i] += vectors[HAS_LOWER, i] * _towards(below * w_lower, target)
+        vectors[AIM_UPPER, i] += vectors[HAS_UPPER, i] * _towards(above * w_upper, target)
 
 
 @compiled_in_place

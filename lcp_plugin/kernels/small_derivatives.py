@@ -1,4 +1,4 @@
-"""The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.desk`.
+"""The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.workspace`.
 
 First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
 told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
@@ -13,10 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from .compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
-from .desk import AT_LOWER, AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
 from .floats import EPSILON
 from .small_problems import classify, look_at, slack, take
 from .small_systems import solve_free
+from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, FREE, KEPT, LOWER, SCALE, SIDE, UPPER, Q, W, Z, sizes
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry beside its row

@@ -1,4 +1,4 @@
-"""Small dense problems from data to enclosed answer in one compiled loop; arrays as in :mod:`~lcp_plugin.kernels.desk`.
+"""Small dense problems from data to enclosed answer in one compiled loop; arrays as in :mod:`.workspace`.
 
 A run is projected-type sweeps, which guess the active set, then rounds that solve for a guessed set and swap all rows
 of the wrong sign, then Lemke's pivots. It ends as soon as the residual is *enclosed* within the tolerance, as that of
@@ -24,7 +24,11 @@ from .compilation import (
     compiled_part,
     interpreted_while_small,
 )
-from .desk import (
+from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
+from .floats import NEGLIGIBLE_DIAGONAL
+from .small_systems import solve_free
+from .tableau import follow_path
+from .workspace import (
     AT_LOWER,
     AT_UPPER,
     BETWEEN,
@@ -39,10 +43,6 @@ from .desk import (
     W,
     Z,
 )
-from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
-from .floats import NEGLIGIBLE_DIAGONAL
-from .small_systems import solve_free
-from .tableau import follow_path
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 TOTAL = 3  # behind the work of the phases
@@ -287,19 +287,19 @@ def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
-    real, whole, room, z, residual, made, work, has_arrived, needs_path,
+    real, whole, room, z, residual, made, work, has_converged, needs_path,
 ):
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
     Written are z, shape (B, n), `residual` (B,), the relative one; `made` (B, 3): steps of each phase, `work` (B, 4):
-    passes of each phase and of all; `has_arrived` (B,), and `needs_path` (B,) where pivots are to follow; their number
-    is returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is
-    judged, and `residual` is the absolute one. No column of `starts` stands for z°.
+    passes of each phase and of all; `has_converged` (B,), and `needs_path` (B,) where pivots are to follow; their
+    number is returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing
+    is judged, and `residual` is the absolute one. No column of `starts` stands for z°.
     """
     n, is_judged, paths = M.shape[1], tolerance >= 0.0, 0
     for item in range(first, end):
         k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
-        has_arrived[item] = needs_path[item] = False
+        has_converged[item] = needs_path[item] = False
         for phase in range(3):
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
@@ -317,7 +317,7 @@ def run_all(  # type: ignore[no-untyped-def]
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
             work[item, after] = work[item, TOTAL] = n * n / nonzeros
             if is_usual and most == 0.0:
-                residual[item], has_arrived[item] = 0.0, True
+                residual[item], has_converged[item] = 0.0, True
             is_usual &= not is_judged or (least > 0.0 and USUAL[0] < most < USUAL[1])
             if is_usual:
                 whole[STATE, PHASE] = BEGINNING
@@ -337,8 +337,8 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            has_arrived[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
-            if has_arrived[item]:
+            has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+            if has_converged[item]:
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
@@ -347,7 +347,7 @@ def run_all(  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def follow_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, has_arrived, needs_path
+    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, has_converged, needs_path
 ):
     """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
     n = M.shape[1]
@@ -371,6 +371,6 @@ def follow_all(  # type: ignore[no-untyped-def]
         made[item, PIVOT] += 1
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
-        has_arrived[item] = _judged(M, k, real, size, least, most, _is_dense(nonzeros, n), tolerance, residual, item)
+        has_converged[item] = _judged(M, k, real, size, least, most, _is_dense(nonzeros, n), tolerance, residual, item)
         for i in range(n):
             z[item, i] = real[Z, i]

@@ -1,9 +1,9 @@
-"""The dense linear system of a guessed active set, solved in place; arrays as in :mod:`~lcp_plugin.kernels.desk`."""
+"""The dense linear system of a guessed active set, solved in place; arrays as in :mod:`.workspace`."""
 
 from __future__ import annotations
 
 from .compilation import compiled_into_others, compiled_part
-from .desk import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290

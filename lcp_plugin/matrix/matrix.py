@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
+from ..communicator.alone import ALONE, Communicator
 from ..deadline import Lock
 from ..errors import UnsuitableProblem
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
-from ..peers.alone import ALONE, Peers
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -60,7 +60,8 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
 class Matrix:
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
-    It is its own rows and its peers, the processes that hold the others; usually it is whole, and there are none.
+    It is its own rows and a communicator of the processes that hold the others; usually it is whole, and there are
+    none.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class Matrix:
     ----------
     n, own : int
         How many rows there are, and how many of them are here.
-    peers : Peers
+    communicator : Communicator
 
     Raises
     ------
@@ -86,7 +87,7 @@ class Matrix:
 
     def __init__(self, M: Any) -> None:
         self._csr, self._dense = checked_matrix(M)
-        self.peers: Peers = ALONE
+        self.communicator: Communicator = ALONE
         self.n: int = self.rows.shape[0]
         self.own: int = self.n
         self._begin()
@@ -96,11 +97,11 @@ class Matrix:
         self._lock = Lock()
 
     @classmethod
-    def of_own_rows(cls, rows: sp.csr_array, peers: Peers) -> Matrix:
-        """Return the matrix of which these are the own rows, canonical, shape (own, width); all peers call."""
+    def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator) -> Matrix:
+        """Return the matrix of which these are the own rows, canonical, shape (own, width); all ranks call."""
         matrix = object.__new__(cls)
-        matrix._csr, matrix._dense, matrix.peers, matrix.own = rows, None, peers, rows.shape[0]
-        matrix.n = int(peers.total(matrix.own))
+        matrix._csr, matrix._dense, matrix.communicator, matrix.own = rows, None, communicator, rows.shape[0]
+        matrix.n = int(communicator.total(matrix.own))
         matrix._begin()
         matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
         return matrix
@@ -108,7 +109,7 @@ class Matrix:
     @property
     def width(self) -> int:
         """How many unknowns the own rows may meet: the own ones, and the foreign ones they do meet."""
-        return self.own + self.peers.foreign
+        return self.own + self.communicator.foreign
 
     @property
     def rows(self) -> Any:
@@ -136,22 +137,22 @@ class Matrix:
 
     def require_all_rows(self) -> None:
         """Raise UnsuitableProblem where other processes hold some of the rows."""
-        if not self.peers.is_alone:
+        if not self.communicator.is_alone:
             raise UnsuitableProblem(
-                f"the {self.n} rows of M are spread over {self.peers.size} ranks, and this needs all of them on one "
-                "machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
+                f"the {self.n} rows of M are spread over {self.communicator.size} ranks, and this needs all of them on "
+                "one machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
             )
 
     def whole(self, x: FloatVector) -> FloatVector:
         """Return the own part x with the foreign values that the own rows meet behind it, shape (width,).
 
-        That is x itself where nobody needs any; all peers call.
+        That is x itself where nobody needs any; all ranks call.
         """
-        if self.peers.is_empty:
+        if self.communicator.is_empty:
             return x
         whole = np.zeros(self.width)
         whole[: self.own] = x
-        self.peers.fetch(whole)
+        self.communicator.fetch(whole)
         return whole
 
     @property
@@ -164,7 +165,7 @@ class Matrix:
     def nonzeros(self) -> int:
         """Number of nonzero entries of all rows."""
         own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
-        return int(self.peers.total(own))
+        return int(self.communicator.total(own))
 
     @property
     @fact
@@ -203,7 +204,7 @@ class Matrix:
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""
         csr = None if self.is_dense else self.csr
-        return {"n": self.n, "own": self.n, "peers": ALONE, "_dense": self._dense, "_csr": csr}
+        return {"n": self.n, "own": self.n, "communicator": ALONE, "_dense": self._dense, "_csr": csr}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         restored(self, state)

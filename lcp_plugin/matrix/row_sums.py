@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector, read_only
+from ..communicator.alone import Communicator
 from ..exact.rounding import read_only_views
-from ..peers.alone import Peers
 from .matrix import Matrix, fact
 
 BLOCK = 16_384
@@ -121,7 +121,7 @@ def _balanced_factors(
         with np.errstate(divide="ignore", over="ignore"):
             quick = np.minimum(LARGEST_FACTOR, 1.0 / np.maximum(1.0 - total, 0.0))
             np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
-    if not matrix.peers.everywhere(is_dominant):
+    if not matrix.communicator.everywhere(is_dominant):
         factors.fill(1.0)
     factors.flags.writeable = False
     return factors
@@ -143,14 +143,14 @@ def split_factors(matrix: Matrix, splitting: str) -> FloatVector:
 
 
 @np.errstate(all="ignore")
-def pivot_weight(rows: Any, peers: Peers, relaxation: float) -> FloatVector:
+def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> FloatVector:
     """Return what is added to the pivots d_i of a sweep on all processes at once, shape (own,).
 
     Parameters
     ----------
     rows : CSR array, shape (own, width)
         Of a symmetric matrix; the columns behind the own ones are those of other processes.
-    peers : Peers
+    communicator : Communicator
         Whoever has those; all of them call.
     relaxation : float
         r in (0, 2).
@@ -165,7 +165,7 @@ def pivot_weight(rows: Any, peers: Peers, relaxation: float) -> FloatVector:
     own, width = rows.shape
     whole = np.ones(width)
     whole[:own] = diagonal = rows.diagonal()
-    peers.fetch(whole)
+    communicator.fetch(whole)
     coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, own:]) @ (1.0 / np.sqrt(np.abs(whole[own:]))))
     weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal)
     return np.where(np.isfinite(weight), weight, 0.0)

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
+from ..communicator.alone import Communicator
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
-from ..peers.alone import Peers
 from .matrix import Matrix, fact, largest_in_rows
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -48,12 +48,12 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
     array([[ 2., 10.],
            [ 0., 15.]])
     """
-    rows, peers = matrix.csr_rows, matrix.peers
+    rows, communicator = matrix.csr_rows, matrix.communicator
     with np.errstate(over="ignore"):
         data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    if peers.is_alone:
+    if communicator.is_alone:
         return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-    columns = np.concatenate([np.arange(peers.first, peers.first + matrix.own), peers.ghosts])
+    columns = np.concatenate([np.arange(communicator.first, communicator.first + matrix.own), communicator.ghosts])
     outer = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
     outer.sort_indices()
     return outer
@@ -163,21 +163,21 @@ class Parts:
         How many there are in all.
     shared : int
         How many of them lie on several ranks.
-    peers : Peers
+    communicator : Communicator
     """
 
     labels: IntVector
     count: int
     total: int
     shared: int
-    peers: Peers
+    communicator: Communicator
 
     def largest(self, values: FloatVector) -> FloatVector:
         """Return the largest of the values ≥ 0 of each part's rows, shape (count,); a NaN stays."""
         found = np.zeros(self.count)
         np.maximum.at(found, self.labels, values)
         if self.shared:
-            found[: self.shared] = self.peers.all_largest(*found[: self.shared].tolist())
+            found[: self.shared] = self.communicator.all_largest(*found[: self.shared].tolist())
         return found
 
 
@@ -192,12 +192,12 @@ def parts(matrix: Matrix) -> Parts | None:
     >>> parts(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
     """
-    if not matrix.peers.is_alone:
+    if not matrix.communicator.is_alone:
         return _parts_on_ranks(matrix)
     if _is_seen_connected(matrix):
         return None
     labels, count = _local_parts(matrix)
-    return Parts(read_only(labels), count, count, 0, matrix.peers) if count > 1 else None
+    return Parts(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
@@ -236,12 +236,12 @@ def _parts_on_ranks(matrix: Matrix) -> Parts | None:
 
     What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
     """
-    peers, own = matrix.peers, matrix.own
+    communicator, own = matrix.communicator, matrix.own
     local, count = _local_parts(matrix)
-    before, total = peers.places(count)
+    before, total = communicator.places(count)
     theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
     met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
-    pairs = peers.everybodys(met)
+    pairs = communicator.everybodys(met)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -254,4 +254,4 @@ def _parts_on_ranks(matrix: Matrix) -> Parts | None:
     order = np.concatenate([shared, np.setdiff1d(mine, shared)])
     number = np.full(joined_count, -1)
     number[order] = np.arange(order.size)
-    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, peers)
+    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

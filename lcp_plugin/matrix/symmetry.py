@@ -135,16 +135,16 @@ def has_symmetric_entries(matrix: Matrix) -> bool:
     For x and y of arbitrary entries xᵀM y = yᵀM x happens by chance with probability 0. A wrong answer would cost
     speed, not correctness: every z is judged by its residual.
     """
-    return _has_symmetric_products(matrix) if matrix.peers.size > 1 else is_symmetric_entrywise(matrix.csr_rows)
+    return _has_symmetric_products(matrix) if matrix.communicator.size > 1 else is_symmetric_entrywise(matrix.csr_rows)
 
 
 @np.errstate(all="ignore")
 def _has_symmetric_products(matrix: Matrix) -> bool:
     unit = 1.0 / np.sqrt(matrix.diagonal)
-    x, y = (unit * _arbitrary(matrix.peers.first, matrix.own, seed) for seed in (1, 2))
+    x, y = (unit * _arbitrary(matrix.communicator.first, matrix.own, seed) for seed in (1, 2))
     x_product, y_product = (matrix.rows @ matrix.whole(vector) for vector in (x, y))
     sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
-    forward, backward, size = map(matrix.peers.total, sums)
+    forward, backward, size = map(matrix.communicator.total, sums)
     return bool(abs(forward - backward) <= UNLIKELY * np.sqrt(size * matrix.n)) and bool(np.isfinite(size))
 
 

@@ -50,7 +50,7 @@ from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.active_sets.banded import Banded
 from ..algorithms.base import in_driven_sweeps
 from ..algorithms.pivots.lemke import Lemke
-from ..algorithms.short_road import ShortRoad, is_short
+from ..algorithms.small_dense import SmallDenseSolver, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
@@ -144,8 +144,9 @@ class Auto(Policy):
             if (first := self._direct.first()) is not None:
                 return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
             self._direct = None
-        if takes_the_short_road(problem):
-            return Choice(ShortRoad(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
+        if takes_the_small_dense_solver(problem):
+            why = "the projected-type iteration comes first, rounds and pivots follow, compiled"
+            return Choice(SmallDenseSolver(), why)
         passes = in_driven_sweeps(problem, BANDED.predicted_passes(problem, math.inf))
         narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} sweeps")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
@@ -231,7 +232,7 @@ class LinearPolicy(Policy):
         return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
 
 
-def takes_the_short_road(problem: LCP) -> bool:
+def takes_the_small_dense_solver(problem: LCP) -> bool:
     """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
     return is_short(problem) and (problem.is_dense or BANDED.predicted_passes(problem, math.inf) > TRIAL_SWEEPS)
 

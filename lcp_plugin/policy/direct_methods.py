@@ -180,7 +180,7 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
 
 
 def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end where nothing before it arrives."""
+    """Return the method that auto follows to its end where nothing before it converges."""
     return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
 
 

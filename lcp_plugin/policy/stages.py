@@ -108,7 +108,7 @@ class Stage:
         return abs(third / second - second / first) <= STEADY * second / first
 
     def steps_to_go(self, target: float) -> float:
-        """Return how many more steps arrive at that residual, at the stage's own rate."""
+        """Return how many more steps reach that residual, at the stage's own rate."""
         if not self.residuals:
             return math.inf
         residual, rate = self.residuals[-1][1], self.rate()
@@ -142,7 +142,7 @@ class Progress:
     """Whether the best residual still falls."""
 
     def __init__(self, n: int, max_iterations: int) -> None:
-        # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it arrives.
+        # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it has passed.
         self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, LONGEST_FRONT))
         self.max_iterations = max_iterations
         self.window_start: tuple[int, float] | None = None

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
+from ..communicator.alone import Communicator
 from ..errors import InvalidOption, InvalidProblem
 from ..matrix.matrix import Matrix
-from ..peers.alone import Peers
 
 
 class LCP:
@@ -76,7 +76,7 @@ class LCP:
     @property
     def first(self) -> int:
         """The rows that are here are first ≤ i < last."""
-        return self.matrix.peers.first
+        return self.matrix.communicator.first
 
     @property
     def last(self) -> int:
@@ -84,9 +84,9 @@ class LCP:
         return self.first + self.own
 
     @property
-    def peers(self) -> Peers:
+    def communicator(self) -> Communicator:
         """Who has the other rows."""
-        return self.matrix.peers
+        return self.matrix.communicator
 
     @property
     def M(self) -> Any:
@@ -106,7 +106,7 @@ class LCP:
     @property
     def is_distributed(self) -> bool:
         """True where the rows are spread over the ranks of an MPI job."""
-        return not self.matrix.peers.is_alone
+        return not self.matrix.communicator.is_alone
 
     @property
     def nonzeros(self) -> int:
@@ -144,7 +144,7 @@ class LCP:
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.own,)
         # On ranks all hear of a wrong part on one of them.
-        own: Any = z if is_vector and matrix.peers.is_alone else self.own_part(z)
+        own: Any = z if is_vector and matrix.communicator.is_alone else self.own_part(z)
         w: FloatVector = matrix.rows @ matrix.whole(own)
         w += self.q
         return w
@@ -163,7 +163,7 @@ class LCP:
         InvalidProblem
             On every rank, where one part is no real vector of the right length.
         """
-        return self.peers.together(lambda: real_vector(z, name, self.own))
+        return self.communicator.together(lambda: real_vector(z, name, self.own))
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:
         """Return the parts of all ranks one after the other on rank 0, None on the others.
@@ -172,7 +172,7 @@ class LCP:
         ----------
         z : array, shape (own,)
         """
-        return self.peers.gathered(self.own_part(z, "the vector"))
+        return self.communicator.gathered(self.own_part(z, "the vector"))
 
     def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
         """Return the problem with another q (and bounds) that shares all that depends on M alone.
@@ -193,10 +193,10 @@ class LCP:
         other.origin, other.matrix = None, self.matrix
         if lower is None and upper is None:  # they have been checked, and cannot be written to
             other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
-            other.q = self.peers.together(lambda: finite_vector(q, "q", self.own))
+            other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
             return other
         bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-        self.peers.together(lambda: other._set_vectors(q, *bounds))
+        self.communicator.together(lambda: other._set_vectors(q, *bounds))
         return other
 
     # --- rows over the ranks of an MPI job ----------------------------------------------------------------
@@ -232,8 +232,8 @@ class LCP:
         matrix = matrix_of_rows(comm, rows, first_row)
         problem = object.__new__(LCP)
         problem.origin, problem.matrix = None, matrix
-        matrix.peers.together(lambda: problem._set_vectors(q, lower, upper))
-        require_same_numbers(matrix.peers, lower=lower, upper=upper)
+        matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
+        require_same_numbers(matrix.communicator, lower=lower, upper=upper)
         return problem
 
     @classmethod
@@ -361,7 +361,7 @@ class LCP:
 
     def __repr__(self) -> str:
         if self.is_distributed:
-            return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.peers.size})"
+            return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.communicator.size})"
         return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {_describe_bounds(self.lower, self.upper)})"
 
     def __getstate__(self) -> dict[str, Any]:

@@ -20,13 +20,13 @@ from ..checks import (
     read_only,
     rectangular_matrix,
 )
+from ..communicator.alone import Communicator
 from ..deadline import is_over
 from ..errors import InvalidOption, InvalidProblem
 from ..matrix.equilibration import power_of_two
-from ..peers.alone import Peers
 
 COPIED_UP_TO = 10**6  # places of A
-ALONE = Peers()
+ALONE = Communicator()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
@@ -175,7 +175,7 @@ class UnitLeastSquares:
         What b was.
     """
 
-    peers, is_distributed = ALONE, False
+    communicator, is_distributed = ALONE, False
 
     def __init__(self, problem: LeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]

@@ -18,11 +18,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import canonical_csr, check_kind
+from ..communicator.alone import Communicator
+from ..communicator.ranks.collective import Ranks
+from ..communicator.ranks.halo import Halo, numbered_over_all, own_rows
 from ..errors import InvalidProblem, UnreadableFile
 from ..matrix.matrix import Matrix
-from ..peers.alone import Peers
-from ..peers.ranks.collective import Ranks
-from ..peers.ranks.halo import Halo, numbered_over_all, own_rows
 from .files import MATRIX_KEYS, VECTORS, arrays_of, checked_path, csr_in, read_npz, require_keys
 
 if TYPE_CHECKING:
@@ -51,11 +51,12 @@ def matrix_of_rows(comm: Any, rows: Any, first_row: int | None) -> Matrix:
     return Matrix.of_own_rows(*own_rows(halo, matrix))
 
 
-def require_same_numbers(peers: Peers, **bounds: Any) -> None:
+def require_same_numbers(communicator: Communicator, **bounds: Any) -> None:
     """Raise where a bound that is a number for all rows is another one on some rank."""
     for name, bound in bounds.items():
         number = float(np.asarray(bound)) if np.ndim(bound) == 0 else "an array"
-        peers.require_same(name, number, "a number holds for all rows; give arrays where rows differ", InvalidProblem)
+        advice = "a number holds for all rows; give arrays where rows differ"
+        communicator.require_same(name, number, advice, InvalidProblem)
 
 
 def equal_part(comm: Any, problem: LCP) -> tuple[Any, ...]:
@@ -76,7 +77,7 @@ def equal_part(comm: Any, problem: LCP) -> tuple[Any, ...]:
     return M[own], problem.q[own], problem.lower[own], problem.upper[own]
 
 
-def equal_share(n: int, ranks: Peers) -> tuple[int, int]:
+def equal_share(n: int, ranks: Communicator) -> tuple[int, int]:
     """Return first and last of this rank's part where n rows are cut into parts of equal length."""
     return n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size
 
@@ -130,7 +131,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     UnreadableFile
         On every rank, where one of them cannot write, or the folder holds something else.
     """
-    ranks = problem.peers
+    ranks = problem.communicator
     target = ranks.together(lambda: checked_path(path))
     name, folder = ranks.from_first(lambda: (secrets.token_hex(8), _new_folder(target)))
     try:
@@ -166,8 +167,8 @@ def _new_folder(target: Path) -> Path:
 
 
 def _write_chunk(problem: LCP, folder: Path, name: str) -> None:
-    rank, ranks = problem.peers.rank, problem.peers.size
-    M = numbered_over_all(problem.matrix.csr_rows, cast(Halo, problem.peers))
+    rank, ranks = problem.communicator.rank, problem.communicator.size
+    M = numbered_over_all(problem.matrix.csr_rows, cast(Halo, problem.communicator))
     try:
         with (folder / f"rows-{rank:05d}-of-{ranks:05d}.npz").open("xb") as file:
             np.savez(file, **arrays_of(problem, M), first_row=np.array(problem.first), save=np.array(name))

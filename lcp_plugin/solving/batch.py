@@ -51,14 +51,14 @@ def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
     from ..algorithms.multigrid import Multigrid
     from ..matrix.hierarchy.levels import hierarchy_of
 
-    allowed = problem.peers.together(lambda: checked_threads(threads))
+    allowed = problem.communicator.together(lambda: checked_threads(threads))
     with threads_for(1 if threads is None and problem.is_distributed else allowed):
         inverse_residual_scale(problem.matrix)
         if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
             bands(problem.matrix)
         for backward in (False, True):
             row_splits(problem.matrix, backward)
-        if problem.peers.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
+        if problem.communicator.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
             hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 

@@ -108,7 +108,7 @@ class BatchDerivative:
     @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
-        from ..kernels.desk import BETWEEN
+        from ..kernels.workspace import BETWEEN
 
         free = self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
         kinks = [k for k, is_degenerate in enumerate(self.degenerate) if is_degenerate.any()]
@@ -350,7 +350,7 @@ class BatchPart:
     Attributes
     ----------
     z, side : arrays, shape (k, n)
-        Their solutions, solved for once more, and where each row is: a side of `kernels.desk`.
+        Their solutions, solved for once more, and where each row is: a side of `kernels.workspace`.
     is_plain : array of bool, shape (k,)
         Where the compiled loop has settled these.
     """

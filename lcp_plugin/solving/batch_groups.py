@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..algorithms.base import Plan
+from ..algorithms.base import Phases
 from ..algorithms.search import LARGEST_CHOICES, LARGEST_SIZE
 from ..algorithms.search.stages import FIRST_ENTRIES, MOST_CASES
-from ..algorithms.short_road import Answers, run
+from ..algorithms.small_dense import Answers, run
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import largest_ratio
@@ -82,7 +82,7 @@ def _may_have_parts(M: Any) -> BoolVector:
     return is_open
 
 
-def answers_in_common_units(group: Group, plan: Plan, settings: Settings) -> Answers:
+def answers_in_common_units(group: Group, phases: Phases, settings: Settings) -> Answers:
     """Return the answers of the compiled loop to problems each part of which is judged by its own reference."""
     (count, n), answers = group.shape, Answers(*group.shape)
     problem = group.block_diagonal()
@@ -98,14 +98,14 @@ def answers_in_common_units(group: Group, plan: Plan, settings: Settings) -> Ans
     for k in range(count):
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
-        run((group.M, *vectors, starts), plan, tolerance, settings.max_iterations, k, k + 1, answers)
+        run((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
     certificate = Certificate.of(units.callers, units.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_parts
-    for k in np.flatnonzero(answers.has_arrived).tolist():
+    for k in np.flatnonzero(answers.has_converged).tolist():
         own = slice(ends[k], ends[k + 1])
         answers.residual[k] = largest_ratio(largest[own], least[own])
-        answers.has_arrived[k] = answers.residual[k] <= settings.tolerance
+        answers.has_converged[k] = answers.residual[k] <= settings.tolerance
     return answers
 
 

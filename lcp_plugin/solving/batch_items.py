@@ -9,12 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms.short_road import as_dense, is_short
+from ..algorithms.small_dense import as_dense, is_short
 from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.structure import outer_on_pattern
-from ..policy.choice import takes_the_short_road
+from ..policy.choice import takes_the_small_dense_solver
 from ..problem.lcp import LCP, checked_start
 from .batch_groups import Group
 
@@ -100,7 +100,7 @@ class Listed(Items):
         """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         for n in sorted(self.sizes if every or self._starts is None else ()):
             same = [(k, one) for k, one in enumerate(self._problems) if one is not None and one.n == n]
-            items = [k for k, one in same if (is_short if every else takes_the_short_road)(one)]
+            items = [k for k, one in same if (is_short if every else takes_the_small_dense_solver)(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue
@@ -191,7 +191,7 @@ class Stacked(Items):
         is_here = np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         if self._base is not None:
-            is_here &= (is_short if every else takes_the_short_road)(self._base)
+            is_here &= (is_short if every else takes_the_small_dense_solver)(self._base)
         elif n > COMPILED_SPARSE_UP_TO:
             is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
             is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)

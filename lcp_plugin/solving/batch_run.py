@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import Algorithm
-from ..algorithms.base import Plan
-from ..algorithms.short_road import Answers, run
+from ..algorithms.base import Phases
+from ..algorithms.small_dense import Answers, run
 from ..certificates.residuals import Certificate
 from ..checks import read_only
+from ..communicator.alone import ALONE
 from ..deadline import Clock
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..kernels.threads import in_chunks
-from ..peers.alone import ALONE
 from ..policy.direct_methods import may_be_searched
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Status
@@ -67,15 +67,15 @@ class BatchRun:
     def run(self) -> BatchResult:
         """Solve all, and gather what was found."""
         try:
-            plan = self._plan()
-            for group in () if plan is None else self.items.groups():
-                if not plan or (group.starts.shape[1] and not plan[1]):  # pivots alone begin at z°
+            phases = self._phases()
+            for group in () if phases is None else self.items.groups():
+                if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
                     continue
                 whole, in_parts = by_parts(group)
                 if whole.items.size:
-                    self._leave_out_excluded(whole, self._run_compiled(whole, plan))
+                    self._leave_out_excluded(whole, self._run_compiled(whole, phases))
                 if in_parts.items.size and self.clock.read() < self.limit:
-                    self._keep(in_parts, answers_in_common_units(in_parts, plan, self.settings))
+                    self._keep(in_parts, answers_in_common_units(in_parts, phases, self.settings))
             for k in np.flatnonzero(self.is_open).tolist():
                 if self.is_interrupted or self.clock.read() >= self.limit:
                     break
@@ -88,17 +88,17 @@ class BatchRun:
         self.seconds = self.clock.read()
         return BatchResult(self)
 
-    def _plan(self) -> Plan | None:
+    def _phases(self) -> Phases | None:
         """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
         is_watched = not self.settings.is_unobserved or self.wishes.get("callback") is not None
-        return None if is_watched else self.first.algorithm.short_plan()
+        return None if is_watched else self.first.algorithm.phases_of_small()
 
-    def _run_compiled(self, group: Group, plan: Plan) -> Answers:
+    def _run_compiled(self, group: Group, phases: Phases) -> Answers:
         answers = Answers(*group.shape)
 
         def solve_chunk(first: int, end: int) -> None:
             if self.clock.read() < self.limit:
-                run(group[1:], plan, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
+                run(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
 
         try:
             in_chunks(solve_chunk, group.items.size, self.threads)
@@ -107,12 +107,13 @@ class BatchRun:
         return answers
 
     def _keep(self, group: Group, answers: Answers) -> None:
-        arrived = np.flatnonzero(answers.has_arrived)
-        items = group.items[arrived]
-        self.place[0, items], self.place[1, items] = len(self.compiled), arrived
+        converged = np.flatnonzero(answers.has_converged)
+        items = group.items[converged]
+        self.place[0, items], self.place[1, items] = len(self.compiled), converged
         answers.z.flags.writeable = False  # they are judged
         self.compiled.append(answers)
-        self._write(items, answers.z[arrived], Status.SOLVED, answers.residual[arrived], answers.made[arrived].sum(1))
+        residual, steps = answers.residual[converged], answers.made[converged].sum(1)
+        self._write(items, answers.z[converged], Status.SOLVED, residual, steps)
 
     def _write(self, items: Any, z: Any, status: Status, residual: Any, iterations: Any) -> None:
         put(self.z, items, z if isinstance(z, list) else read_only(z))
@@ -158,7 +159,7 @@ class BatchRun:
             wishes = self.wishes if is_begun else self.wishes | {"max_iterations": 0}
             found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
             return found if is_begun or found.is_solved else replace(found, status=self.status[k])
-        answer = self.compiled[which].sprint(at)
+        answer = self.compiled[which].solve_fused(at)
         assert answer is not None
         certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual)
         share = self.seconds / self.items.count

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms import Algorithm, Sprint
+from ..algorithms import Algorithm, FusedSolve
 from ..certificates.references import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
@@ -123,10 +123,10 @@ def solve(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write {_remedy(problem)}")
-    peers, clock = problem.peers, Clock(problem.peers)
+    communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(), peers.interruptions() as clock.hears:
-        policy, settings, callers, start = peers.together(lambda: (
+    with np.errstate(), communicator.interruptions() as clock.hears:
+        policy, settings, callers, start = communicator.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
             Settings(
                 tolerance, tolerance_on, measure, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
@@ -135,7 +135,7 @@ def solve(
             checked_callback(callback), checked_start(problem, z0),
         ))
         asked = policy.chosen, settings
-        peers.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
+        communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         run: Run | None = None
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
             units = CommonUnits(problem, problem)
@@ -175,16 +175,17 @@ def fused(
     """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
 
     They are driven where somebody wants to see them, where another residual or the error is to be watched, and where
-    the call does not arrive within the tolerance.
+    the call does not converge within the tolerance.
     """
     algorithm, problem = first.algorithm, units.problem
-    if type(algorithm).sprint is Algorithm.sprint or not settings.is_unobserved or first.presolved is not None:
+    may_fuse = settings.is_unobserved and first.presolved is None
+    if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
         return None
     clock.read()
     if clock.elapsed >= settings.max_seconds:
         return None
     is_one = parts(problem.matrix) is None
-    found = algorithm.sprint(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
+    found = algorithm.solve_fused(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
     if found is None:
         return None
     if is_one:  # the kernel has enclosed the residual of the whole
@@ -213,9 +214,9 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
 
 
 def fused_result(
-    certificate: Certificate, policy: Policy, first: Choice, found: Sprint, settings: Settings, seconds: float
+    certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
 ) -> Result:
-    """Return the result of a fused solve that arrived at the z of a certificate, after these seconds."""
+    """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
     stages = tuple(
         StageRecord(name, "" if k else first.because, iterations, work)
         for k, (name, iterations, work) in enumerate(found.parts)
@@ -225,7 +226,7 @@ def fused_result(
         tolerance=settings.tolerance, measure=settings.measure, algorithm=name_of(policy, stages),
         iterations=sum(stage.iterations for stage in stages), work=found.work,
         absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
-        setup_seconds=0.0, stages=stages, chosen=policy.chosen,
+        setup_seconds=0.0, stages=stages, _asked=policy.chosen,
     )
 
 
@@ -235,7 +236,7 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
     It solves a linearisation of a nonlinear problem, from the projected gradient step: the methods see a start and look
     for a solution near it.
     """
-    left, clock, units = seconds_left(), Clock(problem.peers), CommonUnits.of(problem)
+    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)

@@ -51,7 +51,7 @@ class ErrorWatch:
         self.residual_per_error = 1.0
         if settings.is_on_error:
             sums = np.add(*unit_triangle_sums(problem.matrix))
-            self.residual_per_error += problem.peers.largest(float(sums.max(initial=0.0)))
+            self.residual_per_error += problem.communicator.largest(float(sums.max(initial=0.0)))
 
     def require_rigorous(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -72,7 +72,7 @@ class ErrorWatch:
     def proves(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether a bound proves the tolerance for z, which has that scaled residual (its unit is that of z)."""
         tolerance = self.settings.tolerance
-        largest = self.problem.peers.largest(float(np.max(np.abs(z), initial=0.0)))
+        largest = self.problem.communicator.largest(float(np.max(np.abs(z), initial=0.0)))
         is_far = not residual <= self.residual_per_error * tolerance * largest
         if is_far and parts(self.problem.matrix) is None:  # others have units of their own
             return False
@@ -140,7 +140,7 @@ class ErrorWatch:
         return _sharpest(self.problem, z) if self.problem.is_distributed else partial(_sharpest, self.problem, z)
 
     def _proof_of(self, z: FloatVector) -> ErrorBound | None:
-        is_known = self.proof is not None and self.problem.peers.everywhere(np.array_equal(self.proof[0], z))
+        is_known = self.proof is not None and self.problem.communicator.everywhere(np.array_equal(self.proof[0], z))
         return self.proof[1] if is_known and self.proof is not None else None
 
     def _bound(self, z: FloatVector, *, sharp: bool) -> ErrorBound:

@@ -96,7 +96,7 @@ class Judge:
             return certificate.relative_above(self.settings.least_reference)
         largest, least = map(self.units.in_open_parts, certificate.residuals_of_parts)
         least = np.maximum(least, self.settings.least_reference)
-        return self.problem.peers.largest(largest_ratio(largest, least))
+        return self.problem.communicator.largest(largest_ratio(largest, least))
 
     @cached_property
     def unit(self) -> float:
@@ -166,7 +166,7 @@ class Judge:
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
-        everywhere, certificate = self.problem.peers.everywhere, self._certificate
+        everywhere, certificate = self.problem.communicator.everywhere, self._certificate
         answer = self.units.outward(z)
         if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
             answer = self.errors.proof[0]

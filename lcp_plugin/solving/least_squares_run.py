@@ -47,7 +47,7 @@ def run_stages(
     except KeyboardInterrupt:
         reason = Status.INTERRUPTED
     judged, status = run.ended(begin, reason)
-    return cast(Any, judged), status, max(run.ledger.iteration, 0)
+    return cast(Any, judged), status, max(run.state.iteration, 0)
 
 
 @np.errstate(all="ignore")

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..algorithms import Algorithm, Sprint
+from ..algorithms import Algorithm, FusedSolve
 from ..algorithms.active_sets.banded import Banded
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
@@ -114,7 +114,7 @@ def march(
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
     (policy, settings), limit = asked_of_solve(algorithm, wishes), Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
-    clock, is_unobserved = Clock(problem.peers), settings.is_unobserved and wishes.get("callback") is None
+    clock, is_unobserved = Clock(problem.communicator), settings.is_unobserved and wishes.get("callback") is None
     done = March()
     while len(done) < len(offsets) and done.all_solved:
         before = len(done)
@@ -146,17 +146,17 @@ def march(
 def _fused(
     problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, carry: sp.csr_array, state: FloatVector
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
-    """Yield the steps that one compiled loop takes, up to the first that does not arrive."""
-    first, clock = policy.first(problem), Clock(problem.peers)
+    """Yield the steps that one compiled loop takes, up to the first that does not converge."""
+    first, clock = policy.first(problem), Clock(problem.communicator)
     if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
-    found = first.algorithm.sprints(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
+    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
     seconds = clock.read() / len(found)
 
-    def result_of(q: FloatVector, one: Sprint) -> Result:
+    def result_of(q: FloatVector, one: FusedSolve) -> Result:
         certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual)
         return fused_result(certificate, policy, first, one, settings, seconds)
 

@@ -14,10 +14,10 @@ from ..certificates.nonlinear import NonlinearCertificate, Reference
 from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
+from ..communicator.alone import ALONE
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem
 from ..kernels.threads import threads_for
-from ..peers.alone import ALONE
 from ..policy.choice import Single, policy_for
 from ..policy.stages import Choice
 from ..problem.nonlinear import Linearisation, Linearisations, NonlinearProblem

@@ -125,12 +125,6 @@ class Result:
         As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
-    bounded : BoundOrReason, or a function that returns it
-        The error bound, or how it is computed once somebody looks at it.
-    chosen : str or Algorithm
-        What the caller asked for.
-    words : mapping from Status to str
-        The advice of a status where another than its own is right.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
     infeasibility : Refutation or None
@@ -155,9 +149,10 @@ class Result:
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
     absolute_tolerance: float = 0.0
-    chosen: Any = field(default="auto", repr=False)
-    bounded: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
-    words: Mapping[Status, str] = field(default_factory=dict, repr=False)
+    _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
+    # The error bound, or how it is computed once somebody looks at it.
+    _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
+    _advice: Mapping[Status, str] = field(default_factory=dict, repr=False)  # of a status, in place of its own
 
     __setstate__ = restored
 
@@ -176,7 +171,7 @@ class Result:
 
     @cached_property
     def _bound_or_reason(self) -> BoundOrReason:
-        return self.bounded() if callable(self.bounded) else self.bounded
+        return self._bound() if callable(self._bound) else self._bound
 
     @cached_property
     def guarantee(self) -> Guarantee:
@@ -186,7 +181,7 @@ class Result:
         """
         from .guarantees import convergence_guarantee
 
-        return convergence_guarantee(self.certificate.problem, self.chosen)
+        return convergence_guarantee(self.certificate.problem, self._asked)
 
     @property
     def is_solved(self) -> bool:
@@ -201,7 +196,7 @@ class Result:
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        words = ON_ERROR if self.tolerance_on == "error" else self.words
+        words = ON_ERROR if self.tolerance_on == "error" else self._advice
         advice = words.get(self.status, self.status.value)
         if self.is_solved or self.is_refuted:
             return advice
@@ -273,7 +268,7 @@ class Result:
 
     def _not_covered(self) -> list[str]:
         """Return a line where a chosen method failed that nothing proves to converge."""
-        if self.status not in FAILED or isinstance(self.chosen, str) or self.certificate.problem.is_distributed:
+        if self.status not in FAILED or isinstance(self._asked, str) or self.certificate.problem.is_distributed:
             return []
         guarantee = self.guarantee
         if guarantee.is_guaranteed or not guarantee.remedy:

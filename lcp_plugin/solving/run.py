@@ -1,4 +1,4 @@
-"""One run: its loop, its incumbent, its ledger."""
+"""One run: its loop, its incumbent, its state."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class Run:
         judge: Judge | None = None,
     ) -> None:
         self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
-        self.judge, self.incumbent, self.ledger = judge or Judge(units, settings), Incumbent(), Ledger()
+        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, settings) if settings.verbose else None
-        self._is_watched = settings.record or settings.verbose or not problem.peers.everywhere(callback is None)
+        self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
         self._next_sample = 0
 
     @cached_property
@@ -68,14 +68,14 @@ class Run:
             start = self.problem.nearest_to_zero
         try:
             with (
-                nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.peers.is_alone),
+                nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.communicator.is_alone),
                 nullcontext() if self.log is None else self.log.telling_of_compilation(),
             ):
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)
                     from_start = following.from_start or self.incumbent.z is None
-                    self.ledger.open(Stage(following.algorithm, following.because, from_start))
+                    self.state.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
                     reason, following = self._follow(following.iterates(self.problem, z))
         except OutOfTimeError:
@@ -84,7 +84,7 @@ class Run:
 
     def _follow(self, steps: Iterator[Step]) -> tuple[Status, Choice | None]:
         """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
-        self.progress.restart(max(self.ledger.iteration, 0), self.incumbent.residual)
+        self.progress.restart(max(self.state.iteration, 0), self.incumbent.residual)
         reason: Status | None = None
         try:
             for step in steps:
@@ -97,7 +97,7 @@ class Run:
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             is_the_callers = self.callback is not None and error is self.callback.raised
             is_known_to_all = not (is_the_callers or self.problem.is_distributed)
-            if len(self.ledger.stages) == 1 or self.ledger.stages[-1].iterations > 0 or not is_known_to_all:
+            if len(self.state.stages) == 1 or self.state.stages[-1].iterations > 0 or not is_known_to_all:
                 raise  # otherwise auto tried what does not take this problem
         self.clock.read()  # what ends by itself may have done so because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
@@ -105,37 +105,37 @@ class Run:
         if reason in (Status.STALLED, Status.DIVERGED) and self.judge.is_at_floor(self.incumbent.z):
             reason = Status.PRECISION_LIMIT
         if reason is Status.PRECISION_LIMIT and self.judge.is_limited_by_size(self.incumbent.z):
-            return reason, self.policy.another_start(self.problem, self.ledger.stages)
+            return reason, self.policy.another_start(self.problem, self.state.stages)
         if reason not in (Status.STALLED, Status.DIVERGED):
             return reason, None
         return reason, self._next(has_failed=True)
 
     def _next(self, *, has_failed: bool) -> Choice | None:
-        return self.policy.next_step(self.problem, self.ledger.stages, self.settings.goal, has_failed)
+        return self.policy.next_step(self.problem, self.state.stages, self.settings.goal, has_failed)
 
     def _observe(self, step: Any) -> Status | None:
         """Take note of one step; return the reason to end, if there is one."""
-        ledger, incumbent = self.ledger, self.incumbent
+        state, incumbent = self.state, self.incumbent
         if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
-            name = ledger.stages[-1].algorithm.name
+            name = state.stages[-1].algorithm.name
             raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
-        is_first = ledger.enter(step, self.clock.read())
+        is_first = state.enter(step, self.clock.read())
         if self.settings.absolute_tolerance:
-            self.ledger.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
+            self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
         incumbent.unmeasured = step.z
         known = residual = self.judge.residual_of(step)
-        if known is None and (is_first or self.checks.is_due(ledger.iteration, step.increment)):
+        if known is None and (is_first or self.checks.is_due(state.iteration, step.increment)):
             residual = self.judge.measure(step.z)
-            ledger.work += 1.0 if ledger.iteration > 0 else 0.0  # the start is measured for every problem
+            state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
         is_within = residual is not None and residual <= self.settings.goal
         if residual is not None:
             if is_within:  # measured, not proved
                 residual = self.judge.certified(step.z)
             if known is None and step.increment is not None:
-                self.checks.learn(ledger.iteration, step.increment, residual)
+                self.checks.learn(state.iteration, step.increment, residual)
             incumbent.offer(step.z, residual)
-            ledger.stages[-1].note(residual)
-            if ledger.iteration == 0:
+            state.stages[-1].note(residual)
+            if state.iteration == 0:
                 self.start_residual = residual
         reason = self._reason_to_end(step, residual)
         if reason is None and self.clock.is_interrupted:
@@ -151,9 +151,9 @@ class Run:
 
     def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
         """Return why the run ends with this step, or None."""
-        iteration, best = self.ledger.iteration, self.incumbent.residual
+        iteration, best = self.state.iteration, self.incumbent.residual
         progress, settings = self.progress, self.settings
-        is_monotone = self.ledger.stages[-1].algorithm.is_monotone
+        is_monotone = self.state.stages[-1].algorithm.is_monotone
         if residual is not None:
             if self.judge.passes(step.z, residual, iteration):
                 return Status.SOLVED
@@ -180,10 +180,10 @@ class Run:
 
     def _report(self, step: Step, residual: float | None, is_last: bool) -> bool:
         """Record and call back, the clock stopped; return whether the caller wants to stop."""
-        ledger, stage, log = self.ledger, self.ledger.stages[-1], self.log
-        is_due = self.settings.record and (is_last or ledger.iteration >= self._next_sample)
+        state, stage, log = self.state, self.state.stages[-1], self.log
+        is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
         with self.clock.paused():
-            sample = Sample(ledger.iteration, ledger.work, ledger.seconds, residual, stage.algorithm.name)
+            sample = Sample(state.iteration, state.work, state.seconds, residual, stage.algorithm.name)
             wants_to_stop = self._called_back(sample, step.z)
             is_due |= self.settings.record and wants_to_stop
             is_printed = log is not None and log.is_due(stage)
@@ -192,32 +192,32 @@ class Run:
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_due:
-                self._next_sample = max(ledger.iteration + 1, math.ceil(ledger.iteration * SAMPLE_GROWTH))
-                bound = self.judge.bound_along_the_run(step.z, ledger.work)
-                ledger.samples.append(replace(sample, error_bound=bound))
+                self._next_sample = max(state.iteration + 1, math.ceil(state.iteration * SAMPLE_GROWTH))
+                bound = self.judge.bound_along_the_run(step.z, state.work)
+                state.samples.append(replace(sample, error_bound=bound))
         return wants_to_stop
 
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether a callback, of any rank, wants to stop."""
-        callback, peers = self.callback, self.problem.peers
+        callback, communicator = self.callback, self.problem.communicator
         shown = z if callback is None else self.units.outward(z)
-        wants_to_stop = peers.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
-        return not peers.everywhere(not wants_to_stop)
+        wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
+        return not communicator.everywhere(not wants_to_stop)
 
     def ended(self, start: FloatVector, reason: Status) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of the reason why the run ended."""
-        incumbent, ledger = self.incumbent, self.ledger
+        incumbent, state = self.incumbent, self.state
         if incumbent.unmeasured is not None:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
-        last = ledger.stages[-1].algorithm if ledger.stages else None
-        is_excluded = bool(ledger.stages) and ledger.stages[-1].least_residual > self.settings.goal
+        last = state.stages[-1].algorithm if state.stages else None
+        is_excluded = bool(state.stages) and state.stages[-1].least_residual > self.settings.goal
         best = start if incumbent.z is None or is_excluded else incumbent.z  # no z is near a solution: as in a batch
         certificate = self.judge.final(best, reason, last)
-        return certificate, self.judge.verdict(certificate, reason, is_chain=len(ledger.stages) > 1)
+        return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
         """Return the result, whose status the certificate names."""
-        ledger, settings, stages = self.ledger, self.settings, self.ledger.records()
+        state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
         words = dict(self.judge.words)
         if not settings.refute:
@@ -227,11 +227,11 @@ class Run:
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,
             absolute_tolerance=settings.absolute_tolerance,
-            algorithm=name_of(self.policy, stages), iterations=max(ledger.iteration, 0), work=ledger.work,
-            seconds=self.clock.read(), setup_seconds=ledger.setup_seconds, history=tuple(ledger.samples),
-            stages=stages, infeasibility=self.judge.proof, chosen=self.policy.chosen,
-            bounded=self.judge.bound_at_the_end(certificate) if ledger.stages else BoundOrReason(),
-            words=words,
+            algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
+            seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
+            stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
+            _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
+            _advice=words,
         )
         if self.log is not None:
             self.log.end(result)
@@ -257,7 +257,7 @@ class Incumbent:
             self.residual = residual
 
 
-class Ledger:
+class RunState:
     """What was done so far: stages, iterations, work, seconds, samples."""
 
     def __init__(self) -> None:

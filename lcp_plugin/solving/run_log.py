@@ -33,7 +33,7 @@ class RunLog:
     """
 
     def __init__(self, problem: Any, settings: Settings) -> None:
-        self._is_silent = isinstance(problem, LCP) and problem.peers.rank > 0
+        self._is_silent = isinstance(problem, LCP) and problem.communicator.rank > 0
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
@@ -87,7 +87,7 @@ class RunLog:
 
 def _classes(matrix: Matrix) -> Iterator[str]:
     """Yield what one look at the entries tells of M; nothing where the rows are on several ranks."""
-    if not matrix.peers.is_alone:
+    if not matrix.communicator.is_alone:
         return
     yield "dense" if matrix.is_dense else "sparse"
     if verdicts.symmetric(matrix).value:

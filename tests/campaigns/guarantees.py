@@ -1,7 +1,7 @@
 """Convergence guarantees against actual runs: random matrices, problems with a planted answer, every family and sweep.
 
 A rate must be respected by every step: ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v up to rounding (a modulus method:
-‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v), its contraction bound must hold, a guaranteed iteration must arrive, and a
+‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v), its contraction bound must hold, a guaranteed iteration must converge, and a
 matrix that is no H₊-matrix must get no rate.
 
     python tests/campaigns/guarantees.py --cases 2000 --seed 0
@@ -130,7 +130,7 @@ def rate_violations(rng: np.random.Generator, problem: LCP, exact: np.ndarray, a
     return found
 
 
-def arrives(problem: LCP, algorithm: Algorithm, exact: np.ndarray) -> bool:
+def converged(problem: LCP, algorithm: Algorithm, exact: np.ndarray) -> bool:
     """Return whether a run ends at z*; where z° is z* up to rounding, no residual can tell, but the error does."""
     result = solve(problem, algorithm, z0=exact + 1.0, max_iterations=50_000)
     return result.is_solved or float(np.max(abs(result.z - exact))) <= 1e-7 * (1.0 + float(np.max(abs(exact))))
@@ -154,7 +154,7 @@ def run_case(rng: np.random.Generator) -> Outcome:
         if kind == "not H₊" and problem.n > 1 and family != "splitting":
             found.append("a rate, though M is no H₊-matrix")
     if guarantee.is_guaranteed and (guarantee.rate is None or guarantee.rate < 0.999) and rng.random() < 0.3:
-        found += [] if arrives(problem, algorithm, exact) else ["guaranteed, but the run did not arrive"]
+        found += [] if converged(problem, algorithm, exact) else ["guaranteed, but the run did not converge"]
     rated = " with rate" if guarantee.rate is not None else ""
     return Outcome(f"{family}: {guarantee.verdict}{rated}", [f"{kind} {algorithm}: {text}" for text in found])
 

@@ -66,15 +66,15 @@ def market(supplies=60, demands=120):
     most, fall = random.uniform(30, 80, demands), random.uniform(0.1, 1, demands)
     cost = random.uniform(1, 15, supplies * demands)
     sent = sp.csr_array(sp.kron(sp.eye_array(supplies), np.ones((1, demands))))
-    arrived = sp.csr_array(sp.kron(np.ones((1, supplies)), sp.eye_array(demands)))
+    converged = sp.csr_array(sp.kron(np.ones((1, supplies)), sp.eye_array(demands)))
 
     def F(x):
         s = sent @ x
-        return sent.T @ (base + slope * s + 0.01 * s**2) + cost - arrived.T @ (most - fall * (arrived @ x))
+        return sent.T @ (base + slope * s + 0.01 * s**2) + cost - converged.T @ (most - fall * (converged @ x))
 
     def jacobian(x):
         by_supply = sp.diags_array(slope + 0.02 * (sent @ x))
-        return sp.csr_array(sent.T @ by_supply @ sent + arrived.T @ sp.diags_array(fall) @ arrived)
+        return sp.csr_array(sent.T @ by_supply @ sent + converged.T @ sp.diags_array(fall) @ converged)
 
     n = supplies * demands
     return NonlinearProblem(F, jacobian, np.zeros(n)), {"0": np.zeros(n), "1": np.ones(n)}

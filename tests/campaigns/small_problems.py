@@ -1,7 +1,7 @@
 """Small problems of every kind on the compiled road and on the long one: the same verdicts, and no lie.
 
 Run ``python tests/campaigns/small_problems.py --cases 100000 --seed 0``. Prints for each family how often the compiled
-road arrived, what became of the rest, and where the roads differ. Exit code 1 on a lie, an exception, a problem that
+road converged, what became of the rest, and where the roads differ. Exit code 1 on a lie, an exception, a problem that
 only the long road solves, or verdicts that contradict each other. Every `--long-every`-th problem goes both ways; each
 goes the compiled one alone, and every answer is judged by exact arithmetic.
 """
@@ -35,7 +35,7 @@ SECONDS = 20.0
 def long_road(drawn: LCP, algorithm: str) -> Result:
     """Solve without the compiled road."""
     limits = dict.fromkeys(("COMPILED_UP_TO", "COMPILED_SPARSE_UP_TO"), 0)
-    with mock.patch.multiple("lcp_plugin.algorithms.short_road", **limits):
+    with mock.patch.multiple("lcp_plugin.algorithms.small_dense", **limits):
         return solve(drawn, algorithm, max_seconds=SECONDS)
 
 

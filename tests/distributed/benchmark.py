@@ -78,12 +78,12 @@ def _anatomy(size: int) -> dict[str, Any]:
 
     def fetches() -> None:
         for _ in range(FETCHES):
-            grids[0].peers.fetch(truncation.grids[0].x)
+            grids[0].communicator.fetch(truncation.grids[0].x)
 
     truncation.correct(0)  # compiles
     fetch, _ = _least(fetches, RUNS)
     cycle, _ = _least(lambda: truncation.correct(0), RUNS)
-    return {"fetch": fetch / FETCHES, "cycle": cycle, "foreign": [grid.peers.foreign for grid in grids]}
+    return {"fetch": fetch / FETCHES, "cycle": cycle, "foreign": [grid.communicator.foreign for grid in grids]}
 
 
 def _run(ranks: int, task: str, size: int) -> dict[str, Any]:
@@ -149,11 +149,11 @@ def _snesvi(size: int) -> dict[str, Any]:
 
     from lcp_plugin.certificates.references import reference_residual
     from lcp_plugin.certificates.row_residuals import measured_residual
+    from lcp_plugin.communicator.ranks.halo import numbered_over_all
     from lcp_plugin.evidence.gallery.on_ranks import build
-    from lcp_plugin.peers.ranks.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
-    layout, rows = problem.peers, numbered_over_all(problem.matrix.csr_rows, problem.peers)
+    layout, rows = problem.communicator, numbered_over_all(problem.matrix.csr_rows, problem.communicator)
     matrix = PETSc.Mat().create(comm=layout.comm)
     matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
     matrix.setType("aij")

@@ -42,8 +42,8 @@ def whole(arrays: tuple[np.ndarray, ...], rows: int, columns: np.ndarray, width:
 
 def numbers(grid: Grid) -> np.ndarray:
     """The global number of every local unknown."""
-    layout = grid.peers
-    return np.concatenate([np.arange(layout.first, layout.last), grid.peers.ghosts])
+    layout = grid.communicator
+    return np.concatenate([np.arange(layout.first, layout.last), grid.communicator.ghosts])
 
 
 def everybody_s(own: np.ndarray) -> np.ndarray:
@@ -51,19 +51,19 @@ def everybody_s(own: np.ndarray) -> np.ndarray:
 
 
 def matrices(hierarchy: Hierarchy) -> list[np.ndarray]:
-    return [whole(g.matrix.arrays, g.n, numbers(g), g.peers.n) for g in hierarchy.grids]
+    return [whole(g.matrix.arrays, g.n, numbers(g), g.communicator.n) for g in hierarchy.grids]
 
 
 def prolongations(hierarchy: Hierarchy) -> list[np.ndarray]:
     return [
-        whole(t.prolongation.arrays, g.n, numbers(c), c.peers.n)
+        whole(t.prolongation.arrays, g.n, numbers(c), c.communicator.n)
         for g, c, t in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False)
     ]
 
 
 def restrictions(hierarchy: Hierarchy) -> list[np.ndarray]:
     return [
-        whole(t.restriction.arrays, c.n, numbers(g), g.peers.n)
+        whole(t.restriction.arrays, c.n, numbers(g), g.communicator.n)
         for g, c, t in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False)
     ]
 
@@ -91,7 +91,7 @@ def truncation_fits(hierarchy: Hierarchy) -> float:
     """After any sequence of free sets every coarse matrix is the product with the truncated interpolation."""
     truncation, generator, worst = Truncation(hierarchy), np.random.default_rng(0), 0.0
     top = truncation.grids[0]
-    layout = top.grid.peers
+    layout = top.grid.communicator
     M, P, R = matrices(hierarchy), prolongations(hierarchy), restrictions(hierarchy)
     for share in (0.5, 0.02, 0.02, 0.0, 0.9, 0.3):
         flips = (generator.random(layout.n) < share)[layout.first : layout.last]
@@ -105,7 +105,7 @@ def truncation_fits(hierarchy: Hierarchy) -> float:
             free = matrix.diagonal() > 1e-300
             grid = level.grid
             arrays = Operator(grid.matrix.indptr, grid.matrix.indices, level.values).arrays
-            worst = max(worst, far(whole(arrays, grid.n, numbers(grid), grid.peers.n), matrix))
+            worst = max(worst, far(whole(arrays, grid.n, numbers(grid), grid.communicator.n), matrix))
             worst = max(worst, float(not np.array_equal(everybody_s(level.is_free[: grid.n]), free)))
     return worst
 
@@ -114,7 +114,7 @@ def cycle_is_symmetric(hierarchy: Hierarchy) -> float:
     """One V-cycle on the free set is a symmetric map that leaves the rest at 0."""
     truncation = Truncation(hierarchy)
     top = truncation.grids[0]
-    layout, n = top.grid.peers, top.grid.n
+    layout, n = top.grid.communicator, top.grid.n
     generator = np.random.default_rng(1)
     fixed = (generator.random(layout.n) < 0.3)[layout.first : layout.last]
     top.is_free[:n] = ~fixed
@@ -137,7 +137,7 @@ def main() -> None:
     for name, make in PROBLEMS.items():
         matrix = LCP.from_problem(make(), COMM).matrix
         is_symmetric = name not in ("wind", "one way")
-        hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, peers=matrix.peers)
+        hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, communicator=matrix.communicator)
         found[name] = {
             "grids": float(len(hierarchy.grids)), "transfers": transfers_fit(hierarchy, is_symmetric),
             "products": products_fit(hierarchy), "truncation": truncation_fits(hierarchy),

@@ -14,9 +14,9 @@ from checks import check, run_checks
 from petsc4py import PETSc
 
 from lcp_plugin import LCP, solve
+from lcp_plugin.communicator.ranks.collective import Ranks
+from lcp_plugin.communicator.ranks.halo import numbered_over_all
 from lcp_plugin.errors import InvalidOption, InvalidProblem, UnreadableFile
-from lcp_plugin.peers.ranks.collective import Ranks
-from lcp_plugin.peers.ranks.halo import numbered_over_all
 
 N = 7
 
@@ -63,7 +63,7 @@ def require_equal(parts: LCP, whole: LCP) -> None:
         assert np.array_equal(getattr(parts, name), getattr(whole, name)[own]), name
     z = np.random.default_rng(1).normal(size=whole.n)
     assert np.allclose(parts.slack(z[own]), whole.slack(z)[own], rtol=1e-14, atol=1e-14)
-    global_rows = numbered_over_all(parts.matrix.csr_rows, parts.peers)
+    global_rows = numbered_over_all(parts.matrix.csr_rows, parts.communicator)
     assert np.array_equal(global_rows.toarray(), whole.csr[own].toarray())
 
 

@@ -21,14 +21,14 @@ import numpy as np
 from mpi4py import MPI
 from lcp_plugin import gallery
 from lcp_plugin.evidence.gallery import on_ranks as scenes
-from lcp_plugin.peers.ranks.collective import ends_together
-from lcp_plugin.peers.ranks.halo import numbered_over_all
+from lcp_plugin.communicator.ranks.collective import ends_together
+from lcp_plugin.communicator.ranks.halo import numbered_over_all
 
 def compare(name, size, shifted):
     part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
     whole = gallery.build(name, size=size, shifted=shifted).problem
     own = slice(part.first, part.last)
-    rows = numbered_over_all(part.matrix.csr_rows, part.peers)
+    rows = numbered_over_all(part.matrix.csr_rows, part.ranks)
     M = whole.csr[own]
     for one, other in ((rows.indptr, M.indptr), (rows.indices, M.indices), (rows.data, M.data)):
         assert np.array_equal(one, other), (name, size, shifted)

@@ -16,7 +16,7 @@ SECONDS = 20.0  # far more than an end takes, far less than a hang
 FAIL = """
 import sys, time
 from mpi4py import MPI
-from lcp_plugin.peers.ranks.collective import ends_together
+from lcp_plugin.communicator.ranks.collective import ends_together
 from lcp_plugin.errors import InvalidOption
 rank = MPI.COMM_WORLD.rank
 with ends_together():

@@ -18,7 +18,7 @@ from ...matrix.factors import Bands, bands
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP
-from ..base import Algorithm, Sprint, Step
+from ..base import Algorithm, FusedSolve, Step
 
 DIRECT_COST = 3.0  # passes over a tridiagonal M: the contacts, the other rows, the residual
 
@@ -99,15 +99,15 @@ class Banded(Algorithm):
             residual, goes_on = kernels.step(*given)
             yield Step(z0, residual, work=costs[memory[kernels.LAST_WAY]])
 
-    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
         """Return the answer of the same rounds in one call."""
-        return self.sprints(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
+        return self.fused_solves(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
 
-    def sprints(
+    def fused_solves(
         self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int, *,
         bounds: tuple[FloatVector, FloatVector] | None = None, carry: Any = None,
-    ) -> list[Sprint | None]:
-        """Return the sprint of each row of Q, one after the other in one compiled loop.
+    ) -> list[FusedSolve | None]:
+        """Return the fused solve of each row of Q, one after the other in one compiled loop.
 
         Parameters
         ----------
@@ -116,12 +116,12 @@ class Banded(Algorithm):
         Q, Z : arrays, shape (k, n)
             Offsets, and starts within the bounds; the latter are overwritten by the answers, and read-only then.
         tolerance, max_iterations
-            As for `sprint`, of each.
+            As for `solve_fused`, of each.
         bounds : pair of arrays, shape (k, n), optional
             Of each row, instead of those of the problem.
         carry : CSR array, shape (n, n), optional
             The march in time: Q[k] becomes Q[k] + carry @ z of the row before, and that z its start. Where a row does
-            not arrive, the next ones have to wait, None.
+            not converge, the next ones have to wait, None.
         """
         k, n = Q.shape
         if n == 0 or (problem.is_dense and n > 1):  # the products of an ndarray are BLAS's, summed in its own order
@@ -143,11 +143,11 @@ class Banded(Algorithm):
         )
         costs = _costs(band, problem)
         Z.flags.writeable = False  # they are judged
-        found: list[Sprint | None] = []
+        found: list[FusedSolve | None] = []
         for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
             work = _work(costs, direct, blocks)
             part = self.name, direct + blocks, work
-            found.append(None if direct < 0 else Sprint(z, ratio_upwards(largest, least), work, (part,)))
+            found.append(None if direct < 0 else FusedSolve(z, ratio_upwards(largest, least), work, (part,)))
         return found
 
     def _bands(self, problem: LCP) -> Bands:

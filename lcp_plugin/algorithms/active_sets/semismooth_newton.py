@@ -15,8 +15,8 @@ from ...checks import BoolVector, FloatVector
 from ...matrix.factors import factorise
 from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP
-from ..base import Algorithm, Plan, Sprint, Step, direct_passes, without_warnings
-from ..short_road import ROUNDS_ONLY, is_short, sprint, steps
+from ..base import Algorithm, FusedSolve, Phases, Step, direct_passes, without_warnings
+from ..small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
@@ -90,13 +90,13 @@ class Newton(Algorithm):
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 
-    def short_plan(self) -> Plan:
+    def phases_of_small(self) -> Phases:
         """Return full steps only."""
         return ROUNDS_ONLY
 
-    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
-        """Return where compiled full steps arrive on a small dense problem."""
-        return sprint(problem, z0, tolerance, max_iterations, ROUNDS_ONLY) if is_short(problem) else None
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where compiled full steps converge on a small dense problem."""
+        return solve_fused(problem, z0, tolerance, max_iterations, ROUNDS_ONLY) if is_short(problem) else None
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         if is_short(problem):

@@ -35,17 +35,17 @@ class PredictorCorrector:
         from ...kernels import interior_steps as kernels
 
         self._kernels, self.matrix = kernels, matrix
-        self._desk, self._facts = np.zeros((kernels.ROWS, q.size)), np.zeros(kernels.FACTS)
-        desk, facts = self._desk, self._facts
-        desk[kernels.Q] = q
+        self._vectors, self._facts = np.zeros((kernels.ROWS, q.size)), np.zeros(kernels.FACTS)
+        vectors, facts = self._vectors, self._facts
+        vectors[kernels.Q] = q
         sides = (kernels.LOWER, kernels.HAS_LOWER, lower), (kernels.UPPER, kernels.HAS_UPPER, upper)
         for bound_row, flag_row, bound in sides:
             is_finite = np.isfinite(bound)
-            desk[bound_row], desk[flag_row] = np.where(is_finite, bound, 0.0), is_finite
+            vectors[bound_row], vectors[flag_row] = np.where(is_finite, bound, 0.0), is_finite
             facts[kernels.PAIRS] += np.count_nonzero(is_finite)
         facts[kernels.CORRECTIONS], facts[kernels.IS_PROGRAM] = corrections, float((matrix.signs < 0.0).any())
         facts[kernels.INFEASIBILITY] = np.inf
-        self.z = desk[kernels.Z]
+        self.z = vectors[kernels.Z]
 
     @property
     def length(self) -> float:
@@ -68,23 +68,23 @@ class PredictorCorrector:
         A good weight is the size of w beside that of z; where z is a multiplier of a program, that of z beside w. With
         another one the first steps are short.
         """
-        desk, kernels = self._desk, self._kernels
-        has_lower, has_upper = desk[kernels.HAS_LOWER], desk[kernels.HAS_UPPER]
+        vectors, kernels = self._vectors, self._kernels
+        has_lower, has_upper = vectors[kernels.HAS_LOWER], vectors[kernels.HAS_UPPER]
         weights = weight**self.matrix.signs * np.maximum(has_lower, has_upper)
         # Unbounded sides are 0 here: the middle of two bounds, or the one there is.
-        anchor = (desk[kernels.LOWER] + desk[kernels.UPPER]) / np.maximum(has_lower + has_upper, 1.0)
+        anchor = (vectors[kernels.LOWER] + vectors[kernels.UPPER]) / np.maximum(has_lower + has_upper, 1.0)
         if not self.matrix.factorise(weights):
             return False
         # What one side lacks, the other has.
-        z = self.matrix.solve(weights * anchor - desk[kernels.Q])
+        z = self.matrix.solve(weights * anchor - vectors[kernels.Q])
         self.start_near(z, weights * (anchor - z))
         return bool(np.isfinite(z).all())
 
     def start_near(self, z: FloatVector, w: FloatVector) -> None:
         """Begin near z and w, shape (n,), with all distances and multipliers well inside."""
-        desk, facts, kernels = self._desk, self._facts, self._kernels
-        lower, upper, has = desk[kernels.LOWER], desk[kernels.UPPER], desk[kernels.HAS_LOWER : kernels.Z] > 0.0
-        parts = desk[kernels.BELOW : kernels.LEFT]  # both distances, both multipliers
+        vectors, facts, kernels = self._vectors, self._facts, self._kernels
+        lower, upper, has = vectors[kernels.LOWER], vectors[kernels.UPPER], vectors[kernels.HAS_LOWER : kernels.Z] > 0.0
+        parts = vectors[kernels.BELOW : kernels.LEFT]  # both distances, both multipliers
         parts[:2], parts[2:] = np.where(has, (z - lower, upper - z), 1.0), np.where(has, (w, -w), 0.0)
         if facts[kernels.IS_PROGRAM]:
             self._shift_roles(parts, has)
@@ -110,24 +110,24 @@ class PredictorCorrector:
 
     def step(self) -> bool:
         """Make one predictor–corrector step; return False where nothing can be factorised or is finite any more."""
-        desk, facts, kernels, matrix = self._desk, self._facts, self._kernels, self.matrix
-        desk[kernels.LEFT] = matrix.product(self.z)
-        if not kernels.begin(desk, facts) or not matrix.factorise(desk[kernels.DIAGONAL]):
+        vectors, facts, kernels, matrix = self._vectors, self._facts, self._kernels, self.matrix
+        vectors[kernels.LEFT] = matrix.product(self.z)
+        if not kernels.begin(vectors, facts) or not matrix.factorise(vectors[kernels.DIAGONAL]):
             return False
-        phase = kernels.advance(desk, facts, kernels.BEGUN)
+        phase = kernels.advance(vectors, facts, kernels.BEGUN)
         while phase != kernels.DONE:
-            desk[kernels.FOUND] = matrix.solve(desk[kernels.RIGHT])
-            phase = kernels.advance(desk, facts, phase)
+            vectors[kernels.FOUND] = matrix.solve(vectors[kernels.RIGHT])
+            phase = kernels.advance(vectors, facts, phase)
         if facts[kernels.IS_PROGRAM] and matrix.missed > kernels.SHARP * self.infeasibility:
             matrix.sharpen()
-        return bool(kernels.move(desk, facts))
+        return bool(kernels.move(vectors, facts))
 
     def active(self, threshold: float) -> tuple[BoolVector, FloatVector]:
         """Return the rows whose distance to a bound is less than threshold × its multiplier, and that bound, else 0."""
-        desk, kernels = self._desk, self._kernels
-        lower = desk[kernels.BELOW] < threshold * desk[kernels.W_LOWER]
-        upper = desk[kernels.ABOVE] < threshold * desk[kernels.W_UPPER]
-        return lower | upper, np.where(lower, desk[kernels.LOWER], np.where(upper, desk[kernels.UPPER], 0.0))
+        vectors, kernels = self._vectors, self._kernels
+        lower = vectors[kernels.BELOW] < threshold * vectors[kernels.W_LOWER]
+        upper = vectors[kernels.ABOVE] < threshold * vectors[kernels.W_UPPER]
+        return lower | upper, np.where(lower, vectors[kernels.LOWER], np.where(upper, vectors[kernels.UPPER], 0.0))
 
 
 def _typical(values: FloatVector) -> float:

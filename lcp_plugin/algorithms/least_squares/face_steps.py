@@ -47,7 +47,7 @@ REFINED = 0.5  # what a correction on the same face has to leave at the most to 
 
 
 def block_pivot_steps(start: Point, faces: Faces) -> Iterator[Point]:
-    """Yield points from the start on: active sets from where the rounds arrive, nothing else where they do not."""
+    """Yield points from the start on: active sets from where the rounds converge, nothing else where they do not."""
     yield start
     point = start
     for proximity in PROXIMITY[0 if faces.is_wide else 1 :]:
@@ -59,7 +59,7 @@ def block_pivot_steps(start: Point, faces: Faces) -> Iterator[Point]:
 
 
 def _proximal_point(centre: Point, faces: Faces, proximity: float) -> FloatVector | None:
-    """Return the minimum of the cost + ½ δ ‖x − centre‖² within the bounds; None where the rounds do not arrive."""
+    """Return the minimum of the cost + ½ δ ‖x − centre‖² within the bounds; None where the rounds do not converge."""
     problem, side = centre.problem, _sides(centre)
     fewest, patience = side.size + 1, PATIENCE
     noise = NOISE * centre.noise

@@ -200,7 +200,7 @@ class Faces:
     def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
         """Return d, 0 but on the free columns, that minimises the cost at x + d; None where that cannot be had.
 
-        Conjugate gradients with A arrive in a few steps, as the factor is one of AᵀA up to rounding.
+        Conjugate gradients with A converge in a few steps, as the factor is one of AᵀA up to rounding.
         """
         columns, correction = np.flatnonzero(free), np.zeros(free.size)
         solve = self.factor(columns, np.zeros(columns.size))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
-from ...kernels.desk import AT_LOWER, AT_UPPER, BETWEEN
+from ...kernels.workspace import AT_LOWER, AT_UPPER, BETWEEN
 from .canonical_box import invertible_part
 from .pivoting_path import Path
 

@@ -19,8 +19,8 @@ from ...matrix.structure import block_rows
 from ...matrix.structure import parts as parts_of
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
-from ..base import Algorithm, Plan, Sprint, Step, without_warnings
-from ..short_road import PIVOTS_ONLY, is_short, sprint, steps
+from ..base import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ..small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
 from .canonical_box import CanonicalBox, canonical_box
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
@@ -106,20 +106,22 @@ class Lemke(Algorithm):
         """
         return without_warnings(self._steps(problem, z0))
 
-    def sprint(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> Sprint | None:
-        """Return where a first compiled path arrives on a small dense problem."""
-        return sprint(problem, z0, tolerance, max_iterations, PIVOTS_ONLY) if self._may_sprint(problem, z0) else None
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where a first compiled path converges on a small dense problem."""
+        if not self._may_be_fused(problem, z0):
+            return None
+        return solve_fused(problem, z0, tolerance, max_iterations, PIVOTS_ONLY)
 
-    def short_plan(self) -> Plan | None:
+    def phases_of_small(self) -> Phases | None:
         """Return a path of pivots, where nothing limits it."""
         return PIVOTS_ONLY if self.max_pivots is None and self.restarts is None else None
 
-    def _may_sprint(self, problem: LCP, z0: FloatVector) -> bool:
-        has_plan = self.short_plan() is not None and is_short(problem)
+    def _may_be_fused(self, problem: LCP, z0: FloatVector) -> bool:
+        has_plan = self.phases_of_small() is not None and is_short(problem)
         return has_plan and np.array_equal(z0, problem.nearest_to_zero)
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        if self._may_sprint(problem, z0):
+        if self._may_be_fused(problem, z0):
             yield from steps(problem, z0, PIVOTS_ONLY)
         parts = _parts_that_fit(problem)
         z = z0.copy()
@@ -201,7 +203,7 @@ class Lemke(Algorithm):
 
     def _solution(self, part: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
-        from ...kernels.desk import AT_LOWER, AT_UPPER
+        from ...kernels.workspace import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), part.lower, part.upper)
         yield z, 0.0, None

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...kernels import tableau
-from ...kernels.desk import (
+from ...kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
+from ...kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
     BASIC,
@@ -23,7 +24,6 @@ from ...kernels.desk import (
     WIDTH,
     shapes,
 )
-from ...kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
 from .canonical_box import WELL_CONDITIONED
 
 FloatMatrix = NDArray[np.float64]

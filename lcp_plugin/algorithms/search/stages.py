@@ -24,7 +24,7 @@ from ...matrix.structure import IntVector
 from ...problem.lcp import LCP
 from ...settings import MEASURES
 from ..base import Algorithm, Step, without_warnings
-from ..short_road import as_dense
+from ..small_dense import as_dense
 from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore, is_searchable
 
 MOST_CASES = 4096  # in doubles

@@ -75,23 +75,23 @@ class Splitting(Algorithm):
         is_euclidean : bool
             Whether the other norm that the kernel measures is the euclidean residual.
         """
-        M, peers, own = problem.matrix.csr_rows, problem.peers, problem.own
-        passes, asks_peers = directions(self.sweep), not peers.is_empty
+        M, communicator, own = problem.matrix.csr_rows, problem.communicator, problem.own
+        passes, asks_ranks = directions(self.sweep), not communicator.is_empty
         splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
         new, unwanted = np.empty_like(x), np.empty_like(x) if z is not None and len(passes) > 1 else z
         work = 1.0
         while True:
             for k, backward in enumerate(passes):
-                if asks_peers:
-                    peers.fetch(x)
+                if asks_ranks:
+                    communicator.fetch(x)
                     new[own:] = x[own:]  # what others hold is as it was
                 others = () if z is None else (unwanted if k else z,)
                 residual, squares = kernel(
                     M.indptr, splits[backward], M.indices, M.data, rows, *weights, backward, x, new, *others
                 )
                 if k == 0:
-                    shown = x[:own] if asks_peers else x
-                    euclidean = peers.total(squares)**0.5 if is_euclidean else None
-                    yield Step(shown if z is None else z, peers.largest(residual), euclidean, None, work)
+                    shown = x[:own] if asks_ranks else x
+                    euclidean = communicator.total(squares)**0.5 if is_euclidean else None
+                    yield Step(shown if z is None else z, communicator.largest(residual), euclidean, None, work)
                 x, new = new, x
             work = float(len(passes))

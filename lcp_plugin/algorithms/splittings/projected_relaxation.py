@@ -24,7 +24,7 @@ FIRST_WAIT, LONGEST_WAIT = 8, 4096
 LARGEST = 1.998
 WORTHWHILE = 0.05  # smallest step towards 2, as a share of 2 − ω, that pays for a new transient
 RECORD = 0.9
-LONGEST_TRIAL = 4  # stretches
+LONGEST_TRIAL = 4  # periods
 HUMP = 40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
 
 
@@ -63,13 +63,13 @@ class _InPlace(_Relaxation):
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ...kernels import splitting_sweeps as kernels
 
-        M, peers = problem.matrix.csr_rows, problem.peers
+        M, communicator = problem.matrix.csr_rows, problem.communicator
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
-        if not peers.is_empty and has_symmetric_entries(problem.matrix):
-            pivots = pivots + pivot_weight(M, peers, relaxation)
+        if not communicator.is_empty and has_symmetric_entries(problem.matrix):
+            pivots = pivots + pivot_weight(M, communicator, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
@@ -79,16 +79,16 @@ class _InPlace(_Relaxation):
         while True:
             largest = total = 0.0
             for backward in passes:
-                peers.fetch(z)
+                communicator.fetch(z)
                 change, change_sum = kernels.relaxation_sweep(
                     M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
-            yield Step(own, increment=peers.largest(largest), work=float(len(passes)), is_settling=is_settling)
+            yield Step(own, increment=communicator.largest(largest), work=float(len(passes)), is_settling=is_settling)
             if adaptive:
-                relaxation = adaptive.after(peers.total(total), z)
+                relaxation = adaptive.after(communicator.total(total), z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,9 +269,9 @@ class AdaptiveRelaxation:
 
     def _is_time_to_prove(self, size: float) -> bool:
         """Return whether the trial has had its time, or three times as long where its increments are still large."""
-        stretch = math.ceil(4.0 / (2.0 - self._omega)) + 8
+        period = math.ceil(4.0 / (2.0 - self._omega)) + 8
         sweeps = len(self._sizes)
-        return sweeps >= stretch and (size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * stretch)
+        return sweeps >= period and (size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * period)
 
     def _end_phase(self, z: FloatVector) -> None:
         """Begin a trial where Gauss–Seidel contracts and a larger ω could do better; else another phase."""

@@ -127,7 +127,7 @@ class ProjectedType(_Scaled, Splitting):
         step = self._step(problem)
         rows = packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
-            problem.peers.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
+            problem.communicator.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
         )
         yield from self.swept(
             problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from ...peers.ranks.collective import Ranks
+from ...communicator.ranks.collective import Ranks
 from ...problem.lcp import LCP
 from .obstacle import sphere_layers
 from .scene import Scene, checked_values

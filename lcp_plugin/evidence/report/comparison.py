@@ -87,7 +87,7 @@ def _promised(reports: Sequence[Report]) -> Iterator[Finding]:
         text += (f" The best projected-type (NP) method, tuned or not, needs {statistics.median(finite):.1f} times the "
                  f"passes of the best splitting{_in_the_median(finite)}.")
     if len(active) > len(chosen):
-        text += f" On {len(active) - len(chosen)} more no splitting arrives."
+        text += f" On {len(active) - len(chosen)} more no splitting converges."
     yield Finding("The comparison the paper promises", text)
 
 
@@ -192,7 +192,7 @@ def _no_room(chosen: Sequence[Report]) -> Iterator[Finding]:
         text += f" The best splitting needs {spread} times its passes."
     lost = sum(not _splittings(report) for report in chosen)
     if lost:
-        text += f" On {lost} of them no splitting arrives within the limit of work."
+        text += f" On {lost} of them no splitting converges within the limit of work."
     yield Finding("Multigrid and δ = 0", text)
 
 
@@ -234,7 +234,7 @@ class PerformanceProfile(Section):
     title = "Performance profile"
     short = "Profile"
     template = """<div class="card">
-<p>On how many of the scenes an algorithm arrives within a multiple of the best one's cost. At the left end: how often
+<p>On how many of the scenes an algorithm converges within a multiple of the best one's cost. At the left end: how often
 it is the best; the name stands where it solves its last scene, with a ✕ if that is not all of them.</p>
 <div class="plots two">
 {% for caption, figure in figures.items() %}

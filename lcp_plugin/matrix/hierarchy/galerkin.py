@@ -17,10 +17,10 @@ from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
+from ...communicator.alone import Arrays
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from ...peers.alone import Arrays
 from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 
 Indices = NDArray[Any]

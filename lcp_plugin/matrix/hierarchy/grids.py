@@ -20,10 +20,10 @@ from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector, read_only
+from ...communicator.alone import ALONE, Arrays, Communicator
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
 from ...kernels.threads import share
-from ...peers.alone import ALONE, Arrays, Peers
 
 EqualRows = NDArray[np.int64]
 
@@ -88,7 +88,7 @@ class Grid:
     runs: EqualRows
     blocks: Blocks
     inverse: FloatVector
-    peers: Peers = ALONE
+    communicator: Communicator = ALONE
     weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
 
     @property
@@ -99,7 +99,7 @@ class Grid:
     @property
     def width(self) -> int:
         """Number of unknowns that the own rows meet."""
-        return self.inverse.size + self.peers.foreign
+        return self.inverse.size + self.communicator.foreign
 
     @property
     def fits_single(self) -> bool:

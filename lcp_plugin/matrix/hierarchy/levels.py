@@ -22,10 +22,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
+from ...communicator.alone import ALONE, NOBODY, Arrays, Communicator
 from ...crossovers import SINGLE_FROM
 from ...kernels import splitting_sweeps as kernels
 from ...kernels.threads import share
-from ...peers.alone import ALONE, NOBODY, Arrays, Peers
 from ..equilibration import power_of_two
 from ..factors import dense_lu
 from ..matrix import Matrix, fact
@@ -72,14 +72,14 @@ class Interpolation(NamedTuple):
     data: FloatVector
     is_coarse: NDArray[np.bool_]
     own: int
-    below: Peers
+    below: Communicator
     extends: bool
     read: int
 
 
 def build_hierarchy(
     matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
-    peers: Peers = ALONE, single: bool = False,
+    communicator: Communicator = ALONE, single: bool = False,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
@@ -98,7 +98,7 @@ def build_hierarchy(
     scales_rows : bool
         Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
         but coarse matrices of a symmetric M are not symmetric.
-    peers : Peers
+    communicator : Communicator
         Who has the other rows; all of them call.
     single : bool
         Whether to keep the ways to coarser grids and those themselves in single precision, if that can carry them.
@@ -113,24 +113,24 @@ def build_hierarchy(
     indptr, indices = matrix.indptr, matrix.indices
     if matrix.data.size > LARGEST_NARROW:
         indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
-    rows, everybody = (indptr, indices, matrix.data), peers
-    if not peers.is_empty:
-        rows, everybody = peers.overlapped(rows, peers.ghosts, NOBODY)
+    rows, everybody = (indptr, indices, matrix.data), communicator
+    if not communicator.is_empty:
+        rows, everybody = communicator.overlapped(rows, communicator.ghosts, NOBODY)
     grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
-    entries = max(peers.total(grid.own_entries), 1)
+    entries = max(communicator.total(grid.own_entries), 1)
     work = 0.0
-    positive, total, lacking = map(grid.peers.total, coarsening.couplings_by_sign(*grid.own_arrays))
+    positive, total, lacking = map(grid.communicator.total, coarsening.couplings_by_sign(*grid.own_arrays))
     work += entries
     if strength is None:
         strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
     units, extends = None, None
-    if peers.is_empty and positive <= MOST_POSITIVE * total:
+    if communicator.is_empty and positive <= MOST_POSITIVE * total:
         units, further = units_of(matrix, lacking)
         work += further
     single = single and units is None and grid.fits_single
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
-    growth = LARGEST_GROWTH if peers.is_empty else LARGEST_GROWTH_OF_PARTS
-    stored, products, size = 0.0, 0.0, peers.total(grid.n)
+    growth = LARGEST_GROWTH if communicator.is_empty else LARGEST_GROWTH_OF_PARTS
+    stored, products, size = 0.0, 0.0, communicator.total(grid.n)
     while size > coarsest:
         work += PASSES_TO_COARSEN * grid.own_entries
         interpolation = _interpolation(grid, strength, units, extends)
@@ -139,19 +139,20 @@ def build_hierarchy(
         extends = interpolation.extends  # what holds on the finest grid
         work += interpolation.read
         finer, own_indptr = grid, grid.own_arrays[0]
-        stored += peers.total(finer.own_entries)
+        stored += communicator.total(finer.own_entries)
         products += galerkin.count_products(own_indptr, finer.matrix.indices, interpolation.indptr)
-        is_too_large = peers.total(interpolation.own) > LARGEST_GRID_SHARE * size
-        if is_too_large or peers.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries:
+        is_too_large = communicator.total(interpolation.own) > LARGEST_GRID_SHARE * size
+        is_dear = communicator.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries
+        if is_too_large or is_dear:
             return Hierarchy(alone, (), work, is_helpful=False)
         coarser = _coarser(finer, interpolation, scales_rows, units, normalises=single and finer is alone[0])
         if coarser is None:
             break
         transfer, grid = coarser
         units = None if units is None else units[interpolation.is_coarse]
-        if peers.total(grid.own_entries) > growth * peers.total(finer.own_entries):
+        if communicator.total(grid.own_entries) > growth * communicator.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
-        size = peers.total(grid.n)
+        size = communicator.total(grid.n)
         grids.append(grid)
         transfers.append(transfer)
     if single and carries_single(grids, transfers):
@@ -167,12 +168,14 @@ def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarch
     Ranks exchange doubles.
     """
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and matrix.peers.is_alone and matrix.n >= SINGLE_FROM
-    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, peers=matrix.peers, single=single)
+    single = single and matrix.communicator.is_alone and matrix.n >= SINGLE_FROM
+    return build_hierarchy(
+        matrix.csr_rows, coarsest, scales_rows=scales_rows, communicator=matrix.communicator, single=single
+    )
 
 
 def grid_of(
-    matrix: Operator, peers: Peers = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT,
+    matrix: Operator, communicator: Communicator = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT,
     *, may_cut: bool = False,
 ) -> Grid:
     """Return the grid of a matrix, whose first rows (all by default) are the own ones; whether it `may_cut` sweeps."""
@@ -184,7 +187,7 @@ def grid_of(
     np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
     split.flags.writeable = inverse.flags.writeable = False
     blocks = blocks_of(matrix.indptr, matrix.indices, inverse.size, may_cut=may_cut)
-    return Grid(matrix, split, runs_of_equal_rows(inverse, matrix.arrays), blocks, inverse, peers, weight)
+    return Grid(matrix, split, runs_of_equal_rows(inverse, matrix.arrays), blocks, inverse, communicator, weight)
 
 
 def chosen_kinds(
@@ -208,17 +211,17 @@ def chosen_kinds(
     return kind
 
 
-def _weighted_grid(matrix: Operator, peers: Peers, own: int, scales_rows: bool) -> Grid:
+def _weighted_grid(matrix: Operator, communicator: Communicator, own: int, scales_rows: bool) -> Grid:
     """Return the grid, with larger pivots where M is symmetric: others need none, and have any unit in any row."""
-    if peers.is_empty or scales_rows:
+    if communicator.is_empty or scales_rows:
         # One that follows a wind gets farther than in pieces.
-        return grid_of(matrix, peers, own, may_cut=not scales_rows)
+        return grid_of(matrix, communicator, own, may_cut=not scales_rows)
     indptr, indices, data = matrix.arrays
-    width = own + peers.foreign
+    width = own + communicator.foreign
     rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, width))[:own]
-    weight = pivot_weight(rows, peers, 1.0)
+    weight = pivot_weight(rows, communicator, 1.0)
     weight.flags.writeable = False
-    return grid_of(matrix, peers, own, weight)
+    return grid_of(matrix, communicator, own, weight)
 
 
 def _interpolation(
@@ -231,44 +234,44 @@ def _interpolation(
     indptr, indices, data = grid.own_arrays
     if units is not None:
         data = Operator(indptr, indices, data * units[indices]).data
-    n, peers = grid.n, grid.peers
+    n, communicator = grid.n, grid.communicator
     is_strong = np.empty(data.size, np.bool_)
     kind = chosen_kinds(indptr, indices, data, strength, is_strong)
-    if not peers.is_empty:
+    if not communicator.is_empty:
         kind = _mended(grid, strength, kind)
     is_coarse = kind == coarsening.COARSE
     is_coarse.flags.writeable = False
     count = int(np.count_nonzero(is_coarse))
-    below = peers.coarser(count)
-    if peers.total(count) == 0:
+    below = communicator.coarser(count)
+    if communicator.total(count) == 0:
         return None
     number = np.cumsum(is_coarse, dtype=indices.dtype)
     number += indices.dtype.type(below.first - 1)
-    if not peers.is_empty:
+    if not communicator.is_empty:
         unused = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
         coarsening.strong_couplings(indptr, indices, data, strength, grid.width, is_strong, *unused, 0, n)
         kind, numbers = _kinds_of_all(grid, is_coarse), np.zeros(grid.width)
         numbers[:n] = number
-        peers.fetch(numbers)
+        communicator.fetch(numbers)
         number = numbers.astype(indices.dtype)
     operands, read = (indptr, indices, data, is_strong, kind, number), 0
     if not extends:
         kernel, smallest = coarsening.direct_interpolation, SMALLEST_PIECE
         (p_indptr, p_indices, p_data), lonely = written_rows(kernel, operands, 0, smallest)
-        extends = extends is None and peers.total(lonely) > NOTEWORTHY_LONELY * peers.total(n)
+        extends = extends is None and communicator.total(lonely) > NOTEWORTHY_LONELY * communicator.total(n)
     if extends:
         kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
         (p_indptr, p_indices, p_data), read = written_rows(kernel, operands, more, n)  # all rows at once
     if units is not None:
         p_data *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices]
-    rows = peers.with_foreign_rows((p_indptr, p_indices, p_data))
+    rows = communicator.with_foreign_rows((p_indptr, p_indices, p_data))
     return Interpolation(*rows, is_coarse, count, below, extends, read)
 
 
 def _mended(grid: Grid, strength: float, kind: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the choice with further coarse unknowns where those of two processes do not fit together."""
-    kinds, peers = _kinds_of_all(grid, kind == coarsening.COARSE), grid.peers
-    coarsening.mend_seams(*grid.matrix.arrays, strength, grid.n, peers.ghosts > peers.first, kinds)
+    kinds, communicator = _kinds_of_all(grid, kind == coarsening.COARSE), grid.communicator
+    coarsening.mend_seams(*grid.matrix.arrays, strength, grid.n, communicator.ghosts > communicator.first, kinds)
     return kinds[: grid.n]
 
 
@@ -276,7 +279,7 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
     """Return who is COARSE and who FINE among the own and the foreign unknowns."""
     flags = np.zeros(grid.width, np.bool_)
     flags[: grid.n] = is_coarse
-    grid.peers.fetch_flags(flags)
+    grid.communicator.fetch_flags(flags)
     return np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
 
 
@@ -287,28 +290,28 @@ def _coarser(
 
     None where its numbers would not be finite.
     """
-    peers = grid.peers
+    communicator = grid.communicator
     p_indptr, columns, p_data, is_coarse, count, below, *_ = interpolation
     others = below.outside(columns)
     p_indices = below.local(columns, others)
     restriction = _restriction(grid, count, (p_indptr, p_indices, p_data))
     if scales_rows:
         inverse = grid.inverse
-        if not peers.is_empty:
+        if not communicator.is_empty:
             inverse = np.zeros(grid.width)
             inverse[: grid.n] = grid.inverse
-            peers.fetch(inverse)
+            communicator.fetch(inverse)
         elif units is not None:  # the rows of M V, not those of M, are brought to one size
             inverse = inverse / units**2
         with np.errstate(over="ignore"):
             restriction[2][:] *= inverse[restriction[1]]
-        if not peers.everywhere(bool(np.isfinite(restriction[2]).all())):
+        if not communicator.everywhere(bool(np.isfinite(restriction[2]).all())):
             return None
     prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
     rows = galerkin.galerkin_product(
         grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size, grid.runs
     )
-    if not peers.is_empty:
+    if not communicator.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]
         further = others[np.unique(met[met >= count]) - count]
         rows, below = below.overlapped(rows, others, further)
@@ -328,7 +331,7 @@ def _coarser(
 def _restriction(grid: Grid, count: int, prolongation: Arrays) -> Arrays:
     """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
     p_indptr, p_indices, p_data = prolongation
-    if grid.peers.foreign:
+    if grid.communicator.foreign:
         rows = grid.matrix.indptr.size - 1
         end = int(p_indptr[rows])
         is_own = p_indices[:end] < count

@@ -48,7 +48,7 @@ class TruncatedGrid:
         Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
         """
         n = self.grid.n
-        if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.peers.is_empty:
+        if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.communicator.is_empty:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
@@ -126,15 +126,15 @@ class Truncation:
         for k in range(self.top, len(self.transfers)):
             level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
             matrix = level.grid.matrix
-            level.grid.peers.fetch_flags(level.is_free)
-            level.grid.peers.fetch_flags(level.free_changed)
+            level.grid.communicator.fetch_flags(level.is_free)
+            level.grid.communicator.fetch_flags(level.free_changed)
             flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
                 matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
             )
-            level.grid.peers.fetch_flags(level.touched)
+            level.grid.communicator.fetch_flags(level.touched)
             if level.new_values is not None:
-                level.grid.peers.fetch_entries(level.new_values)
+                level.grid.communicator.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
                 *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
@@ -144,7 +144,7 @@ class Truncation:
             below.is_whole = False
             below.note_changed_rows()
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
-            if level.grid.peers.total(changed) == 0:
+            if level.grid.communicator.total(changed) == 0:
                 break
 
     def correct(self, k: int) -> None:
@@ -159,17 +159,17 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        grid.peers.fetch(level.x)
+        grid.communicator.fetch(level.x)
         residual = level.residual[: grid.n]
         sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
-        grid.peers.fetch(level.residual)
+        grid.communicator.fetch(level.residual)
         below, transfer = self.grids[k + 1], self.transfers[k]
         unit = self.unit if k == self.top else 1.0
         vectors.restrict(transfer, level.residual, unit, below.b)
         self.correct(k + 1)
-        below.grid.peers.fetch(below.x)
+        below.grid.communicator.fetch(below.x)
         vectors.add_prolonged(transfer, below.x, unit, level.inverse, level.x)
-        grid.peers.fetch(level.x)
+        grid.communicator.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
@@ -215,7 +215,7 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
-            level.grid.peers.fetch(level.x)
+            level.grid.communicator.fetch(level.x)
             sweeps.sweep(level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x)
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
 
@@ -242,16 +242,16 @@ class KrylovCorrection:
     ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         self.transposed = transposed and not is_symmetric
-        self.peers = truncation.grids[0].grid.peers
+        self.communicator = truncation.grids[0].grid.communicator
         # Squares of very large or small numbers leave the range of a double.
-        self.unit: float = power_of_two(self.peers.largest(span(residual)))
+        self.unit: float = power_of_two(self.communicator.largest(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
         # A transposed V-cycle divides by the diagonal last.
-        scaled = 1.0 if self.transposed else self.peers.largest(largest_product(residual, inverse))
+        scaled = 1.0 if self.transposed else self.communicator.largest(largest_product(residual, inverse))
         truncation.unit = power_of_two(scaled)
         is_weighted = not (is_symmetric or transposed)
-        self._weight = (inverse / self.peers.largest(span(inverse))) ** 2 if is_weighted else None
+        self._weight = (inverse / self.communicator.largest(span(inverse))) ** 2 if is_weighted else None
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -275,7 +275,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
-        return self.unit * self.peers.largest(scaled)
+        return self.unit * self.communicator.largest(scaled)
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
@@ -293,7 +293,7 @@ class KrylovCorrection:
         else:
             self.truncation.correct(0)
             np.copyto(p, top.x[: top.grid.n])
-            self.peers.fetch(top.x)
+            self.communicator.fetch(top.x)
             sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
@@ -316,7 +316,7 @@ class KrylovCorrection:
         self.directions.clear()
 
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
-        return self.peers.total(dot(one, other))
+        return self.communicator.total(dot(one, other))
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         if self.is_symmetric:

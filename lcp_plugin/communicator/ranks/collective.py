@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector
 from ...errors import InvalidProblem, LCPError, UnreadableFile
-from ..alone import Peers
+from ..alone import Communicator
 
 ABORTED = 1
 PATIENCE = 5.0
@@ -30,7 +30,7 @@ COURTESY = 0.5  # seconds that other ranks wait before they speak: where all fai
 T = TypeVar("T")
 
 
-class Ranks(Peers):
+class Ranks(Communicator):
     """The processes of a communicator of mpi4py or petsc4py, and what they agree on; None means the whole job."""
 
     is_alone = False

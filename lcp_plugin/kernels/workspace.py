@@ -1,4 +1,4 @@
-"""The desk of one small problem: which row of its few work arrays holds what.
+"""The workspace of one small problem: which row of its few work arrays holds what.
 
 On a few unknowns a compiled call with twelve arrays, or a view of a part of one, costs more than what is done with it.
 So all vectors of a problem lie in one array `real`, shape (16, n + 1), all indices in one array `whole`, (7, 2n + 6),

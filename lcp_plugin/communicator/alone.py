@@ -22,7 +22,7 @@ NOBODY = np.empty(0, np.int64)
 AS_IT_IS: AbstractContextManager[Callable[[], bool]] = nullcontext(bool)
 
 
-class Peers:
+class Communicator:
     """The processes that share the rows of a matrix, this one among them: it alone, so that nothing is to be done.
 
     Attributes
@@ -112,7 +112,7 @@ class Peers:
 
     # --- a coarser grid ----------------------------------------------------------------------------------
 
-    def coarser(self, own: int) -> Peers:
+    def coarser(self, own: int) -> Communicator:
         """Return those who share a grid on which this process has so many unknowns, and meets no foreign one yet."""
         return self
 
@@ -128,9 +128,9 @@ class Peers:
         """Return the own rows, columns counted over all processes, with those of the ghosts behind."""
         return rows
 
-    def overlapped(self, rows: Arrays, ghosts: NDArray[Any], further: NDArray[Any]) -> tuple[Arrays, Peers]:
-        """Return the own rows with those of the unknowns next to them behind, and the peers of all unknowns met."""
+    def overlapped(self, rows: Arrays, ghosts: NDArray[Any], further: NDArray[Any]) -> tuple[Arrays, Communicator]:
+        """Return the own rows with those of the unknowns next to them behind, and the ranks of all unknowns met."""
         return rows, self
 
 
-ALONE = Peers()
+ALONE = Communicator()

@@ -606,6 +606,16 @@ def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
     assert np.abs(x.value - math.log(3.0)).max() <= bound.infinity <= 1e-9
 
 
+def test_an_exponent_may_become_one_and_another_again() -> None:
+    """Where a parameter makes a power affine, what was read then is not taken for the power of the next value."""
+    x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
+    problem = ComplementarityProblem(complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0))
+    for power, answer in ((1.0, [4.0, 9.0]), (2.0, [2.0, 3.0]), (1.0, [4.0, 9.0]), (0.5, [16.0, 81.0])):
+        exponent.value = power
+        problem.solve()
+        assert np.allclose(x.value, answer)
+
+
 def test_parameters_are_read_at_every_solve() -> None:
     """A factor, an exponent and a bound are parameters: each solve has their present values."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()

@@ -138,8 +138,8 @@ class Rows:
     def summed(self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None) -> Rows:
         """Return sums: row k belongs to the one with the number targets[k]."""
         size = math.prod(shape) if places is None else places.size
-        entries = (np.ones(self.size), (targets, np.arange(self.size)))
-        return self.applied(sp.csr_array(sp.coo_array(entries, shape=(size, self.size))), shape, places)
+        by_columns = sp.csc_array((np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size))
+        return self.applied(by_columns.tocsr(), shape, places)
 
 
 def entries_behind(places: Indices, shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
@@ -207,6 +207,18 @@ def assembled(parts: Sequence[Rows], first: Mapping[int, int], count: int) -> tu
         matrix = as_matrix(block, parts[0].size)
         if matrix.shape[1] == count and first[key] == 0:
             return matrix, offset
+    if all(len(part.blocks) <= 1 for part in parts):  # one below the other as they are, without sorting
+        stored = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))]
+        for part in parts:
+            if not part.blocks:
+                stored.append((*stored[0][:2], np.zeros(part.size, dtype=np.int64)))
+            for key, block in part.blocks.items():
+                matrix = as_matrix(block, part.size)
+                stored.append((matrix.data, matrix.indices + first[key], np.diff(matrix.indptr)))
+        data, columns, counts = (np.concatenate(part) for part in zip(*stored, strict=True))
+        matrix = _csr(data, columns, np.cumsum(counts), (offset.size, count))
+        matrix.sum_duplicates()
+        return matrix, offset
     start, entries = 0, [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
     for part in parts:
         rows = np.arange(start, start + part.size)
@@ -319,7 +331,11 @@ class Compiler:
             factor = constant if is_left else constant.T
             operator = sp.csr_array(factor if sp.issparse(factor) else np.atleast_2d(factor))
             copies = rows.shape[1 if is_left else 0] if len(rows.shape) == 2 else 1
-            if copies > 1:
+            if copies > 1 and not is_left and operator.shape[0] == 1:  # vᵀ ⊗ I
+                columns = operator.indices * copies + np.arange(copies)[:, None]
+                starts = np.arange(copies + 1) * operator.nnz
+                operator = _csr(np.tile(operator.data, copies), columns.ravel(), starts, (copies, rows.size))
+            elif copies > 1:
                 identity = sp.eye_array(copies)
                 operator = sp.kron(*((identity, operator) if is_left else (operator, identity)), format="csr")
             return rows.applied(operator, shape)

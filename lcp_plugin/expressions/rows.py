@@ -374,6 +374,12 @@ def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
               (*right.shape, 1) if len(right.shape) == 1 else right.shape]
     batch = np.broadcast_shapes(shapes[0][:-2], shapes[1][:-2])
     count, depth = math.prod(batch), shapes[0][-1]
+    if not batch and left.places is None and right.places is None:  # two full matrices: nothing to look up
+        height, width = shapes[0][0], shapes[1][1]
+        at_left = np.repeat(np.arange(height * depth), width)
+        column, row = np.divmod(at_left, max(height, 1))
+        other_column = np.tile(np.arange(width), height * depth)
+        return at_left, column + depth * other_column, row + height * other_column
     found = []
     for rows, shape in zip((left, right), shapes, strict=True):
         whole = batch + shape[-2:]

@@ -156,14 +156,14 @@ def bound_of(result: Result, factor: float) -> Any:
         ({"status": Status.INFEASIBLE}, "INFEASIBLE, but there is a solution"),
         ({"status": Status.NO_SOLUTION}, "NO_SOLUTION, but there is a solution"),
         ({"status": Status.STALLED, "z": np.array([0.0, 0.0])}, ""),
-        ({"z": np.array([0.75 + 1e-9, 0.0]), "bounded": "too small"}, "exceeds its rigorous bound"),
+        ({"z": np.array([0.75 + 1e-9, 0.0]), "_bound": "too small"}, "exceeds its rigorous bound"),
     ],
 )  # fmt: skip
 def test_a_lie_is_found_out(changes: dict[str, Any], lie: str) -> None:
     """What a result claims against the exact answer is named; what is true, or admits failure, is not."""
-    if changes.get("bounded") == "too small":
-        changes = changes | {"bounded": BoundOrReason(bound_of(forged(), 1e-6))}
-    found = lie_in(forged(**{"bounded": BoundOrReason()} | changes), EXACT)
+    if changes.get("_bound") == "too small":
+        changes = changes | {"_bound": BoundOrReason(bound_of(forged(), 1e-6))}
+    found = lie_in(forged(**{"_bound": BoundOrReason()} | changes), EXACT)
     assert lie in found if lie else found == ""
 
 

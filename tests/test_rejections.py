@@ -26,6 +26,7 @@ from lcp_plugin import (
     error_against_time,
     error_bound,
     gallery,
+    march,
     solve,
     stability_atlas,
 )
@@ -281,6 +282,9 @@ RUNS = [
     run("pgs with a relaxation", InvalidOption, r"pgs has no option 'relaxation'.*sweep", "pgs", relaxation=1.5),
     run("option beside an object", InvalidOption, r"'relaxation'.*beside an algorithm object.*NPSOR\(",
         NPSOR(), relaxation=1.5),
+    row("option of march abbreviated", InvalidOption,
+        r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
+        lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5)),
     run("option with auto", InvalidOption, r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
     run("tolerance negative", InvalidOption, r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
     run("tolerance NaN", InvalidOption, r"tolerance must be finite and not negative, got nan", tolerance=NAN),

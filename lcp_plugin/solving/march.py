@@ -15,11 +15,11 @@ from ..algorithms.active_sets.banded import Banded
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
 from ..deadline import Clock
-from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ..matrix.structure import parts
 from ..policy.choice import Policy
 from ..problem.lcp import LCP
-from ..settings import Settings
+from ..settings import OF_SOLVE, Settings
 from .driver import asked_of_solve, fused_result, solve
 from .result import Result, Results
 
@@ -112,6 +112,8 @@ def march(
         raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
     problem.matrix.require_all_rows()
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
+        raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
     (policy, settings), limit = asked_of_solve(algorithm, wishes), Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
     clock, is_unobserved = Clock(problem.communicator), settings.is_unobserved and wishes.get("callback") is None

@@ -134,7 +134,7 @@ class BatchDerivative:
         table = self._table(otherwise)
         for part in self._parts:
             put(table, part.plain, of_part(part)[part.is_plain])
-        for k, answer in self._one_by_one(self._careful, lambda k: of_one(self[k])):
+        for k, answer in self._one_by_one(self._left_by_the_loop, lambda k: of_one(self[k])):
             table[k] = answer
         return table
 
@@ -243,7 +243,7 @@ class BatchDerivative:
         return parts
 
     @cached_property
-    def _careful(self) -> list[int]:
+    def _left_by_the_loop(self) -> list[int]:
         """The solved problems that the compiled loop has left."""
         is_left = self._is_solved.copy()
         for part in self._parts:
@@ -252,7 +252,7 @@ class BatchDerivative:
 
     def _derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], list[int]]:
         """Return so many tables that the kernel writes of all problems, and the problems that it leaves."""
-        tables, left = [self._table(np.nan) for _ in range(count)], [*self._careful]
+        tables, left = [self._table(np.nan) for _ in range(count)], [*self._left_by_the_loop]
         for part in self._parts:
             answers, is_plain = part.derived(kernel, [chosen(rows, part.group.items) for rows in given], count)
             for table, answer in zip(tables, answers, strict=True):

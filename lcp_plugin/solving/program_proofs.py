@@ -165,7 +165,7 @@ class ProgramProofs:
         points = self.upper()
         upper = min((point.value for point in points), default=math.inf)
         lower = self.own_lower
-        numbers = {"lower": _told(lower), "upper": _told(upper)}
+        numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
         if claim == "infeasible" and points:
             return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
@@ -257,8 +257,8 @@ class Proved:
         if verdict == "proved" and (complaint := self._error_of_x(x, far) or complaint):
             verdict, reason = "unproved", f"{complaint}, though the objective is proved to be optimal"
         return Certification(
-            verdict, "optimal", self.violation[1], _told(self.lower), _told(self.upper),
-            _told(self.gap), _told(near), reason,
+            verdict, "optimal", self.violation[1], _if_finite(self.lower), _if_finite(self.upper),
+            _if_finite(self.gap), _if_finite(near), reason,
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
@@ -340,5 +340,5 @@ def _residual(solution: QPSolution) -> float:
     return float(np.nan_to_num(max(solution.residual, solution.row_residual), nan=np.inf))
 
 
-def _told(value: float) -> float | None:
+def _if_finite(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from ..algorithms.search.stages import FeasibilityCheck
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
@@ -19,7 +20,6 @@ from .result import Result, Sample, StageRecord
 
 KKT_TOLERANCE = 1e-6
 TIGHTER = 1e-4
-PROVES_ITSELF = "feasibility"  # the stage that looks for a proof on the complementarity problem
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -85,7 +85,7 @@ def program_runs(
 
     def ends(sample: Sample, z: FloatVector) -> bool:
         wants_end = callback is not None and bool(callback(sample, z))
-        return wants_end or (is_refuted is not None and sample.label == PROVES_ITSELF and is_refuted())
+        return wants_end or (is_refuted is not None and sample.label == FeasibilityCheck.name and is_refuted())
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=True):

@@ -12,8 +12,8 @@ import scipy.sparse as sp
 from campaigns.convex_programs import SOLVABLE, program
 
 from lcp_plugin import solve
-from lcp_plugin.conversions.constraints import enclosed_sum_of_two
 from lcp_plugin.conversions.program_matrices import as_csr
+from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, attempts, lcp_from_qp
 from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.errors import InvalidProblem
@@ -139,17 +139,31 @@ def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
                 np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 
-def test_a_sum_of_two_products_is_enclosed() -> None:
-    """The end of the enclosure of A x + B y + c is as far from zero as the exact sum, or farther."""
+def exactly(row: Any, x: Any) -> Fraction:
+    """Return a sum of products without rounding."""
+    return sum((Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)), Fraction(0))
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
+    """Where terms cancel, the primal and the dual residual are at least the exact ones, and larger by a rounding."""
     rng = np.random.default_rng(2)
-    A, B = (sp.csr_array(rng.normal(size=(6, 4)) * 10.0 ** rng.integers(-8, 9, (6, 4))) for _ in range(2))
-    x, y, c = rng.normal(size=4), rng.normal(size=4), rng.normal(size=6)
-    c[0] = -float((A @ x + B @ y)[0])
-    ends = enclosed_sum_of_two((A, x), (B, y), c)
-    for i, end in enumerate(ends):
-        exact = Fraction(c[i])
-        for matrix, vector in ((A, x), (B, y)):
-            row = matrix.toarray()[i]
-            exact += sum(Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), vector.tolist(), strict=True))
-        assert abs(Fraction(end)) >= abs(exact)
-        assert abs(Fraction(end) - exact) <= abs(exact) * Fraction(1, 2**48) + Fraction(1, 2**72)
+    for _ in range(20):
+        P, G, A = (np.ldexp(rng.normal(size=(4, 4)), rng.integers(-20, 21, (4, 4))) for _ in range(3))
+        P, (x, equality, lower, upper), inequality = P + P.T, rng.normal(size=(4, 4)), rng.random(4)
+        lower, upper, h, b = np.abs(lower), np.abs(upper), G @ x, A @ x
+        c = -(P @ x + G.T @ inequality + A.T @ equality - lower + upper)
+        program = QuadraticProgram(kind(P), c, kind(G), h, kind(A), b, x - 1.0, x)
+        solution = QPSolution(program, x, inequality, equality, lower, upper)
+        over = [exactly(np.append(row, -1.0), np.append(x, limit)) for row, limit in zip(G, h, strict=True)]
+        over += [abs(exactly(np.append(row, -1.0), np.append(x, limit))) for row, limit in zip(A, b, strict=True)]
+        columns = np.hstack([P, G.T, A.T, -np.eye(4), np.eye(4), c[:, None]])
+        y = np.concatenate([x, inequality, equality, lower, upper, [1.0]])
+        left = [abs(exactly(column, y)) for column in columns]
+        for residual, errors, units in (
+            (solution.primal_residual, over, program.constraints.unit[:8]),
+            (solution.dual_residual, left, program.dual_unit),
+        ):
+            exact = max(error / Fraction(unit) for error, unit in zip(errors, units.tolist(), strict=True))
+            assert exact * (1 - Fraction(1, 2**50)) <= Fraction(residual)
+            assert Fraction(residual) <= max(exact, 0) * (1 + Fraction(1, 2**40)) + Fraction(1, 2**90)

@@ -74,7 +74,9 @@ def _run(part: str) -> None:
         solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
-        solve(LCP(sp.csr_array([[1.0, -1.0], [1.0, 0.0]]), [-1.0, -2.0]), "interior_point")  # a program
+        solve(LCP(sp.csr_array([[1.0, -1.0], [1.0, 0.0]]), [-1.0, -2.0]), "interior_point")  # a program's conditions
+        program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
+        program.origin.recover(solve(program)).is_stationary()
         UpdatedFactor(np.eye(2), np.arange(1)).join(np.arange(1, 2))
 
 

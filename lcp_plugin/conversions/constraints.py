@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..checks import FloatVector
 from ..conversions.program_matrices import as_csr
 from ..exact.rational import Row, rational_rows
-from ..exact.rounding import compensated_pair, compensated_product, upper_end
-from ..kernels.floats import EPSILON
+from ..exact.rounding import compensated_product, upper_end
 from ..problem.linear_constraints import LinearConstraints
 from .program_matrices import Indices, ProgramMatrices
 
@@ -48,11 +47,6 @@ class Constraints:
     def matrix(self) -> sp.csr_array:
         """C, shape (m + p + 2n, n)."""
         return self.matrices.constraints
-
-    @property
-    def transposed(self) -> sp.csr_array:
-        """Cᵀ."""
-        return self.matrices.transposed
 
     @property
     def is_equality(self) -> NDArray[np.bool_]:
@@ -166,16 +160,3 @@ def constraint_tolerance(tolerance: float) -> float:
     (1e-07, 1e-12, 0.0001)
     """
     return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
-
-
-def enclosed_sum_of_two(
-    first: tuple[Any, FloatVector], second: tuple[Any, FloatVector], offset: FloatVector
-) -> FloatVector:
-    """Return the end of a proved enclosure of A x + B y + offset that is farther from 0; NaN where one is NaN."""
-    with np.errstate(all="ignore"):
-        high, low, missed = compensated_pair(*first, offset)
-        value, radius = compensated_product(*second, high)
-        whole = value + low
-        rest = np.where(low == 0.0, missed, missed + EPSILON * np.abs(whole))
-        radius = np.where(rest == 0.0, radius, np.nextafter(radius + rest, np.inf) * (1.0 + EPSILON))
-        return np.where(np.isfinite(radius), whole + np.copysign(radius, whole), np.nan)

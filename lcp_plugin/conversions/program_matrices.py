@@ -57,9 +57,12 @@ class ProgramMatrices:
         return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
 
     @cached_property
-    def transposed(self) -> sp.csr_array:
-        """[Gᵀ, Aᵀ, −I, I]."""
-        return sp.csr_array(self.constraints.T)
+    def rows_of_hessian(self) -> tuple[Any, Any, FloatVector, bool]:
+        """Where rows of P begin, their columns, their entries; of an ndarray the columns of one row stand for all."""
+        if sp.issparse(self.P):
+            return self.P.indptr, self.P.indices, self.P.data, False
+        n = self.P.shape[0]
+        return n * np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), self.P.ravel(), True
 
     @cached_property
     def magnitudes(self) -> tuple[Any, sp.csr_array]:

@@ -4,21 +4,54 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..checks import FloatVector, checked_vector
 from ..errors import InvalidOption, InvalidProblem
-from ..matrix.matrix import largest_in_rows
-from .constraints import constraint_tolerance, enclosed_sum_of_two
-from .program_matrices import as_csr
+from .constraints import constraint_tolerance
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 LARGEST_SLOPE = 1e-3
+
+
+class Errors(NamedTuple):
+    """The largest error of each kind of condition, rounding included; NaN where a number is not finite."""
+
+    primal: float
+    dual: float
+    complementarity: float
+    rows: float
+    slope_along_x: float
+
+    @classmethod
+    def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+        """Return the errors of x and of the multipliers of all constraints, in units of the program's data."""
+        is_equality = program.constraints.is_equality
+        signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
+        wrong = float((signed - multipliers).max(initial=0.0))
+        primal, dual, product, size, rows, slope, slope_size = _measured(program, x, multipliers)
+        if not wrong <= 0.0:
+            dual = _measured(program, x, signed)[1] + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
+        return cls(primal, float(dual), product / (1.0 + size), rows, slope / (1.0 + slope_size))
+
+
+def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> list[float]:
+    from ..kernels.program_residuals import program_residuals  # numba, which not every run needs
+
+    matrices, rows = program.matrices, program.constraints
+    worst, columns = np.zeros(7), np.zeros((4, program.n))
+    program_residuals(
+        *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
+        program.c, rows.limit, rows.unit, program.dual_unit, x, multipliers, columns, worst,
+    )
+    found: list[float] = worst.tolist()
+    return found
+
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
@@ -74,37 +107,23 @@ class QPSolution:
         """½ xᵀP x + cᵀx."""
         return self.program.objective(self.x)
 
-    @cached_property
+    @property
     def primal_residual(self) -> float:
         """By how much x violates G x ≤ h, A x = b and its bounds, rounding included; each row in units of the data."""
-        rows = self.program.constraints
-        return _largest(rows.excess(self.x) / rows.unit)
+        return self._errors.primal
 
-    @cached_property
+    @property
     def dual_residual(self) -> float:
         """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign.
 
         Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
         """
-        program, rows, y = self.program, self.program.constraints, self.multipliers
-        right = np.where(rows.is_equality, y, np.maximum(y, 0.0))
-        left = enclosed_sum_of_two((as_csr(program.P), self.x), (rows.transposed, right), program.c)
-        return _largest(np.abs(left) / program.dual_unit) + _largest(right - y) / (1.0 + _largest(np.abs(program.c)))
+        return self._errors.dual
 
-    @cached_property
+    @property
     def complementarity(self) -> float:
         """The largest product of a multiplier and the distance from its limit."""
-        rows, y = self.program.constraints, np.where(self.program.constraints.is_equality, 0.0, self.multipliers)
-        value = self._values
-        limit = np.where((y != 0.0) & np.isfinite(rows.limit), rows.limit, value)
-        # A multiplier of an infinite limit can never be right.
-        products = np.abs(np.where(np.isinf(rows.limit), y, y * (limit - value)))
-        return _largest(products) / (1.0 + _largest(np.abs(np.concatenate([y * value, y * limit]))))
-
-    @cached_property
-    def _values(self) -> FloatVector:
-        values: FloatVector = self.program.constraints.matrix @ self.x
-        return values
+        return self._errors.complementarity
 
     @cached_property
     def multipliers(self) -> FloatVector:
@@ -116,21 +135,10 @@ class QPSolution:
         """The largest of the primal residual, the dual residual and complementarity."""
         return float(np.max([self.primal_residual, self.dual_residual, self.complementarity]))
 
-    @cached_property
+    @property
     def row_residual(self) -> float:
         """The largest error of any condition, each relative to 1 + the largest term of its own row."""
-        program, rows, y = self.program, self.program.constraints, self.multipliers
-        is_finite = np.isfinite(rows.limit)
-        gap = np.where(is_finite, rows.limit - self._values, 0.0)
-        size = np.maximum(_largest_terms(rows.matrix, self.x), np.where(is_finite, np.abs(rows.limit), 0.0))
-        violated = np.where(rows.is_equality, np.abs(gap), np.maximum(-gap, 0.0))
-        wrong = np.where(is_finite, np.maximum(-y, 0.0), np.abs(y))
-        y_size = np.abs(y) * size
-        # A limit that holds is no term of a violation, as above.
-        errors = [violated / (1.0 + np.where(violated > 0.0, size, 0.0))]
-        errors += [error[~rows.is_equality] for error in (np.abs(y * gap) / (1.0 + y_size), wrong)]
-        terms = [_largest_terms(program.P, self.x), np.abs(program.c), _largest_terms(rows.transposed, y)]
-        return _largest(np.concatenate([*errors, np.abs(self._left) / (1.0 + np.max(terms, axis=0))]))
+        return self._errors.rows
 
     @property
     def row_multipliers(self) -> FloatVector:
@@ -180,21 +188,17 @@ class QPSolution:
         is_small = self.residual <= tolerance and self.row_residual <= tolerance
         return bool(is_small and self.slope_along_x <= max(LARGEST_SLOPE, tolerance))
 
-    @cached_property
+    @property
     def slope_along_x(self) -> float:
         """What the error of the gradient makes of the objective on the way from 0 to x, beside its largest term.
 
         Rows with large entries, or multipliers of 1e20, excuse any gradient beside their own terms.
         """
-        program = self.program
-        by_row = np.abs(np.concatenate([program.c * self.x, (program.P @ self.x) * self.x]))
-        return float(abs(self._left @ self.x)) / (1.0 + _largest(by_row))
+        return self._errors.slope_along_x
 
     @cached_property
-    def _left(self) -> FloatVector:
-        program, y = self.program, self.multipliers
-        left: FloatVector = program.P @ self.x + program.c + program.constraints.transposed @ y
-        return left
+    def _errors(self) -> Errors:
+        return Errors.of(self.program, self.x, self.multipliers)
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -220,13 +224,3 @@ class QPSolution:
             ("row residual", f"{self.row_residual:.3e}"),
         ]
         return "\n".join(f"{name:<16} {value}" for name, value in lines)
-
-
-def _largest(values: FloatVector) -> float:
-    return float(values.max(initial=0.0))
-
-
-def _largest_terms(matrix: Any, vector: FloatVector) -> FloatVector:
-    """Return max_j |a_ij v_j| of each row."""
-    rows = as_csr(matrix)
-    return largest_in_rows(rows, np.abs(rows.data * vector[rows.indices]))

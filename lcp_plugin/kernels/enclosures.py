@@ -91,7 +91,7 @@ def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _outward(value, error):  # type: ignore[no-untyped-def]
+def outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
     widened = error + (abs(value) + error) * 2.0**-51 + (TINY if is_tiny else 0.0)
@@ -102,7 +102,7 @@ def _outward(value, error):  # type: ignore[no-untyped-def]
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
     value, error = split_sum(a, -b)
-    return value, _outward(value, abs(error)) if abs(value) < np.inf else 0.0
+    return value, outward(value, abs(error)) if abs(value) < np.inf else 0.0
 
 
 @compiled_into_others
@@ -115,7 +115,7 @@ def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     is_exact = (error == 0.0) & ((a == 0.0) | ((fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
     is_exact |= (abs(value) == np.inf) & (abs(a) > 2.0 * error)
     least = TINY if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
-    return value, _outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
+    return value, outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
 
 
 @compiled_part

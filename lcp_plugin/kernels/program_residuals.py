@@ -1,0 +1,125 @@
+"""The compiled residuals of a quadratic program, with a proved bound of what rounding did to them; arrays only.
+
+Every sum is one of rounded terms, beside it their rounding errors, beside these what that second sum loses, as in
+:mod:`lcp_plugin.kernels.enclosures`. Columns are summed while rows are read: no matrix is transposed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compilation import compiled_into_others, interpreted_while_small
+from .enclosures import MAY_UNDERFLOW, fused, outward, split_sum
+from .floats import EPSILON, TINY
+
+TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
+PRIMAL, DUAL, PRODUCT, PRODUCT_SIZE, ROW, SLOPE, SLOPE_SIZE = range(7)  # of `worst`
+
+
+@compiled_into_others
+def _larger(a, b):  # type: ignore[no-untyped-def]
+    """Return the larger one, NaN where one is NaN."""
+    return b if (b > a) | (b != b) else a
+
+
+@compiled_into_others
+def _added(total, errors, lost, a, b):  # type: ignore[no-untyped-def]
+    """Return the three sums with the product a b in them."""
+    h = a * b
+    total, f = split_sum(total, h)
+    s, t = split_sum(fused(a, b, -h), f)
+    errors, u = split_sum(errors, s)
+    may_underflow = (abs(h) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0)
+    return total, errors, lost + (abs(t) + abs(u)) + (4.0 * TINY if may_underflow else 0.0)
+
+
+@compiled_into_others
+def _rounded(total, errors, lost, terms):  # type: ignore[no-untyped-def]
+    """Return the value of such sums and how far it may be off; NaN where it is not finite."""
+    value, low = split_sum(total, errors)
+    # `lost` was itself rounded at most three times a term.
+    error = outward(value, abs(low) + lost * (1.0 + (4.0 * terms + 8.0) * EPSILON))
+    is_finite = (abs(value) < np.inf) & (error < np.inf)
+    return value if is_finite else np.nan, error if is_finite else np.nan
+
+
+@compiled_into_others
+def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type: ignore[no-untyped-def]
+    """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst."""
+    if abs(limit) < np.inf:
+        over = abs(slack) if is_equation else slack
+        excess = over + error if over == over else np.inf
+        worst[PRIMAL] = _larger(worst[PRIMAL], excess / unit)
+        size = max(term, abs(limit))
+        violated = over if not over <= 0.0 else 0.0
+        worst[ROW] = _larger(worst[ROW], violated / (1.0 + (size if violated > 0.0 else 0.0)))
+        if is_equation:
+            return
+        wrong = -y if not y >= 0.0 else 0.0
+        product = abs(y * slack)
+        worst[ROW] = _larger(_larger(worst[ROW], product / (1.0 + abs(y) * size)), wrong)
+        worst[PRODUCT] = _larger(worst[PRODUCT], product)
+        worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], _larger(abs(y * limit), abs(y * (slack + limit))))
+    elif y != 0.0:  # a multiplier of an infinite limit can never be right
+        worst[ROW], worst[PRODUCT] = _larger(worst[ROW], abs(y)), _larger(worst[PRODUCT], abs(y))
+        worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], abs(y * slack))
+
+
+@interpreted_while_small
+def program_residuals(  # type: ignore[no-untyped-def]
+    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
+):
+    """Fill `worst` with the largest errors of any condition of a program, NaN where one is not finite.
+
+    Parameters
+    ----------
+    of_P, indices_of_P, P, is_full
+        P as CSR; where it is full, the columns of one row stand for those of all.
+    indptr, indices, data, equations
+        [G; A] as CSR, and the place of the first row that is an equation.
+    limits, units, y
+        Of all constraints, the lower and upper bounds after the rows.
+    columns, worst
+        Zeros of shape (4, n), overwritten, and of shape (7,).
+    """
+    rows, n = indptr.size - 1, x.size
+    terms = rows + n + 3.0
+    for i in range(rows):
+        limit, of_row = limits[i], y[i]
+        total, errors, lost, largest = -limit if abs(limit) < np.inf else 0.0, 0.0, 0.0, 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            a, j = data[k], indices[k]
+            total, errors, lost = _added(total, errors, lost, a, x[j])
+            largest = max(largest, abs(a * x[j]))
+            if of_row != 0.0:
+                columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j] = _added(
+                    columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], a, of_row
+                )
+                columns[TERM, j] = _larger(columns[TERM, j], abs(a * of_row))
+        slack, error = _rounded(total, errors, lost, terms)
+        _judge_row(worst, slack, error, limit, largest, of_row, units[i], i >= equations)
+    moved = 0.0
+    for j in range(n):
+        total, errors, lost, largest = columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], columns[TERM, j]
+        for side in range(2):
+            place, sign = rows + side * n + j, 2.0 * side - 1.0
+            limit, of_bound = limits[place], y[place]
+            value, low = split_sum(sign * x[j], -limit if abs(limit) < np.inf else 0.0)
+            slack, error = _rounded(value, low, 0.0, terms)
+            _judge_row(worst, slack, error, limit, abs(x[j]), of_bound, units[place], False)
+            total, errors, lost = _added(total, errors, lost, sign, of_bound)
+            largest = _larger(largest, abs(of_bound))
+        total, errors, lost = _added(total, errors, lost, 1.0, c[j])
+        largest = _larger(largest, abs(c[j]))
+        begin, product = of_P[j], 0.0
+        for k in range(begin, of_P[j + 1]):
+            a, b = P[k], x[indices_of_P[k - begin if is_full else k]]
+            total, errors, lost = _added(total, errors, lost, a, b)
+            product += a * b
+            largest = max(largest, abs(a * b))
+        left, error = _rounded(total, errors, lost, terms)
+        worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / dual_units[j])
+        worst[ROW] = _larger(worst[ROW], abs(left) / (1.0 + largest))
+        moved += left * x[j]
+        worst[SLOPE_SIZE] = _larger(worst[SLOPE_SIZE], _larger(abs(c[j] * x[j]), abs(product * x[j])))
+    worst[SLOPE] = abs(moved)

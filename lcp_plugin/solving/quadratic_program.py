@@ -5,21 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from ..algorithms.interior_points.small_programs import SmallPrograms
 from ..algorithms.search.stages import FeasibilityCheck
+from ..certificates.residuals import Certificate
 from ..checks import FloatVector
+from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import attempts
-from ..deadline import is_over, seconds_left
+from ..conversions.quadratic_program import attempts, optimality_conditions
+from ..deadline import Clock, is_over, seconds_left
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status
 from .driver import solve
+from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
 
 KKT_TOLERANCE = 1e-6
 TIGHTER = 1e-4
+AT_ONCE = ("auto", "interior_point")
+SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
+MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "slope_along_x")
+SHORTEST, MOST = 0.1, 100  # a limit of seconds, and of steps, that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -63,6 +74,8 @@ def solve_quadratic_program(
         Where the program is not convex, or the named algorithm cannot run on a merely convex one.
     """
     refuse_nonconvex(program)
+    if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
+        return found
     goal, refutes = kkt_goal(tolerance), options.get("refute", True)
     runs = list(program_runs(
         program, algorithm, (tolerance, TIGHTER * tolerance), (goal, goal), guess=guess,
@@ -70,6 +83,77 @@ def solve_quadratic_program(
     ))
     best = min(runs, key=lambda run: run.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution
+
+
+def _solved_at_once(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
+) -> tuple[Result, QPSolution] | None:
+    """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""
+    if algorithm not in AT_ONCE or any(options.get(name) for name in SEEN) or not 0.0 < tolerance < 1.0:
+        return None
+    rows, clock = program.constraints, Clock(ALONE)
+    d, acts = rows.limit[: rows.rows], np.isfinite(rows.limit[: rows.rows])
+    C, is_equality = program.matrices.rows, rows.is_equality[: rows.rows]
+    if not acts.all():
+        C, d, is_equality = C[acts], d[acts], is_equality[acts]
+    small = SmallPrograms.of_one(program.P, program.c, C, d, is_equality, program.lower, program.upper)
+    if small is None or options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST) < MOST:
+        return None
+    answers = small.solved(min(tolerance, KKT_TOLERANCE))
+    if not answers.has_converged[0]:
+        return None
+    y, reduced = np.zeros(rows.rows), answers.reduced[0]
+    y[acts] = answers.y[0]
+    solution = QPSolution(
+        program, answers.x[0], y[: program.h.size], y[program.h.size :], np.maximum(reduced, 0.0),
+        np.maximum(-reduced, 0.0),
+    )
+    solution.__dict__.update(zip(MEASURED, answers.measures[0].tolist(), strict=True))
+    if not solution.is_stationary(kkt_goal(tolerance)):
+        return None
+    seconds, steps = clock.read(), int(answers.steps[0])
+    name = "interior_point"
+    result = ProgramResult(solution, steps, seconds, tolerance, algorithm if algorithm == name else f"auto: {name}")
+    return result, solution
+
+
+class ProgramResult(Result):
+    """The result of a program that was solved as it is: its complementarity problem is made once somebody asks for it.
+
+    SOLVED means that the program's own residuals are within the tolerance.
+
+    Attributes
+    ----------
+    solution : QPSolution
+    """
+
+    solution: QPSolution
+
+    def __init__(self, solution: QPSolution, steps: int, seconds: float, tolerance: float, algorithm: str) -> None:
+        stage = StageRecord("interior_point", "small and dense: all steps in one compiled call", steps, float(steps))
+        self.__dict__.update(
+            solution=solution, status=Status.SOLVED, algorithm=algorithm, iterations=steps, work=float(steps),
+            seconds=seconds, setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
+            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm.partition(":")[0],
+            _bound=BoundOrReason(), _advice={},
+        )
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Of z = (x, multipliers) in the KKT form of the program."""
+        problem, solution = optimality_conditions(self.solution.program, "kkt"), self.solution
+        multipliers = np.concatenate([solution.inequality, solution.equality])
+        return Certificate.of(problem, np.append(solution.x, multipliers[problem.origin.rows.left]))
+
+    @property
+    def z(self) -> FloatVector:
+        """The certificate's z."""
+        return self.certificate.z
+
+    @property
+    def w(self) -> FloatVector:
+        """The certificate's w."""
+        return self.certificate.w
 
 
 def program_runs(

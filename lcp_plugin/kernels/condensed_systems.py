@@ -1,0 +1,189 @@
+"""Linear systems of small quadratic programs: (M + diag) z = r with M = [[P, Cᵀ], [−C, 0]], dense.
+
+The multipliers with a large diagonal entry go first, and leave Σ c_i c_iᵀ ÷ entry among x; the others stay beside x.
+LDLᵀ of that quasidefinite matrix, a little regularised, refined against the system itself. Rows of `vectors` are those
+of :mod:`.interior_steps`, and two more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compilation import compiled_into_others, compiled_part
+from .interior_steps import DIAGONAL, FOUND, RIGHT, ROWS
+
+SPARE, MORE, SYSTEM_ROWS = ROWS, ROWS + 1, ROWS + 2  # what is left to be solved for, what a solve adds
+REGULARISED, WEIGHTS, SYSTEM_FACTS = 9, 10, 14  # entries of `facts` behind those of the steps; four weights
+
+REGULARISATION, LARGEST_REGULARISATION = 1e-9, 1e-5
+KEPT_BELOW = 1e-4  # a multiplier with such a diagonal entry is no pivot
+PINNED = 1e30  # a diagonal that leaves nothing of an unknown
+PASSES = 5  # solves with one factor
+LARGEST = 1e300
+
+
+@compiled_into_others
+def _row_times(matrix, i, begin, end, vectors, row):  # type: ignore[no-untyped-def]
+    """Return Σ matrix[i, j] v_j over begin ≤ j < end, v that row of `vectors`: four sums side by side."""
+    a = b = c = d = 0.0
+    fours = end - (end - begin) % 4
+    for j in range(begin, fours, 4):
+        a += matrix[i, j] * vectors[row, j]
+        b += matrix[i, j + 1] * vectors[row, j + 1]
+        c += matrix[i, j + 2] * vectors[row, j + 2]
+        d += matrix[i, j + 3] * vectors[row, j + 3]
+    for j in range(fours, end):
+        a += matrix[i, j] * vectors[row, j]
+    return (a + b) + (c + d)
+
+
+@compiled_part
+def product(P, C, vectors, source, target):  # type: ignore[no-untyped-def]
+    """Write M times one row of `vectors` into another, M = [[P, Cᵀ], [−C, 0]]."""
+    m, n = C.shape
+    for i in range(n):
+        vectors[target, i] = _row_times(P, i, 0, n, vectors, source)
+    for i in range(m):
+        multiplier = vectors[source, n + i]
+        vectors[target, n + i] = -_row_times(C, i, 0, n, vectors, source)
+        for j in range(n):
+            vectors[target, j] += C[i, j] * multiplier
+
+
+@compiled_part
+def factorise(P, C, vectors, facts, matrix, gone):  # type: ignore[no-untyped-def]
+    """Factorise M + diag(DIAGONAL), regularised; return how many multipliers were kept, −1 where nothing helps."""
+    facts[REGULARISED] = REGULARISATION
+    while facts[REGULARISED] <= LARGEST_REGULARISATION:
+        kept = _assemble(P, C, vectors, facts, matrix, gone)
+        if _eliminate(matrix, C.shape[1], C.shape[1] + kept):
+            return kept
+        facts[REGULARISED] *= 100.0
+    return -1
+
+
+@compiled_part
+def _assemble(P, C, vectors, facts, matrix, gone):  # type: ignore[no-untyped-def]
+    """Fill the upper triangle of the system that is left without the multipliers that can go; return how many stay."""
+    m, n = C.shape
+    kept, going, regularisation = 0, 0, facts[REGULARISED]
+    for i in range(n):
+        for j in range(i, n):
+            matrix[i, j] = P[i, j]
+        matrix[i, i] += vectors[DIAGONAL, i] + regularisation
+    for i in range(m):
+        pivot = vectors[DIAGONAL, n + i] + regularisation
+        if pivot < KEPT_BELOW:
+            for j in range(n):
+                matrix[j, n + kept] = C[i, j]
+            for j in range(kept):
+                matrix[n + j, n + kept] = 0.0
+            matrix[n + kept, n + kept] = -pivot
+            kept += 1
+        elif pivot < PINNED:
+            gone[going], facts[WEIGHTS + going], going = i, 1.0 / pivot, going + 1
+            if going == 4:
+                _add(C, gone, facts, matrix)
+                going = 0
+    for a in range(going, 4):
+        gone[a], facts[WEIGHTS + a] = 0, 0.0
+    if going:
+        _add(C, gone, facts, matrix)
+    return kept
+
+
+@compiled_into_others
+def _add(C, gone, facts, matrix):  # type: ignore[no-untyped-def]
+    """Add what four rows of C, with their weights, leave among x."""
+    n = C.shape[1]
+    a, b, c, d = gone[0], gone[1], gone[2], gone[3]
+    for i in range(n):
+        e, f = facts[WEIGHTS] * C[a, i], facts[WEIGHTS + 1] * C[b, i]
+        g, h = facts[WEIGHTS + 2] * C[c, i], facts[WEIGHTS + 3] * C[d, i]
+        if e != 0.0 or f != 0.0 or g != 0.0 or h != 0.0:
+            for j in range(i, n):
+                matrix[i, j] += (e * C[a, j] + f * C[b, j]) + (g * C[c, j] + h * C[d, j])
+
+
+@compiled_part
+def _eliminate(matrix, positive, size):  # type: ignore[no-untyped-def]
+    """Eliminate without pivoting, on and above the diagonal; return whether the pivots have the signs they should."""
+    for start in range(0, size, 4):
+        end = min(start + 4, size)
+        for p in range(start, end):
+            pivot = matrix[p, p]
+            if not (pivot > 0.0 if p < positive else pivot < 0.0) or not abs(pivot) < LARGEST:
+                return False
+            for i in range(p + 1, end):
+                factor = matrix[p, i] / pivot
+                for j in range(i, size):
+                    matrix[i, j] -= factor * matrix[p, j]
+        if end < size:
+            a, b, c, d = start, start + 1, start + 2, start + 3
+            for i in range(end, size):  # what four rows say, at once
+                e, f = matrix[a, i] / matrix[a, a], matrix[b, i] / matrix[b, b]
+                g, h = matrix[c, i] / matrix[c, c], matrix[d, i] / matrix[d, d]
+                for j in range(i, size):
+                    matrix[i, j] -= (e * matrix[a, j] + f * matrix[b, j]) + (g * matrix[c, j] + h * matrix[d, j])
+    return True
+
+
+@compiled_part
+def solve(P, C, vectors, facts, matrix, kept, refined):  # type: ignore[no-untyped-def]
+    """Write the solution for RIGHT into FOUND, refined as long as that gains anything."""
+    m, n = C.shape
+    size, error = 0.0, np.inf
+    for i in range(n + m):
+        vectors[FOUND, i], vectors[SPARE, i] = 0.0, vectors[RIGHT, i]
+        size = max(size, abs(vectors[RIGHT, i]))
+    for _ in range(PASSES):
+        _apply(C, vectors, facts[REGULARISED], matrix, n, m, n + kept)
+        product(P, C, vectors, FOUND, SPARE)
+        smaller = 0.0
+        for i in range(n + m):
+            left = vectors[RIGHT, i] - vectors[SPARE, i] - vectors[DIAGONAL, i] * vectors[FOUND, i]
+            vectors[SPARE, i] = left
+            smaller = max(smaller, abs(left))
+        if smaller <= refined * size:
+            return
+        if not smaller < 0.5 * error:
+            if smaller > error:  # the last correction did harm
+                for i in range(n + m):
+                    vectors[FOUND, i] -= vectors[MORE, i]
+            return
+        error = smaller
+
+
+@compiled_part
+def _apply(C, vectors, regularisation, matrix, n, m, size):  # type: ignore[no-untyped-def]
+    """Add the factor's answer to SPARE to FOUND; MORE is what was added."""
+    kept = 0
+    for i in range(n):
+        vectors[MORE, i] = vectors[SPARE, i]
+    for i in range(m):
+        pivot = vectors[DIAGONAL, n + i] + regularisation
+        if pivot < KEPT_BELOW:
+            vectors[MORE, n + kept] = -vectors[SPARE, n + i]
+            kept += 1
+        elif pivot < PINNED:
+            share = vectors[SPARE, n + i] / pivot
+            for j in range(n):
+                vectors[MORE, j] -= C[i, j] * share
+    for p in range(size):
+        share = vectors[MORE, p] / matrix[p, p]
+        if share != 0.0:
+            for j in range(p + 1, size):
+                vectors[MORE, j] -= matrix[p, j] * share
+    for p in range(size - 1, -1, -1):
+        vectors[MORE, p] = (vectors[MORE, p] - _row_times(matrix, p, p + 1, size, vectors, MORE)) / matrix[p, p]
+    for i in range(m - 1, -1, -1):
+        pivot = vectors[DIAGONAL, n + i] + regularisation
+        if pivot < KEPT_BELOW:
+            kept -= 1
+            vectors[MORE, n + i] = vectors[MORE, n + kept]
+        elif pivot < PINNED:
+            vectors[MORE, n + i] = (vectors[SPARE, n + i] + _row_times(C, i, 0, n, vectors, MORE)) / pivot
+        else:
+            vectors[MORE, n + i] = 0.0
+    for i in range(n + m):
+        vectors[FOUND, i] += vectors[MORE, i]

@@ -35,7 +35,7 @@ from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_abov
 from lcp_plugin.certificates.feasible_points import FeasiblePoint, FeasiblePoints
 from lcp_plugin.commands.cli import app
 from lcp_plugin.conversions.quadratic_program import lcp_from_qp
-from lcp_plugin.modeling.user_terms import StatedTerms
+from lcp_plugin.modeling.stated_terms import StatedTerms
 from lcp_plugin.solving.program_proofs import SMALL, ProgramProofs, distances
 from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 from lcp_plugin.strategies import convex_qps

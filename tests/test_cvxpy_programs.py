@@ -18,7 +18,8 @@ from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
 from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.modeling import qp_solver, user_terms
-from lcp_plugin.modeling.user_terms import EQUATIONS, StatedTerms
+from lcp_plugin.modeling.stated_terms import StatedTerms
+from lcp_plugin.modeling.user_terms import EQUATIONS
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -243,6 +244,35 @@ def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
             violation = np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
             np.testing.assert_array_equal(violation, user_terms.violation_of(constraint, slack))
             np.testing.assert_allclose(violation, constraint.residual, atol=1e-14)
+
+
+@pytest.mark.parametrize("step", [0.5, 50.0])
+def test_kept_terms_follow_the_parameters(step: float) -> None:
+    """Terms that know points of before are those of fresh ones after every change of parameters and of the base."""
+    rng = np.random.default_rng(8)
+    x, y = cp.Variable(3), cp.Variable((2, 2), symmetric=True)
+    p, q, r = cp.Parameter(3), cp.Parameter(nonneg=True), cp.Parameter((2, 2))
+    shared = cp.multiply(p, x) + 2 * p
+    problem = cp.Problem(
+        cp.Minimize(cp.sum_squares(x) + q * cp.norm1(shared)),
+        [shared <= 1 + cp.abs(p), r @ y == 0, x >= 0, cp.sum(y) <= q],
+    )
+    kept, base = None, {x.id: rng.normal(size=3), y.id: np.ones((2, 2))}
+    for _ in range(4):
+        before = base
+        p.value, q.value, r.value = rng.normal(size=3), rng.random(), rng.normal(size=(2, 2))
+        fresh = StatedTerms(problem)
+        if kept is None:
+            kept = StatedTerms(problem)
+        else:
+            kept.take_parameters()
+        np.testing.assert_array_equal(kept.lines([before]), fresh.lines([before]))
+        base = {x.id: before[x.id] + step * rng.random(3), y.id: before[y.id]}
+        for ours, theirs in zip(kept.at(base)[1], fresh.at(base)[1], strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        lines = kept.lines_around(base)
+        fresh.lines_around(kept._trials.base)
+        np.testing.assert_array_equal(lines, fresh.lines_around(base))
 
 
 def test_an_error_of_cvxpy_s_own_is_found() -> None:

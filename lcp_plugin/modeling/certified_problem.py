@@ -28,17 +28,8 @@ from ..solving.given_multipliers import LOOSE, multiplier_beside_room
 from ..solving.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
-from .user_terms import (
-    INEQUALITIES,
-    StatedTerms,
-    Terms,
-    dense_value,
-    nearest,
-    sense_of,
-    values_of,
-    violation_of,
-    why_not,
-)
+from .stated_terms import StatedTerms, Terms, dense_value, nearest, sense_of
+from .user_terms import INEQUALITIES, values_of, violation_of, why_not
 
 CLAIMED = {
     settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",

@@ -24,7 +24,8 @@ from ..settings import Status
 from ..solving.quadratic_program import ended_by_caller, kkt_goal, solve_quadratic_program
 from ..solving.result import Result
 from ._compat import statistics
-from .user_terms import FAR, FAR_NUMBERS, Claim, accompany, dense_value
+from .stated_terms import dense_value
+from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
 
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal

@@ -18,23 +18,31 @@ replaced in a problem that was compiled for QPSolver, until it is compiled for a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial, wraps
-from typing import Any, NamedTuple
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ._compat import SUM, attribute_bounds, clear_answering, leaf_value, name_of, postorder
-
-Values = dict[int, Any]
+from ._compat import attribute_bounds, clear_answering, leaf_value, name_of, postorder
+from .stated_terms import (
+    StatedTerms,
+    Terms,
+    Values,
+    dense_value,
+    entries_of,
+    expression_of,
+    nearest,
+    sense_of,
+)
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
@@ -42,8 +50,6 @@ METHODS = ("LCP", "lcp")
 #: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
 CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
-SEED = 16
-STEPS = (1.0, 0.1, 0.01)  # of 1 + |x|, where a Lagrangian is looked at
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
 FARTHEST = 1e6  # times 1 + |x|: values from before that are looked at
 FAR = 10.0  # of 1 + |point|, along a direction without end
@@ -73,90 +79,7 @@ class Claim:
     points: tuple[Solution, ...] = ()
 
 
-class Terms(NamedTuple):
-    """The objective, which is to be minimised, and the slacks, which are to be zero or not positive, at one point."""
-
-    goal: float
-    slacks: list[NDArray[np.float64]]
-    #: 1 + the largest term that the objective, number 0, or a constraint is made of; looked for only where it matters.
-    size: Callable[[int], float]
-
-
-class StatedTerms:
-    """The objective and the constraints, as the user stated them, at any values of the variables.
-
-    cvxpy's own ``value`` asks every node of an expression for all parameters below it, each time anew. Here each node
-    is listed once, what no variable enters is computed once, and the variables themselves are not touched.
-
-    Parameters
-    ----------
-    problem : cvxpy.Problem
-        Its parameters have values, which are taken now.
-    """
-
-    def __init__(self, problem: Any) -> None:
-        self._signs = [sense_of(problem)] + [-1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints]
-        self._roots = [problem.objective.args[0], *map(expression_of, problem.constraints)]
-        nodes: dict[int, Any] = {}
-        for root in self._roots:
-            nodes |= {id(node): node for node in postorder(root, nodes)}
-        self._variables = [node for node in nodes.values() if isinstance(node, cp.Variable)]
-        moving, self._moving, self._values = {id(variable) for variable in self._variables}, list[Any](), Values()
-        for key, node in nodes.items():
-            if not moving.isdisjoint(map(id, node.args)):
-                self._moving.append(node)
-                moving.add(key)
-            elif key not in moving:
-                self._values[key] = _numeric(node, self._values) if node.args else node.value
-
-    def at(self, values: Values) -> Terms:
-        """Return the objective and the slacks at the dense values of the variables, by their ids."""
-        results = self._values | {id(variable): values[variable.id] for variable in self._variables}
-        for node in self._moving:
-            results[id(node)] = _numeric(node, results)
-        each = zip(self._signs, self._roots, strict=True)
-        goal, *slacks = (sign * dense_value(results[id(root)]) for sign, root in each)
-        return Terms(float(goal.ravel()[0]), slacks, partial(self._size, results))
-
-    def _size(self, results: Values, k: int) -> float:
-        size = 0.0
-        for node in postorder(self._roots[k], ()):
-            if not node.args and not isinstance(node, cp.Variable):
-                continue
-            parts = [_entries(results[id(argument)]) for argument in node.args]
-            size = max(size, float(_entries(results[id(node)]).max(initial=0.0)))
-            is_sum = isinstance(node, SUM)
-            for part, argument in zip(parts, node.args, strict=True):
-                if is_sum:
-                    size = max(size, float(part.max(initial=0.0)))
-                elif argument.size > node.size:  # something adds them up
-                    size = max(size, float(part.sum()))
-            if len(parts) == 2 and not is_sum:
-                size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
-        return 1.0 + size
-
-
-def _numeric(node: Any, results: Values) -> Any:
-    return np.array([]) if 0 in node.shape else node.numeric([results[id(argument)] for argument in node.args])
-
-
-def sense_of(problem: Any) -> float:
-    """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
-    return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
-
-
-def expression_of(constraint: Any) -> Any:
-    """Return what has to be zero, or of one sign."""
-    return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
-
-
-def dense_value(value: Any) -> NDArray[np.float64]:
-    """Return the real part of a value as a dense array."""
-    array = value.toarray() if sp.issparse(value) else np.asarray(value)
-    return np.asarray(array.real, dtype=np.float64)
-
-
-def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
+def disagreement(problem: Any, claim: Claim, before: Values, stated: StatedTerms) -> str | None:
     """Return what the problem itself says against the claim, or None.
 
     Parameters
@@ -165,35 +88,35 @@ def disagreement(problem: Any, claim: Claim, before: Values) -> str | None:
         With the values that the claim left in its variables; it is left with them.
     before : dict
         Variable id → dense value before the claim was unpacked, None where there was none.
+    stated : StatedTerms
+        Of the problem.
     """
-    if any(variable.is_complex() for variable in problem.variables()):
-        return None
-    with np.errstate(all="ignore"):
-        stated = StatedTerms(problem)
-        if claim.contradiction is not None:
-            duals, least = claim.contradiction
-            if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
-                return None  # a parameter crosses the bounds: no point at all has these attributes
-            zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-            for value, size in _weighed(problem, stated, duals, _trials(problem, zero, before), 0.0):
-                if value < least - ROUNDING * (least + size):
-                    return (
-                        f"the combination of its constraints that should be at least {least:.3g} everywhere is "
-                        f"{value:.3g} at a point"
-                    )
-        elif claim.points:
-            return _against_unboundedness(problem, stated, claim)
-        elif claim.solution.status in settings.SOLUTION_PRESENT:
-            values, claimed = values_of(problem), sense_of(problem) * float(claim.solution.opt_val)
-            against = _against_values(problem, stated.at(values), values, claimed, claim.tolerance)
-            trials = [] if against else _trials(problem, values, before)
-            for value, size in _weighed(problem, stated, claim.solution, trials, 1.0):
-                if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
-                    return (
-                        f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the "
-                        "minimum"
-                    )
+    if claim.contradiction is not None:
+        duals, least = claim.contradiction
+        if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
+            return None  # a parameter crosses the bounds: no point at all has these attributes
+        zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
+        lines = [stated.lines(_near_enough(problem, before, zero)), stated.lines(stated.points_around(zero))]
+        for value, size in _weighed(problem, duals, lines, 0.0):
+            if value < least - ROUNDING * (least + size):
+                return (
+                    f"the combination of its constraints that should be at least {least:.3g} everywhere is "
+                    f"{value:.3g} at a point"
+                )
+    elif claim.points:
+        return _against_unboundedness(problem, stated, claim)
+    elif claim.solution.status in settings.SOLUTION_PRESENT:
+        values, claimed = values_of(problem), sense_of(problem) * float(claim.solution.opt_val)
+        lines = [stated.lines(_near_enough(problem, before, values))]
+        against = _against_values(problem, stated.at(values), values, claimed, claim.tolerance)
+        if against:
             return against
+        for value, size in _weighed(problem, claim.solution, [*lines, stated.lines_around(values)], 1.0):
+            if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
+                return (
+                    f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the "
+                    "minimum"
+                )
     return None
 
 
@@ -212,19 +135,26 @@ def _against_values(problem: Any, terms: Terms, values: Values, claimed: float, 
 
 
 def _weighed(
-    problem: Any, stated: StatedTerms, solution: Solution, trials: Iterable[Values], weight: float
+    problem: Any, solution: Solution, lines: list[NDArray[np.float64]], weight: float
 ) -> Iterator[tuple[float, float]]:
-    """Yield weight · goal + Σ λ g and |weight · goal| + Σ |λ g| at the trial points; nothing where a λ is missing."""
+    """Yield weight · goal + Σ λ g and |weight · goal| + Σ |λ g| of each line; nothing where a λ is missing."""
     duals = solution.dual_vars or {}
     if any(constraint.id not in duals for constraint in problem.constraints):
         return
-    multipliers = [np.ravel(dense_value(duals[constraint.id]), order="F") for constraint in problem.constraints]
-    for values in trials:
-        terms = stated.at(values)
-        first = weight * terms.goal
-        products = [y * np.ravel(slack, order="F") for y, slack in zip(multipliers, terms.slacks, strict=True)]
-        every = np.concatenate([np.zeros(0), *products])
-        yield first + float(every.sum()), abs(first) + float(np.abs(every).sum())
+    every = (np.ravel(dense_value(duals[constraint.id]), order="F") for constraint in problem.constraints)
+    multipliers, stacked = np.concatenate([[weight], *every]), np.concatenate(lines)
+    yield from zip((stacked @ multipliers).tolist(), (np.abs(stacked) @ np.abs(multipliers)).tolist(), strict=True)
+
+
+def _near_enough(problem: Any, before: Values, base: Values) -> list[Values]:
+    """Return the values from before as a point; none where one is missing or farther than rounded rows can be asked.
+
+    Farther out, what rows of rounded data should cancel is larger than all that is compared.
+    """
+    size = FARTHEST * (1.0 + max((float(np.abs(x).max(initial=0.0)) for x in base.values()), default=0.0))
+    if any(before[key] is None or not (np.abs(before[key]) <= size).all() for key in base):
+        return []
+    return [{variable.id: nearest(variable, before[variable.id]) for variable in problem.variables()}]
 
 
 def _against_unboundedness(problem: Any, stated: StatedTerms, claim: Claim) -> str | None:
@@ -248,39 +178,6 @@ def _violated(problem: Any, terms: Terms, least: float, tolerance: float) -> str
     return None
 
 
-def _trials(problem: Any, base: Values, before: Values) -> Iterator[Values]:
-    """Yield the values from before, where there are some, and points on either side of the base, near and far."""
-    variables = problem.variables()
-    size = 1.0 + max((float(np.abs(base[v.id]).max(initial=0.0)) for v in variables), default=0.0)
-    # Farther out, what rows of rounded data should cancel is larger than all that is compared.
-    if all(before.get(v.id) is not None and (np.abs(before[v.id]) <= FARTHEST * size).all() for v in variables):
-        yield {v.id: nearest(v, before[v.id]) for v in variables}
-    generator = np.random.default_rng(SEED)
-    for size in STEPS:
-        step = {v.id: size * (1.0 + np.abs(base[v.id])) * generator.normal(size=v.shape) for v in variables}
-        for side in (1.0, -1.0):
-            yield {v.id: nearest(v, base[v.id] + side * step[v.id]) for v in variables}
-
-
-def nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a point that has the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes, bounds = variable.attributes, attribute_bounds(variable)
-    is_patterned = getattr(variable, "sparse_idx", None) is not None
-    if not (attributes["symmetric"] or attributes["diag"] or is_patterned or any(np.isfinite(b).any() for b in bounds)):
-        return x
-    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in bounds)
-    if attributes["symmetric"]:
-        lower, upper = np.maximum(lower, np.swapaxes(lower, -2, -1)), np.minimum(upper, np.swapaxes(upper, -2, -1))
-        x = (x + np.swapaxes(x, -2, -1)) / 2
-    if attributes["diag"]:
-        x = np.diag(np.diag(x))
-    if is_patterned:
-        pattern = np.zeros(x.shape)
-        pattern[tuple(variable.sparse_idx)] = 1.0
-        x = x * pattern
-    return np.clip(x, lower, upper)
-
-
 def values_of(problem: Any) -> Values:
     """Return each variable's value by its id, dense, or None."""
     values = {variable.id: leaf_value(variable) for variable in problem.variables()}
@@ -292,11 +189,6 @@ def violation_of(constraint: Any, slack: NDArray[np.float64]) -> NDArray[np.floa
     if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
         return np.atleast_1d(dense_value(constraint.violation()))
     return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
-
-
-def _entries(value: Any) -> NDArray[np.float64]:
-    """Return the sizes of the stored entries of a value: what is sparse stays so, the other entries are 0."""
-    return np.abs((value.tocoo().data if sp.issparse(value) else np.asarray(value)).real.astype(np.float64))
 
 
 def why_not(problem: Any) -> list[str]:
@@ -324,7 +216,7 @@ def far_numbers(problem: Any) -> list[str]:
     found = []
     for what, arguments in stated:
         nodes = [node for argument in arguments for node in postorder(argument, ()) if not node.args]
-        sizes = np.concatenate([_entries(node.value).ravel() for node in nodes if not isinstance(node, cp.Variable)])
+        sizes = np.concatenate([entries_of(node.value).ravel() for node in nodes if not isinstance(node, cp.Variable)])
         far = sizes[(sizes > ORDINARY[1]) | ((sizes > 0.0) & (sizes < ORDINARY[0]))]
         if far.size:
             found.append(f"{what} holds {' and '.join(f'{size:.3g}' for size in {far.max(): 0, far.min(): 0})}")
@@ -366,7 +258,7 @@ def accompany(solver_class: type) -> None:
         finally:
             for variable, value in kept.items():
                 variable._value = value
-        self.unpack_results = partial(_judged, self)
+        self.unpack_results = partial(_judged, self, data[0].get(settings.PARAM_PROB))
         data[0][FAR_NUMBERS] = partial(far_numbers, self)
         return data
 
@@ -374,15 +266,21 @@ def accompany(solver_class: type) -> None:
     cp.Problem.get_problem_data = get_problem_data
 
 
-def _judged(problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
+#: By the problem: what cvxpy compiled it to, and its terms at the points of the last judgement.
+_known: WeakKeyDictionary[Any, tuple[Any, StatedTerms]] = WeakKeyDictionary()
+
+
+def _judged(problem: Any, compiled: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
     """Unpack as cvxpy does; what answers for itself with a claim is held against the problem."""
     before = values_of(problem)
     type(problem).unpack_results(problem, solution, chain, inverse_data)
     if not hasattr(solution, "claim"):  # another solver's, kept from before
         return
     claim = solution.claim(problem.solution, lambda answer: chain.invert(answer, inverse_data))
+    if claim is None or any(variable.is_complex() for variable in problem.variables()):
+        return
     try:
-        what = None if claim is None else disagreement(problem, claim, before)
+        what = _against(problem, compiled, claim, before)
     except CANNOT_BE_EVALUATED as error:
         what = None
         warnings.warn(
@@ -398,3 +296,17 @@ def _judged(problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
             f"the problem itself contradicts: {what}. The program is not the problem, or too ill-conditioned; "
             "write the expression in another way, or compare with another solver"
         )
+
+
+def _against(problem: Any, compiled: Any, claim: Claim, before: Values) -> str | None:
+    """Return what the problem says against a claim; keep its terms for the next claim while it stays compiled."""
+    known, stated = _known.pop(problem, (None, None))
+    with np.errstate(all="ignore"):
+        if stated is None or compiled is None or known is not compiled:
+            stated = StatedTerms(problem)
+        else:
+            stated.take_parameters()
+        what = disagreement(problem, claim, before, stated)
+    if what is None:
+        _known[problem] = compiled, stated
+    return what

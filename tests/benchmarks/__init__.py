@@ -13,6 +13,7 @@ BENCHMARKS = {
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "auto": "auto beside the best named method, warm, on scenes and on problems of every kind",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
+    "shapes": "lasso, support vectors, portfolios, transport … at every shape, against OSQP and Clarabel",
     "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above; control again against OSQP",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "least-squares": "bounded least squares beside scipy on every kind of A, and what a factor costs in steps",

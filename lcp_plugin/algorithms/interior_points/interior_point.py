@@ -17,10 +17,10 @@ from ...crossovers import SWEEPS_FIRST_UP_TO
 from ...deadline import is_over
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
+from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
-from .quasidefinite import QuasidefiniteNewtonMatrix, newton_matrix
 from .suited_matrix import suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
@@ -331,7 +331,7 @@ class _Search:
         is_free[free] = True
         system: NewtonMatrix
         if self.signs is not None and sp.issparse(self.M):  # in the order of all rows, the others pinned
-            system, kept = QuasidefiniteNewtonMatrix(self.M, self.signs, self.suited.symbolic), np.arange(y.size)
+            system, kept = newton_matrix(self.M, False, self.signs, self.suited.symbolic), np.arange(y.size)
         else:
             block = self.M[free][:, free] if sp.issparse(self.M) else self.M[np.ix_(free, free)]
             system = newton_matrix(block, False)

@@ -17,9 +17,8 @@ from ...checks import FloatVector, read_only
 from ...kernels.floats import REFINEMENTS, STABLE, USEFUL
 from ...matrix.factors import made, most_operations
 from ...matrix.structure import compressed_rows
-from .newton_matrix import SMALLEST, DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
+from .newton_matrix import SMALLEST, NewtonMatrix
 
-DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
@@ -113,15 +112,19 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
     def _try(self, diagonal: FloatVector) -> bool:
-        from ...kernels import symmetric_factors
-
         self.work += self.symbolic.work
         np.multiply(self.signs, self._own_diagonal + diagonal, out=self._pivots)
-        arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
-        if not made(lambda: symmetric_factors.factorise(*arrays), self.symbolic.work):
+        if not made(self._eliminate, self.symbolic.work):
             return False
         x, error, _ = self._solved(self._ones, diagonal, 0)
         return error <= max(USEFUL, STABLE * float(np.abs(x).max()))
+
+    def _eliminate(self) -> bool:
+        """Fill L and D; return whether no pivot was 0."""
+        from ...kernels import symmetric_factors
+
+        arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
+        return bool(symmetric_factors.factorise(*arrays))
 
     def solve(self, right: FloatVector) -> FloatVector:
         """Return what every Newton matrix does, refined in compiled loops."""
@@ -140,19 +143,6 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
     def _apply(self, right: FloatVector) -> FloatVector:
         return self._solved(right, self._diagonal, 0)[0]
-
-
-def newton_matrix(
-    M: Any, is_symmetric: bool, signs: FloatVector | None = None, symbolic: Symbolic | None = None
-) -> NewtonMatrix:
-    """Return the Newton matrix that suits M: dense or small, of a quadratic program with these signs, or sparse."""
-    if not sp.issparse(M):
-        return DenseNewtonMatrix(M, is_symmetric, signs)
-    if signs is not None:
-        return QuasidefiniteNewtonMatrix(M, signs, symbolic)
-    if M.shape[0] <= DENSE_UP_TO:
-        return DenseNewtonMatrix(M.toarray(), is_symmetric)
-    return SparseNewtonMatrix(M)
 
 
 def signs_of(M: Any) -> FloatVector | None:

@@ -16,6 +16,7 @@ from ...matrix.equilibration import Exponents, scaled, unit_diagonal
 from ...matrix.matrix import Matrix, fact
 from ...matrix.structure import IntVector, compressed_rows
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
+from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
@@ -66,7 +67,7 @@ class SuitedMatrix:
     @cached_property
     def symbolic(self) -> Symbolic | None:
         """Order and pattern of a factor of a sparse M with signs, for all numbers."""
-        return Symbolic.of(self.M) if self.signs is not None and sp.issparse(self.M) else None
+        return analysed(self.M, self.signs) if self.signs is not None and sp.issparse(self.M) else None
 
     @property
     def is_program(self) -> bool:

@@ -628,7 +628,6 @@ def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch
     program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
     result, _ = solve_quadratic_program(program)
     reasons = [stage.because.partition(";")[0] for stage in result.stages]
-    assert reasons.count("a smaller tolerance") == 2
     assert "the KKT form of the program as it stands" in reasons
     assert "the KKT form of the program as it stands" in result.explain()
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lcp_plugin import lcp_from_qp, solve
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.solving.quadratic_program import ProgramResult, solve_quadratic_program
@@ -107,3 +108,22 @@ def test_numbers_far_from_one_are_left_to_others() -> None:
     result, solution = solve_quadratic_program(program)
     assert not isinstance(result, ProgramResult)
     assert solution.x.tolist() == pytest.approx([1.0, 0.0])
+
+
+def test_a_program_and_its_complementarity_problem_agree() -> None:
+    """Where equations fix x, where rows repeat or sum up to others, SOLVED is said where the program is optimal."""
+    rng = np.random.default_rng(5)
+    for k in range(60):
+        program, _, value = planted(8, 6, 2, 8 - k % 4, k)
+        A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
+        x = solve_quadratic_program(program)[1].x
+        redundant = QuadraticProgram(
+            program.P, program.c, np.vstack([program.G, program.G]), np.append(program.h, program.h),
+            A, A @ x, program.lower, program.upper,
+        )
+        problem = lcp_from_qp(redundant)
+        result = solve(problem)
+        solution = problem.origin.recover(result)
+        assert result.is_solved == (solution.status == "optimal")
+        assert solution.status == "optimal"
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)

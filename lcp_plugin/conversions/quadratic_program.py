@@ -64,8 +64,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     Notes
     -----
     Constraints that contradict one another are not looked for: such a program gives a problem without solution, or
-    with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. Where
-    `is_stationary` of what ``recover`` returns is False, solve again with a smaller tolerance, or take form="kkt".
+    with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. SOLVED is
+    judged on the program: where its own criteria do not hold, another form may do.
 
     References
     ----------

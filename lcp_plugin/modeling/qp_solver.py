@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..conversions.program import QuadraticProgram
+from ..conversions.qp_forms import program_goal
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
 from ..settings import Status
-from ..solving.quadratic_program import ended_by_caller, kkt_goal, solve_quadratic_program
+from ..solving.quadratic_program import ended_by_caller, solve_quadratic_program
 from ..solving.result import Result
 from ._compat import statistics
 from .stated_terms import dense_value
@@ -95,7 +96,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         result, solution = solve_quadratic_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
         cache[self.name()] = compiled._replace(z=result.z)
         proof = None
-        goal = kkt_goal(options["tolerance"])
+        goal = program_goal(options["tolerance"])
         is_optimal = solution.is_stationary(goal)
         is_proven = program.__dict__.get("proof_of_no_minimum") is not None
         if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):

@@ -284,9 +284,9 @@ class LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
         ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
-        :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. The tolerance of
-        ``solve`` speaks of the complementarity problem: ``recover(result).is_optimal()`` says whether the program is
-        solved; if not, solve again with a smaller tolerance and ``z0=result.z``.
+        :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. A run of
+        ``solve`` ends where the tolerance holds for the complementarity problem and the program is solved by its own
+        criteria, to 1e-6; where only the latter can be had, that is SOLVED (at tolerances from 1e-9 on).
 
         Parameters
         ----------

@@ -24,6 +24,7 @@ from ..problem.lcp import LCP, checked_start
 from ..problem.nonlinear import NonlinearProblem
 from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered
+from .judge import answers_program
 from .result import Result, Sample, StageRecord
 from .run import Callback, Run
 
@@ -192,7 +193,7 @@ def fused(
         certificate = Certificate.enclosed(units.callers, found.z, found.residual)
     else:
         certificate = Certificate.of(units.callers, units.outward(found.z))
-    if not settings.accept(certificate):
+    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
         return None
     return fused_result(certificate, policy, first, found, settings, clock.read())
 

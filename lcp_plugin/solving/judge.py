@@ -20,6 +20,15 @@ from .error_watch import BoundOrReason, ErrorWatch
 
 FAR_OUT = 1e-2
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
+SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
+
+
+def answers_program(problem: Any, settings: Settings, z: FloatVector) -> bool | None:
+    """Return whether z answers the program that the problem was made from, by its own criteria; None without one."""
+    is_answered = getattr(problem.origin, "is_answered", None)
+    if is_answered is None or settings.measure != "relative" or settings.is_on_error or settings.absolute_tolerance:
+        return None
+    return bool(is_answered(z, settings.tolerance))
 
 
 class Judge:
@@ -106,10 +115,17 @@ class Judge:
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
         if self.errors is None or not self.settings.is_on_error:
-            return bool(residual <= self.settings.goal)
+            return bool(residual <= self.settings.goal) and self.is_answered(self.units.outward(z)) is not False
         if self.settings.measure == "euclidean":  # another norm, in another unit
             residual = self.certificate_of(z).relative_residual
         return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
+
+    def is_answered(self, z: FloatVector) -> bool | None:
+        """Return whether z, the caller's, answers the program that the problem was made from; None where there is none.
+
+        Another measure, another tolerance than a relative one is asked of the complementarity problem alone.
+        """
+        return answers_program(self.problem, self.settings, z)
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -185,8 +201,10 @@ class Judge:
         """Return the status: what the certificate proves, or else why the run ended."""
         if self.errors is not None and self.settings.is_on_error:
             is_solved = self.errors.is_proved(certificate.z)
-        else:
+        elif (answers := self.is_answered(certificate.z)) is None:
             is_solved = self.settings.accept(certificate)
+        else:
+            is_solved = answers and (self.settings.tolerance >= SMALL or self.settings.accept(certificate))
         if is_solved:
             return Status.SOLVED
         if reason in PROVEN:

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..algorithms.interior_points.small_programs import SmallPrograms
+from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, work_of
 from ..algorithms.search.stages import FeasibilityCheck
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
+from ..conversions.qp_forms import PROGRAM_TOLERANCE, cancels, program_goal
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import attempts, optimality_conditions
 from ..deadline import Clock, is_over, seconds_left
@@ -25,12 +26,10 @@ from .driver import solve
 from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
 
-KKT_TOLERANCE = 1e-6
-TIGHTER = 1e-4
 AT_ONCE = ("auto", "interior_point")
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
 MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "slope_along_x")
-SHORTEST, MOST = 0.1, 100  # a limit of seconds, and of steps, that no small program reaches
+SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -60,9 +59,9 @@ def solve_quadratic_program(
         Convex; merely convex and linear programs included.
     algorithm, tolerance, **options
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
-        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), a smaller one is tried,
-        and then the KKT form without substitutions. A limit of the caller holds for each trial and ends them all.
-        As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
+        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
+        them all. As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
         one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
 
     guess : array, optional
@@ -76,9 +75,9 @@ def solve_quadratic_program(
     refuse_nonconvex(program)
     if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
         return found
-    goal, refutes = kkt_goal(tolerance), options.get("refute", True)
+    goal, refutes = program_goal(tolerance), options.get("refute", True)
     runs = list(program_runs(
-        program, algorithm, (tolerance, TIGHTER * tolerance), (goal, goal), guess=guess,
+        program, algorithm, (tolerance,), (goal, goal), guess=guess,
         is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
     ))
     best = min(runs, key=lambda run: run.error)
@@ -97,19 +96,22 @@ def _solved_at_once(
     if not acts.all():
         C, d, is_equality = C[acts], d[acts], is_equality[acts]
     small = SmallPrograms.of_one(program.P, program.c, C, d, is_equality, program.lower, program.upper)
-    if small is None or options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST) < MOST:
+    is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
+    if small is None or is_limited:
         return None
-    answers = small.solved(min(tolerance, KKT_TOLERANCE))
+    answers = small.solved(min(tolerance, PROGRAM_TOLERANCE))
     if not answers.has_converged[0]:
         return None
     y, reduced = np.zeros(rows.rows), answers.reduced[0]
     y[acts] = answers.y[0]
+    if cancels(program, y, float(np.abs(program.P @ answers.x[0] + program.c).max(initial=0.0))):
+        return None
     solution = QPSolution(
         program, answers.x[0], y[: program.h.size], y[program.h.size :], np.maximum(reduced, 0.0),
         np.maximum(-reduced, 0.0),
     )
     solution.__dict__.update(zip(MEASURED, answers.measures[0].tolist(), strict=True))
-    if not solution.is_stationary(kkt_goal(tolerance)):
+    if not solution.is_stationary(program_goal(tolerance)):
         return None
     seconds, steps = clock.read(), int(answers.steps[0])
     name = "interior_point"
@@ -130,9 +132,11 @@ class ProgramResult(Result):
     solution: QPSolution
 
     def __init__(self, solution: QPSolution, steps: int, seconds: float, tolerance: float, algorithm: str) -> None:
-        stage = StageRecord("interior_point", "small and dense: all steps in one compiled call", steps, float(steps))
+        program, rows = solution.program, solution.program.constraints.rows
+        work = work_of(program.n, rows, steps) / max(sum(program.matrices.entries), 1)
+        stage = StageRecord("interior_point", "small: all steps in one compiled call", steps, work)
         self.__dict__.update(
-            solution=solution, status=Status.SOLVED, algorithm=algorithm, iterations=steps, work=float(steps),
+            solution=solution, status=Status.SOLVED, algorithm=algorithm, iterations=steps, work=work,
             seconds=seconds, setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
             infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm.partition(":")[0],
             _bound=BoundOrReason(), _advice={},
@@ -157,13 +161,14 @@ class ProgramResult(Result):
 
 
 def program_runs(
-    program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, float], goals: tuple[float, float], *,
+    program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
     guess: FloatVector | None = None, is_refuted: Callable[[], bool] | None = None, callback: Any = None,
     **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
 
-    Each form is solved at the first tolerance, and at the second where that leaves more than the second goal.
+    Each form is solved at the first tolerance, and at a second, if there is one, where that leaves more than the second
+    goal.
     """
     has_run, refusal = False, None
 
@@ -172,7 +177,7 @@ def program_runs(
         return wants_end or (is_refuted is not None and sample.label == FeasibilityCheck.name and is_refuted())
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
-        for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=True):
+        for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
             start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
             if (left := seconds_left()) < math.inf:
                 options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
@@ -208,11 +213,6 @@ def _stages(runs: list[ProgramRun], best: ProgramRun) -> tuple[StageRecord, ...]
             reasons = [reason for reason in (run.because, stages[first].because) if reason]
             stages[first] = stages[first]._replace(because="; ".join(reasons))
     return tuple(stages)
-
-
-def kkt_goal(tolerance: float) -> float:
-    """Return the size of a program's own residuals that is called optimal at this tolerance of the run."""
-    return max(KKT_TOLERANCE, 10.0 * tolerance)
 
 
 def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:

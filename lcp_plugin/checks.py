@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,19 @@ def frozen(matrix: sp.csr_array) -> sp.csr_array:
     matrix.has_sorted_indices = True
     matrix.has_canonical_format = True
     return matrix
+
+
+_EMPTY = sp.csr_array((1, 1))
+
+
+def assembled(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
+    """Return the canonical CSR array of these arrays, read-only, unchecked.
+
+    scipy's own constructor would search the arrays for what is known here, which takes longer than a product.
+    """
+    matrix = copy.copy(_EMPTY)
+    matrix._shape, matrix.data, matrix.indices, matrix.indptr = shape, data, indices, indptr
+    return frozen(matrix)
 
 
 def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
@@ -88,7 +102,7 @@ def rectangular_matrix(
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
-        return canonical_csr(matrix, name, copy=is_copied)
+        return canonical_csr(matrix, name, is_copied=is_copied)
     _check_finite(matrix, name)
     return read_only(matrix.copy() if is_copied else matrix)
 
@@ -101,10 +115,10 @@ def _check_finite(dense: NDArray[np.float64], name: str) -> None:
         )
 
 
-def canonical_csr(M: Any, name: str, *, copy: bool = False) -> sp.csr_array:
+def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
     """Return M as canonical, checked CSR; without a copy where it is that already and none is asked for."""
     try:
-        matrix = _repaired(M, copy)
+        matrix = _repaired(M, is_copied)
     except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
         raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
     if not all_finite(matrix.data):
@@ -117,15 +131,17 @@ def canonical_csr(M: Any, name: str, *, copy: bool = False) -> sp.csr_array:
     return frozen(matrix)
 
 
-def _repaired(M: Any, copy: bool) -> sp.csr_array:
+def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
     """Return M as CSR in doubles, sorted, without duplicates and zeros; always another object on its arrays."""
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
-        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=copy)
+        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=is_copied)
         _check_compressed(matrix)
     else:
         _check_before_conversion(M)
-        matrix = sp.csr_array(in_doubles(M))
+        matrix = in_doubles(M).tocsr()
+        if not isinstance(matrix, sp.csr_array):
+            matrix = sp.csr_array(matrix)
     matrix = in_doubles(matrix)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()

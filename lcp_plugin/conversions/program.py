@@ -23,7 +23,7 @@ from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.matrix import largest_in_rows
-from ..matrix.symmetry import mismatch
+from ..matrix.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .program_matrices import ProgramMatrices
 from .qp_certificates import proof_of_no_minimum
@@ -358,4 +358,6 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    if sp.issparse(M) and is_its_mirror(M):
+        return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, frozen
+from ..checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, read_only
 from ..communicator.alone import ALONE
 from ..matrix.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
 from ..matrix.matrix import Matrix, largest_in_rows
@@ -136,18 +136,19 @@ class ProgramMatrices:
             M[:n, n:] = C.toarray().T
             M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
             return Matrix(M)
-        minus = sp.csr_array((-C.data, C.indices, C.indptr), shape=(size - n, size))
+        minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
-        return Matrix.of_own_rows(frozen(M), ALONE)  # canonical, as its blocks are
+        return Matrix.of_own_rows(M, ALONE)  # canonical, as its blocks are
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""
         m, p = self.sizes[:2]
         if left.size == m + p:
             return self
-        first = np.searchsorted(left, m)
+        first, columns = np.searchsorted(left, m), np.arange(self.P.shape[0])
         return self.kept("rows", (left,), lambda: ProgramMatrices(
-            self.P, self.G[left[:first]] if first < m else self.G, self.A[left[first:] - m]
+            self.P, block(self.G, left[:first], columns) if first < m else self.G,
+            block(self.A, left[first:] - m, columns) if left.size - first < p else self.A,
         ))
 
     def kept(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
@@ -179,7 +180,28 @@ def or_one(sizes: FloatVector) -> FloatVector:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
-# Blocks of sparse matrices, put together without triplets: these would take longer than a small program does.
+# Blocks of sparse matrices, cut out and put together without triplets: these would take longer than a small program.
+
+
+def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
+    """Return some rows and columns, each in order, of an ndarray or a canonical CSR array; read-only, of the same kind.
+
+    Examples
+    --------
+    >>> block(sp.csr_array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0], [0.0, 4.0, 5.0]]), [0, 2], [1, 2]).toarray()
+    array([[2., 0.],
+           [4., 5.]])
+    """
+    if not sp.issparse(matrix):
+        return read_only(matrix[np.ix_(rows, columns)])
+    stays, place = np.zeros(matrix.shape[0], dtype=bool), np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype)
+    stays[rows], place[columns] = True, np.arange(len(columns))
+    moved = place[matrix.indices]
+    is_inside = np.repeat(stays, np.diff(matrix.indptr)) & (moved >= 0)
+    before = np.zeros(matrix.nnz + 1, dtype=matrix.indptr.dtype)
+    np.cumsum(is_inside, out=before[1:])
+    starts = np.append(before[matrix.indptr[:-1][stays]], before[-1:])
+    return assembled(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
 
 
 def as_csr(matrix: Any) -> sp.csr_array:
@@ -196,10 +218,10 @@ def as_csr(matrix: Any) -> sp.csr_array:
     (m, n), is_entry = matrix.shape, matrix != 0.0
     if is_entry.all():
         starts, columns = n * np.arange(m + 1), np.tile(np.arange(n, dtype=index_type), m)
-        return sp.csr_array((matrix.reshape(-1), columns, starts.astype(index_type)), shape=matrix.shape)
+        return assembled(matrix.reshape(-1), columns, starts.astype(index_type), matrix.shape)
     starts = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))]).astype(index_type)
     columns = np.nonzero(is_entry)[1].astype(index_type)
-    return sp.csr_array((matrix[is_entry], columns, starts), shape=matrix.shape)
+    return assembled(matrix[is_entry], columns, starts, matrix.shape)
 
 
 def vertically(*blocks: sp.csr_array) -> sp.csr_array:
@@ -217,7 +239,7 @@ def vertically(*blocks: sp.csr_array) -> sp.csr_array:
     ends = np.cumsum([0, *(block.nnz for block in filled)])
     starts = np.concatenate([block.indptr[:-1] + end for block, end in zip(filled, ends, strict=False)] + [ends[-1:]])
     indices, data = (np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data"))
-    return sp.csr_array((data, indices, starts), shape=(starts.size - 1, blocks[0].shape[1]))
+    return assembled(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
 
 
 def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
@@ -235,7 +257,7 @@ def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
     for block, shift, first in shifts:
         places = np.arange(block.nnz) + np.repeat(shift, np.diff(block.indptr))
         indices[places], data[places] = block.indices + first, block.data
-    return sp.csr_array((data, indices, starts), shape=(left.shape[0], left.shape[1] + right.shape[1]))
+    return assembled(data, indices, starts, (left.shape[0], left.shape[1] + right.shape[1]))
 
 
 def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
@@ -247,4 +269,4 @@ def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
     array([[-1.,  0.],
            [ 0., -1.]])
     """
-    return sp.csr_array((np.full(n, entries), np.arange(n), np.arange(n + 1)), shape=(n, n))
+    return assembled(np.full(n, entries), np.arange(n), np.arange(n + 1), (n, n))

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, rectangular_matrix
+from ..checks import FloatVector, assembled, rectangular_matrix
 from ..matrix.definiteness import is_diagonal
 from ..matrix.structure import row_numbers
+from ..matrix.symmetry import is_its_mirror
 from .constraints import CONSTRAINTS
 from .presolve import like
-from .program_matrices import Indices, ProgramMatrices, as_csr, diagonal_array, is_full
+from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -80,20 +81,27 @@ class Definitions:
     @classmethod
     def of(cls, matrices: ProgramMatrices, candidates: Indices) -> Definitions:
         """Return what the equations define of these variables, each of which stands in one row of A only."""
-        A, by_column = as_csr(matrices.A), sp.csc_array(matrices.A)
-        rows, entries = (part[by_column.indptr[candidates]] for part in (by_column.indices, by_column.data))
+        A, is_candidate = as_csr(matrices.A), np.zeros(matrices.P.shape[0], dtype=bool)
+        is_candidate[candidates] = True
+        places = np.flatnonzero(is_candidate[A.indices])
+        rows, entries = row_numbers(A)[places], A.data[places]
         # The largest entry of a row is the safest pivot.
         order = np.lexsort((-np.abs(entries), rows))
         rows, first = np.unique(rows[order], return_index=True)
-        defined, pivots = candidates[order[first]], entries[order[first]]
-        kept, kept_rows = np.delete(np.arange(A.shape[1]), defined), np.delete(np.arange(A.shape[0]), rows)
-        D = sp.csr_array(A[rows][:, kept])
-        D.data = D.data / -pivots[row_numbers(D)]
+        places = places[order[first]]
+        defined, pivots = A.indices[places].astype(np.intp), A.data[places]
+        is_candidate[:] = True
+        is_candidate[defined] = False
+        kept, stays = np.flatnonzero(is_candidate), np.ones(A.shape[0], dtype=bool)
+        stays[rows] = False
+        kept_rows, every_row = np.flatnonzero(stays), np.arange(matrices.G.shape[0])
+        D = block(A, rows, kept)
         columns, used = np.arange(kept.size), np.flatnonzero(np.bincount(D.indices, minlength=kept.size))
+        D = assembled(D.data / -pivots[row_numbers(D)], D.indices, D.indptr, D.shape)
         if is_full(D.nnz, (defined.size, used.size)):
-            columns, D = used, D[:, used].toarray()
+            columns, D = used, (D if used.size == kept.size else block(D, np.arange(rows.size), used)).toarray()
         P = _without(matrices.P, kept, defined, columns, D)
-        G, others = (rectangular_matrix(part[:, kept], "rows", None, None) for part in (matrices.G, A[kept_rows]))
+        G, others = block(matrices.G, every_row, kept), block(A, kept_rows, kept)
         return cls(rows, defined, pivots, kept, kept_rows, columns, D, ProgramMatrices(P, G, others))
 
 
@@ -164,21 +172,37 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
 
 def _without(P: Any, kept: Indices, defined: Indices, columns: Indices, D: Any) -> Any:
     """Return P in the variables that stay."""
-    count, mixed = columns.size, None
     if is_diagonal(P):
-        of_kept, of_defined = (diagonal_array(P.diagonal()[part], part.size) for part in (kept, defined))
+        d = P.diagonal()
+        added, mixed = D.T @ _rows_scaled(d[defined], D), None
+        of_kept = diagonal_array(d[kept], kept.size) if d[kept].any() else None
     else:
-        rows = P[kept]
-        of_kept, across, of_defined = rows[:, kept], rows[:, defined], P[defined][:, defined]
+        order = np.argsort(defined)
+        defined, D = defined[order], D[order]
+        of_kept, across, of_defined = block(P, kept, kept), block(P, kept, defined), block(P, defined, defined)
+        added = D.T @ (of_defined @ D)
         mixed = across @ D if np.count_nonzero(across.data if sp.issparse(across) else across) else None
-    added = D.T @ (of_defined @ D)
-    if count < kept.size:
-        place = sp.csr_array((np.ones(count), columns, np.arange(count + 1)), shape=(count, kept.size))
+    if columns.size < kept.size:
+        count = columns.size
+        place = assembled(np.ones(count), columns, np.arange(count + 1), (count, kept.size))
         added, mixed = place.T @ as_csr(added) @ place, None if mixed is None else as_csr(mixed) @ place
     if mixed is not None:
         added = added + (mixed + mixed.T)
     # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
-    return rectangular_matrix(of_kept + (added + added.T) * 0.5, "P", None, None)
+    if sp.issparse(added) and added.format == "csc":  # by columns what is, but for these, its rows
+        added.sort_indices()
+        added = sp.csr_array((added.data, added.indices, added.indptr), shape=added.shape)
+    if not (sp.issparse(added) and is_its_mirror(added)):
+        added = (added + added.T) * 0.5
+    whole = added if of_kept is None else of_kept + added
+    return rectangular_matrix(whole, "P", None, None, is_copied=False)
+
+
+def _rows_scaled(scale: FloatVector, matrix: Any) -> Any:
+    """Return diag(scale) times an ndarray or a CSR array."""
+    if not sp.issparse(matrix):
+        return scale[:, None] * matrix
+    return assembled(scale[row_numbers(matrix)] * matrix.data, matrix.indices, matrix.indptr, matrix.shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,7 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
 
     Measured so, a block in a small unit is not judged by one in a large unit.
     """
-    if sp.issparse(M) and _is_its_mirror(M):
+    if sp.issparse(M) and is_its_mirror(M):
         return 0.0, None
     difference = sp.coo_array(M - M.T)
     if difference.nnz == 0:
@@ -97,9 +97,9 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
     return float(distance.max()), (int(i[worst]), int(j[worst])) if excess[worst] > 0.0 else None
 
 
-def _is_its_mirror(M: Any) -> bool:
-    """Whether a CSR array and its transpose are the same arrays, which is quicker seen than their difference."""
-    if M.format != "csr":
+def is_its_mirror(M: Any) -> bool:
+    """Return whether a CSR array and its transpose are the same arrays, which is quicker seen than their difference."""
+    if M.format != "csr" or M.shape[0] != M.shape[1]:
         return False
     mirror = M.tocsc()
     pairs = ((M.indptr, mirror.indptr), (M.indices, mirror.indices), (M.data, mirror.data))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -27,18 +28,18 @@ INF = np.inf
 INTERIOR = InteriorPoint()
 
 
-def campaign() -> Any:
-    """The generator of the campaign of the same name."""
-    path = Path(__file__).parent / "campaigns" / "convex_programs.py"
-    spec = importlib.util.spec_from_file_location("convex_programs", path)
+def campaign(name: str) -> Any:
+    """The generator of a campaign."""
+    path = Path(__file__).parent / "campaigns" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-CAMPAIGN = campaign()
+CAMPAIGN, HARDER = campaign("convex_programs"), campaign("hard_programs")
 
 
 # --- Solvable programs -------------------------------------------------------------------------------------------
@@ -185,6 +186,22 @@ def test_rows_over_eight_and_columns_over_six_orders_of_magnitude(n: int, seeds:
         _, solution = solve_quadratic_program(program)
         assert solution.is_stationary(1e-6), (seed, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(("family", "seeds"), [
+    ("graded rows", (2,)), ("graded rows, columns", (0, 3, 7)), ("huge bounds", (4, 6, 7)), ("Netlib-like", (0, 1, 3)),
+    ("everything", (1, 2, 5)),
+])
+def test_units_and_limits_that_nobody_reaches_cost_no_steps(family: str, seeds: tuple[int, ...]) -> None:
+    """Rows and columns of 1e±6, bounds of 1e9: the interior point needs some dozen steps as without them."""
+    for seed in seeds:
+        program, value = HARDER.case(family, 5, seed, 400)
+        problem = lcp_from_qp(program, "kkt")
+        result = solve(problem, INTERIOR, tolerance=1e-9, refute=False)
+        solution = problem.origin.recover(result)
+        assert solution.is_stationary(1e-6), (seed, result, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+        assert result.iterations <= 40
 
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:

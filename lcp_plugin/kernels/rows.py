@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import uintp
 
-from .compilation import compiled, interpreted_while_small
+from .compilation import compiled, compiled_part, interpreted_while_small
+
+UNEVEN = 10.0  # times as large as the largest entry of another row
+NEGLIGIBLE = -10.0  # log₂ of an entry that beside others of about 1 has no say
+MOST_BITS = 500.0
 
 
 @compiled
@@ -51,11 +57,40 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
 
 
 @interpreted_while_small
-def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
-    """Fill c with factors such that c_i m_ij c_j has rows and columns whose largest entry is about 1 (Ruiz)."""
-    size = np.empty(c.size)
+def even(indptr, indices, data, signs, sweeps, passes, c):  # type: ignore[no-untyped-def]
+    """Fill c with factors such that c_i m_ij c_j is about 1 (Curtis, Reid), at most 1 in each row and column (Ruiz).
+
+    Sweeps bring the mean logarithm of each row's entries to 0, which undoes units of rows and columns whatever they
+    were: those beside its own kind of unknown, by `signs`, and those beside the other have one half each. In the second
+    half of the sweeps entries that are small beside the others count no longer. Then passes of Ruiz. Without sweeps,
+    and where no row is far larger than another, Ruiz alone.
+    """
+    size, exponent = np.zeros(c.size), np.empty(data.size)
     for i in range(c.size):
-        c[i] = 1.0
+        c[i] = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            size[i] = max(size[i], abs(data[k]))
+            mantissa, power = math.frexp(abs(data[k]))
+            exponent[k] = power + 2.0 * mantissa - 2.0 if mantissa > 0.0 else -np.inf  # log₂ to .09, exactly rounded
+    least, most = _extremes(size)
+    for sweep in range(sweeps if most > UNEVEN * least else 0):
+        negligible = -np.inf if 2 * sweep < sweeps else NEGLIGIBLE
+        for i in range(c.size):
+            own, others, of_own, of_others, twice = 0.0, 0.0, 0, 0, 0
+            for k in range(indptr[i], indptr[i + 1]):
+                j = indices[k]
+                now = exponent[k] + c[i] + c[j]
+                if not now > negligible:
+                    continue
+                if signs[i] == signs[j]:
+                    own, of_own, twice = own + now, of_own + 1, twice + (j == i)
+                else:
+                    others, of_others = others + now, of_others + 1
+            if of_own + of_others > 0:
+                mean = own / max(of_own, 1) + others / max(of_others, 1)
+                c[i] -= mean / ((of_own > 0) + (of_others > 0) + twice / max(of_own, 1))
+    for i in range(c.size):
+        c[i] = math.ldexp(1.0, int(np.rint(min(max(c[i], -MOST_BITS), MOST_BITS))))
     for _ in range(passes):
         for i in range(c.size):
             size[i] = 0.0
@@ -64,13 +99,22 @@ def even(indptr, indices, data, passes, c):  # type: ignore[no-untyped-def]
                 j = indices[k]
                 value = abs(data[k]) * c[i] * c[j]
                 size[i], size[j] = max(size[i], value), max(size[j], value)
-        least, most = np.inf, 0.0
         for i in range(c.size):
             if size[i] > 0.0:
                 c[i] /= np.sqrt(size[i])
-                least, most = min(least, size[i]), max(most, size[i])
+        least, most = _extremes(size)
         if most <= 2.0 and least >= 0.5:
             break
+
+
+@compiled_part
+def _extremes(size):  # type: ignore[no-untyped-def]
+    """Return the smallest and the largest of the positive sizes."""
+    least, most = np.inf, 0.0
+    for i in range(size.size):
+        if size[i] > 0.0:
+            least, most = min(least, size[i]), max(most, size[i])
+    return least, most
 
 
 @interpreted_while_small

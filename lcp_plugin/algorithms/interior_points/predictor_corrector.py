@@ -12,6 +12,7 @@ from ...checks import BoolVector, FloatVector
 from .newton_matrix import NewtonMatrix
 
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
+FAR = 10.0  # times as large as usual, a number says nothing of where to start
 
 
 class PredictorCorrector:
@@ -72,13 +73,41 @@ class PredictorCorrector:
         has_lower, has_upper = vectors[kernels.HAS_LOWER], vectors[kernels.HAS_UPPER]
         weights = weight**self.matrix.signs * np.maximum(has_lower, has_upper)
         # Unbounded sides are 0 here: the middle of two bounds, or the one there is.
-        anchor = (vectors[kernels.LOWER] + vectors[kernels.UPPER]) / np.maximum(has_lower + has_upper, 1.0)
+        middle = (vectors[kernels.LOWER] + vectors[kernels.UPPER]) / np.maximum(has_lower + has_upper, 1.0)
+        if not self._facts[kernels.IS_PROGRAM]:
+            return self._start_at(middle, weights)
+        lower = np.where(has_lower > 0.0, vectors[kernels.LOWER], -np.inf)
+        nearest = np.clip(0.0, lower, np.where(has_upper > 0.0, vectors[kernels.UPPER], np.inf))
+        return self._start_at(nearest, weights * self._outlying(), middle)
+
+    def _start_at(self, anchor: FloatVector, weights: FloatVector, middle: FloatVector | None = None) -> bool:
+        """Begin where M z + q = weights (anchor − z), near the middle where that is not far away."""
         if not self.matrix.factorise(weights):
             return False
+        q = self._vectors[self._kernels.Q]
+        z = self.matrix.solve(weights * anchor - q)
+        if middle is not None:
+            is_primal = self.matrix.signs > 0.0
+            size = max(_largest(z[is_primal]), _largest(anchor[is_primal]))
+            is_near = (middle != anchor) & (np.abs(middle - anchor) <= FAR * size)
+            if is_near.any():
+                anchor = np.where(is_near, middle, anchor)
+                z = self.matrix.solve(weights * anchor - q)
         # What one side lacks, the other has.
-        z = self.matrix.solve(weights * anchor - vectors[kernels.Q])
         self.start_near(z, weights * (anchor - z))
         return bool(np.isfinite(z).all())
+
+    def _outlying(self) -> FloatVector:
+        """Return how many times as large as usual q is, at least 1: a limit or a cost that says little of the answer.
+
+        So much heavier is the weight on such a row, or all others would be drawn to where it is met.
+        """
+        size, outlying = np.abs(self._vectors[self._kernels.Q]), np.ones(self.z.size)
+        for role in (self.matrix.signs > 0.0, self.matrix.signs < 0.0):
+            known = size[role & (size > 0.0)]
+            if known.size:
+                outlying[role] = np.maximum(1.0, size[role] / (FAR * float(np.median(known))))
+        return outlying
 
     def start_near(self, z: FloatVector, w: FloatVector) -> None:
         """Begin near z and w, shape (n,), with all distances and multipliers well inside."""
@@ -87,7 +116,7 @@ class PredictorCorrector:
         parts = vectors[kernels.BELOW : kernels.LEFT]  # both distances, both multipliers
         parts[:2], parts[2:] = np.where(has, (z - lower, upper - z), 1.0), np.where(has, (w, -w), 0.0)
         if facts[kernels.IS_PROGRAM]:
-            self._shift_roles(parts, has)
+            self._shift_roles(parts, has, z)
         else:
             for sides in (parts[:2], parts[2:]):
                 sides[has] = np.maximum(sides[has], _typical(sides[has]))
@@ -96,17 +125,29 @@ class PredictorCorrector:
         self.z[:] = np.where(has[0], lower + parts[0], np.where(has[1], upper - parts[1], z))
         facts[kernels.GAP] = np.vdot(parts[:2], parts[2:]) / max(facts[kernels.PAIRS], 1.0)
 
-    def _shift_roles(self, parts: FloatVector, has: BoolVector) -> None:
-        """Apply Mehrotra's shifts, one to what is primal in a program, one to what is dual."""
+    def _shift_roles(self, parts: FloatVector, has: BoolVector, z: FloatVector) -> None:
+        """Apply Mehrotra's shifts, one to what is primal in a program, one to what is dual.
+
+        What is far larger than any z of its role, as the distance from a bound of 1e9, has no say in them, and a
+        partner that makes their product as large as the others.
+        """
         is_dual = self.matrix.signs < 0.0  # where z is a multiplier, w is a distance
-        duals = np.array([is_dual, is_dual, ~is_dual, ~is_dual])
-        every = np.concatenate([has, has])
-        roles = every & ~duals, every & duals
+        sides = np.where(is_dual, parts[[2, 3, 0, 1]], parts)  # what is primal, then what is dual
+        roles = sides[:2], sides[2:]
+        is_far = [has & (role > FAR * _largest(z[kind])) for role, kind in zip(roles, (~is_dual, is_dual), strict=True)]
+        near = has & ~(is_far[0] | is_far[1])
+        if not near.any():
+            near = has
         for role in roles:
-            parts[role] -= INSIDE * parts[role].min(initial=0.0)
-        sums, product = [float(parts[role].sum()) for role in roles], float(np.vdot(parts[:2], parts[2:]))
+            role[near] -= INSIDE * role[near].min(initial=0.0)
+        sums, product = [float(role[near].sum()) for role in roles], float(np.vdot(roles[0][near], roles[1][near]))
         for role, others in zip(roles, reversed(sums), strict=True):
-            parts[role] += 0.5 * product / others if 0.0 < product < np.inf and others > 0.0 else 1.0
+            role[near] += 0.5 * product / others if 0.0 < product < np.inf and others > 0.0 else 1.0
+        mean = float(np.vdot(roles[0][near], roles[1][near])) / max(int(np.count_nonzero(near)), 1)
+        for far, role, partner in ((is_far[0], *roles), (is_far[1] & ~is_far[0], *reversed(roles))):
+            apart = far & ~near
+            partner[apart] = mean / role[apart]
+        parts[:] = np.where(is_dual, sides[[2, 3, 0, 1]], sides)
 
     def step(self) -> bool:
         """Make one predictor–corrector step; return False where nothing can be factorised or is finite any more."""
@@ -128,6 +169,10 @@ class PredictorCorrector:
         lower = vectors[kernels.BELOW] < threshold * vectors[kernels.W_LOWER]
         upper = vectors[kernels.ABOVE] < threshold * vectors[kernels.W_UPPER]
         return lower | upper, np.where(lower, vectors[kernels.LOWER], np.where(upper, vectors[kernels.UPPER], 0.0))
+
+
+def _largest(values: FloatVector) -> float:
+    return float(np.abs(values).max(initial=0.0))
 
 
 def _typical(values: FloatVector) -> float:

@@ -21,7 +21,7 @@ from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
-RUIZ_PASSES = 8
+SWEEPS, RUIZ_PASSES = 6, 8
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_SEARCH = 20_000  # rows up to which a tree through the pattern is followed row by row
 LARGEST_EXPONENT = 1000
@@ -60,7 +60,7 @@ class SuitedMatrix:
             M = scaled(M, Exponents(r, np.zeros_like(r)))
             if sp.issparse(M):
                 M, signs, is_symmetric = _stored(M)
-        c = equilibration(M)
+        c = equilibration(M, signs)
         unit = read_only(np.ones(M.shape[0]) if c is None else np.ldexp(1.0, c.row))
         return cls(scaled(M, c), None if r is None else np.ldexp(1.0, r), unit, signs, is_symmetric)
 
@@ -112,10 +112,11 @@ def _known_parts(matrix: Matrix) -> dict[bytes | None, SuitedMatrix]:
     return {}
 
 
-def equilibration(M: Any) -> Exponents | None:
+def equilibration(M: Any, signs: FloatVector | None = None) -> Exponents | None:
     """Return powers of two, alike for rows and columns, that bring these to even size; None where they are not needed.
 
-    The same factors on both sides keep a monotone matrix monotone and a symmetric one symmetric.
+    The same factors on both sides keep a monotone matrix monotone and a symmetric one symmetric. Passes of Ruiz alone
+    would leave the rows and columns of a program's constraints in units that depend on those in which they were given.
     """
     if not M.shape[0]:
         return None
@@ -125,7 +126,8 @@ def equilibration(M: Any) -> Exponents | None:
     from ...kernels.rows import even
 
     c = np.ones(diagonal.size)
-    even(*compressed_rows(M), RUIZ_PASSES, c)
+    is_program = signs is not None and bool((signs < 0.0).any())
+    even(*compressed_rows(M), signs if is_program else c, SWEEPS if is_program else 0, RUIZ_PASSES, c)
     half = np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64)
     return Exponents(half, half)
 

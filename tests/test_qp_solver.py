@@ -141,7 +141,8 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
 def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones() -> None:
     """A host that writes new numbers into the arrays of the last solve is answered for the new numbers."""
     problem, _ = nnls()
-    data = problem.get_problem_data(QPSolver)[0]
+    own = problem.get_problem_data(QPSolver)[0]
+    data = super(type(QPSolver), QPSolver).apply(own["param_prob"])[0]
     cache: dict[str, Any] = {}
     first = QPSolver.solve_via_data(data, True, False, {}, cache)
     assert cache["LCP"].program is first.solution.program
@@ -151,6 +152,11 @@ def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones(
     np.testing.assert_allclose(second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal())
     third = QPSolver.solve_via_data(data, True, False, {}, cache)
     assert third.solution.program.matrices is second.solution.program.matrices
+    fourth = QPSolver.solve_via_data({**own, "P": 9.0 * own["P"]}, True, False, {}, cache)
+    np.testing.assert_allclose(fourth.solution.program.P.diagonal(), 9.0 * first.solution.program.P.diagonal())
+    if "lcp_plugin.matrices" in own:  # made by us, and kept
+        with pytest.raises(ValueError, match="read-only"):
+            own["P"].data *= 4.0
 
 
 def test_a_limit_keeps_the_values_and_warns() -> None:

@@ -14,6 +14,7 @@ from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.algorithms.search import is_searchable
 from lcp_plugin.algorithms.search.stages import ExhaustiveSearch
+from lcp_plugin.conversions.quadratic_program import lcp_from_lp
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import stencil_matrix
 from lcp_plugin.policy.choice import Auto
@@ -452,3 +453,12 @@ def test_a_stage_that_gains_nothing_is_told_in_words() -> None:
     choice = Auto().next_step(cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False)
     assert choice is not None
     assert choice.because.startswith("npsor does not get nearer; ")
+
+
+def test_a_large_program_begins_with_an_interior_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no factor of a large linear program is predicted to fit, it is factorised by the method that suits it."""
+    monkeypatch.setattr("lcp_plugin.matrix.factors.factor_fits", lambda matrix: False)
+    m = 80
+    A = sp.vstack([sp.kron(sp.eye_array(m), np.ones((1, m))), sp.kron(np.ones((1, m)), sp.eye_array(m))])
+    problem = lcp_from_lp(np.arange(m * m) % 7 + 1.0, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0)
+    assert next(iter(direct_methods(problem))).algorithm.name == "interior_point"

@@ -12,11 +12,13 @@ import scipy.sparse as sp
 from campaigns.convex_programs import SOLVABLE, program
 
 from lcp_plugin import solve
+from lcp_plugin.checks import FloatVector
 from lcp_plugin.conversions.program_matrices import as_csr
 from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, attempts, lcp_from_qp
 from lcp_plugin.conversions.reductions import substitute_definitions
 from lcp_plugin.errors import InvalidProblem
+from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -167,3 +169,45 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
             exact = max(error / Fraction(unit) for error, unit in zip(errors, units.tolist(), strict=True))
             assert exact * (1 - Fraction(1, 2**50)) <= Fraction(residual)
             assert Fraction(residual) <= max(exact, 0) * (1 + Fraction(1, 2**40)) + Fraction(1, 2**90)
+
+
+def least_squares(A: FloatVector, rng: np.random.Generator) -> QuadraticProgram:
+    """Return ½‖r‖² with r = A x − b, x ≥ 0."""
+    m, n = A.shape
+    P, rows = sp.diags_array(np.repeat([0.0, 1.0], [n, m])), sp.block_array([[sp.csr_array(A), -sp.eye_array(m)]])
+    lower = np.repeat([0.0, -np.inf], [n, m])
+    return QuadraticProgram(sp.csr_array(P), np.zeros(n + m), A=rows, b=rng.standard_normal(m), lower=lower)
+
+
+@pytest.mark.parametrize(("m", "n", "form"), [(80, 20, "direct"), (40, 40, "direct"), (20, 80, "kkt")])
+def test_the_form_is_chosen_by_shape(m: int, n: int, form: str) -> None:
+    """Residuals are put in where there are at least as many as unknowns; where they are few they stay, as AᵀA fills."""
+    rng = np.random.default_rng(0)
+    program = least_squares(rng.standard_normal((m, n)), rng)
+    tried = [attempt.problem.origin.form for attempt in attempts(program)]
+    assert tried[0] == form
+    assert set(tried) == {"direct", "kkt"}  # the other one is the second try
+
+
+def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
+    """Of a portfolio the factors, of which every asset has a share, stay equations; the assets' own risks go."""
+    rng, (assets, factors) = np.random.default_rng(1), (200, 5)
+    loads, scale = rng.standard_normal((factors, assets)), sp.diags_array(rng.random(assets) + 0.1)
+    P = sp.diags_array(np.repeat([0.0, 1.0], [assets, assets + factors]))
+    A = sp.block_array([[scale, -sp.eye_array(assets), None], [sp.csr_array(loads), None, -sp.eye_array(factors)]])
+    lower = np.repeat([0.0, -np.inf], [assets, assets + factors])
+    program = QuadraticProgram(
+        sp.csr_array(P), rng.standard_normal(lower.size), A=A, b=np.zeros(assets + factors), lower=lower
+    )
+    found = substitute_definitions(program, saves_work=True)
+    assert found is not None
+    assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
+    assert solve_quadratic_program(program)[1].is_optimal()
+
+
+def test_a_graph_keeps_its_laplacian() -> None:
+    """Flows along a path and out of its nodes have a dual that is a Laplacian, which definitions would spoil."""
+    path = sp.diags_array([np.ones(11), -np.ones(11)], offsets=[0, -1], shape=(12, 11))
+    program = QuadraticProgram(np.eye(23), np.ones(23), A=sp.hstack([path, sp.eye_array(12)]), b=np.ones(12))
+    assert substitute_definitions(program, saves_work=True) is not None
+    assert next(attempts(program)).problem.origin.form == "dual"

@@ -19,7 +19,6 @@ from .qp_forms import FORMS, DualForm
 from .reductions import Substitution, fold_simple_rows, substitute_definitions
 
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
-FILLED = 1.2  # times the entries of the program as it stands
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
@@ -173,19 +172,19 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
-    substitution = substitute_definitions(program)
-    problem = optimality_conditions(program, "auto", substitution)
+    cheap = substitute_definitions(program, saves_work=not needs_diagonal)
+    if cheap is not None and DualForm(fold_simple_rows(program)).is_worthwhile():
+        cheap = None
+    problem = optimality_conditions(program, "auto", cheap)
     if problem.origin.form == "kkt" and needs_diagonal:
         with suppress(UnsuitableMatrix):
-            problem = optimality_conditions(program, "dual", substitution)
+            problem = optimality_conditions(program, "dual", cheap)
     form = f"the {problem.origin.form} form"
-    found = [Attempt(problem, form if substitution is None else f"{form}, defined variables put in")]
-    if substitution is not None or problem.origin.form == "dual":
-        plain = Attempt(optimality_conditions(program, "kkt"), "the KKT form of the program as it stands")
-        # A wide A in ‖A x − b‖² fills AᵀA, which nobody needs to factorise.
-        fills_in = problem.origin.form == "kkt" and problem.nonzeros > FILLED * plain.problem.nonzeros
-        found.insert(0 if fills_in else 1, plain)
-    yield from found
+    yield Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
+    if cheap is not None or problem.origin.form == "dual":
+        yield Attempt(optimality_conditions(program, "kkt"), "the KKT form of the program as it stands")
+    elif (substitution := substitute_definitions(program)) is not None:
+        yield Attempt(optimality_conditions(program, "auto", substitution), "defined variables put in")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

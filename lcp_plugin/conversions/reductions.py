@@ -17,6 +17,7 @@ from ..matrix.definiteness import is_diagonal
 from ..matrix.structure import row_numbers
 from ..matrix.symmetry import is_its_mirror
 from .constraints import CONSTRAINTS
+from .predicted_work import worth_putting_in
 from .presolve import like
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 
@@ -79,23 +80,35 @@ class Definitions:
     reduced: ProgramMatrices
 
     @classmethod
-    def of(cls, matrices: ProgramMatrices, candidates: Indices) -> Definitions:
-        """Return what the equations define of these variables, each of which stands in one row of A only."""
-        A, is_candidate = as_csr(matrices.A), np.zeros(matrices.P.shape[0], dtype=bool)
-        is_candidate[candidates] = True
-        places = np.flatnonzero(is_candidate[A.indices])
+    def of(cls, matrices: ProgramMatrices, candidates: Indices, saves_work: bool) -> Definitions | None:
+        """Return what the equations define of these variables, each of which stands in one row of A only.
+
+        With `saves_work` only of those that are predicted to be worth it; None where there are none.
+        """
+        A, is_kept = as_csr(matrices.A), np.zeros(matrices.P.shape[0], dtype=bool)
+        is_kept[candidates] = True
+        places = np.flatnonzero(is_kept[A.indices])
         rows, entries = row_numbers(A)[places], A.data[places]
         # The largest entry of a row is the safest pivot.
         order = np.lexsort((-np.abs(entries), rows))
         rows, first = np.unique(rows[order], return_index=True)
         places = places[order[first]]
-        defined, pivots = A.indices[places].astype(np.intp), A.data[places]
-        is_candidate[:] = True
-        is_candidate[defined] = False
-        kept, stays = np.flatnonzero(is_candidate), np.ones(A.shape[0], dtype=bool)
+        is_kept[:] = True
+        is_kept[A.indices[places]] = False
+        kept = np.flatnonzero(is_kept)
+        D = block(A, rows, kept)
+        chosen = worth_putting_in(D) if saves_work else np.arange(rows.size)
+        if not chosen.size:
+            return None
+        if chosen.size < rows.size:
+            is_kept[:] = True
+            rows, places = rows[chosen], places[chosen]
+            is_kept[A.indices[places]] = False
+            kept = np.flatnonzero(is_kept)
+            D = block(A, rows, kept)
+        defined, pivots, stays = A.indices[places].astype(np.intp), A.data[places], np.ones(A.shape[0], dtype=bool)
         stays[rows] = False
         kept_rows, every_row = np.flatnonzero(stays), np.arange(matrices.G.shape[0])
-        D = block(A, rows, kept)
         columns, used = np.arange(kept.size), np.flatnonzero(np.bincount(D.indices, minlength=kept.size))
         D = assembled(D.data / -pivots[row_numbers(D)], D.indices, D.indptr, D.shape)
         if is_full(D.nnz, (defined.size, used.size)):
@@ -141,8 +154,10 @@ class Substitution:
         return x, whole
 
 
-def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
+def substitute_definitions(program: QuadraticProgram, *, saves_work: bool = False) -> Substitution | None:
     """Return the substitution of all variables that are only defined, or None where there are none.
+
+    With `saves_work` of those that are predicted to make the program less work.
 
     Examples
     --------
@@ -158,7 +173,10 @@ def substitute_definitions(program: QuadraticProgram) -> Substitution | None:
     candidates = np.flatnonzero(is_free & matrices.is_definable)
     if not candidates.size:
         return None
-    found = matrices.kept("definitions", (candidates,), lambda: Definitions.of(matrices, candidates))
+    name = "cheap definitions" if saves_work else "definitions"
+    found = matrices.kept(name, (candidates,), lambda: Definitions.of(matrices, candidates, saves_work))
+    if found is None:
+        return None
     shift, offset = np.zeros(program.n), program.b[found.rows] / found.pivots
     shift[found.defined] = offset
     gradient = program.P @ shift + program.c

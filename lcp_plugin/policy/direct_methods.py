@@ -166,7 +166,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
         else:
             order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
     chosen = [choice for choice in order if choice.algorithm not in left_out]
-    yield from chosen or [newton, interior]  # a factor that fills in is better than no answer
+    # A factor that fills in is better than no answer.
+    yield from chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
 
 
 def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:

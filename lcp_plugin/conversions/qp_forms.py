@@ -363,11 +363,17 @@ def _polished(
     program: QuadraticProgram, gradient: FloatVector, y: FloatVector, is_balanced: BoolVector
 ) -> FloatVector:
     """Return the multipliers near y, 0 where they are 0, that leave least of the gradient where no bound takes it."""
+    from scipy.linalg import solve_triangular
+
     used, left = np.flatnonzero(y), np.flatnonzero(~is_balanced)
     if used.size and used.size * left.size <= LARGEST_DENSE:
         block = as_csr(program.matrices.rows)[used][:, left].toarray().T
-        y = y.copy()
+        y, (Q, R) = y.copy(), np.linalg.qr(block)
+        sizes = np.abs(R.diagonal())
+        # Rows of a vertex of that linear program are independent as a rule.
+        has_rank = used.size <= left.size and sizes.min() > RANK * sizes.max()
         for _ in range(2):  # the second takes off what the first has rounded
-            y[used] -= np.linalg.lstsq(block, gradient[left] + block @ y[used], rcond=RANK)[0]
+            rest = gradient[left] + block @ y[used]
+            y[used] -= solve_triangular(R, Q.T @ rest) if has_rank else np.linalg.lstsq(block, rest, rcond=RANK)[0]
     is_inequality = ~program.constraints.is_equality[: y.size]
     return np.where(is_inequality, np.maximum(y, 0.0), y)

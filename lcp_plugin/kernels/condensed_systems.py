@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .compilation import compiled_into_others, compiled_part
+from .enclosures import unsigned
 from .interior_steps import DIAGONAL, FOUND, RIGHT, ROWS
 
 SPARE, MORE, SYSTEM_ROWS = ROWS, ROWS + 1, ROWS + 2  # what is left to be solved for, what a solve adds
@@ -26,15 +27,32 @@ LARGEST = 1e300
 def _row_times(matrix, i, begin, end, vectors, row):  # type: ignore[no-untyped-def]
     """Return Σ matrix[i, j] v_j over begin ≤ j < end, v that row of `vectors`: four sums side by side."""
     a = b = c = d = 0.0
-    fours = end - (end - begin) % 4
-    for j in range(begin, fours, 4):
+    i, row, fours, end = unsigned(i), unsigned(row), unsigned(end - (end - begin) % 4), unsigned(end)
+    one, two, three = unsigned(1), unsigned(2), unsigned(3)
+    for j in range(unsigned(begin), fours, unsigned(4)):
         a += matrix[i, j] * vectors[row, j]
-        b += matrix[i, j + 1] * vectors[row, j + 1]
-        c += matrix[i, j + 2] * vectors[row, j + 2]
-        d += matrix[i, j + 3] * vectors[row, j + 3]
+        b += matrix[i, j + one] * vectors[row, j + one]
+        c += matrix[i, j + two] * vectors[row, j + two]
+        d += matrix[i, j + three] * vectors[row, j + three]
     for j in range(fours, end):
         a += matrix[i, j] * vectors[row, j]
     return (a + b) + (c + d)
+
+
+@compiled_into_others
+def _add_row(matrix, i, begin, end, times, vectors, row):  # type: ignore[no-untyped-def]
+    """Add so many times matrix[i, j] to that row of `vectors`, begin ≤ j < end."""
+    i, row = unsigned(i), unsigned(row)
+    for j in range(unsigned(begin), unsigned(end)):
+        vectors[row, j] += matrix[i, j] * times
+
+
+@compiled_into_others
+def _subtract_four(matrix, i, end, room, e, f, g, h):  # type: ignore[no-untyped-def]
+    """Subtract so many times the four rows of `room` from row i, from the diagonal on: it is read and written once."""
+    i = unsigned(i)
+    for j in range(i, unsigned(end)):
+        matrix[i, j] -= (e * room[0, j] + f * room[1, j]) + (g * room[2, j] + h * room[3, j])
 
 
 @compiled_part
@@ -44,26 +62,24 @@ def product(P, C, vectors, source, target):  # type: ignore[no-untyped-def]
     for i in range(n):
         vectors[target, i] = _row_times(P, i, 0, n, vectors, source)
     for i in range(m):
-        multiplier = vectors[source, n + i]
         vectors[target, n + i] = -_row_times(C, i, 0, n, vectors, source)
-        for j in range(n):
-            vectors[target, j] += C[i, j] * multiplier
+        _add_row(C, i, 0, n, vectors[source, n + i], vectors, target)
 
 
 @compiled_part
-def factorise(P, C, vectors, facts, matrix, gone):  # type: ignore[no-untyped-def]
+def factorise(P, C, vectors, facts, matrix, room):  # type: ignore[no-untyped-def]
     """Factorise M + diag(DIAGONAL), regularised; return how many multipliers were kept, −1 where nothing helps."""
     facts[REGULARISED] = REGULARISATION
     while facts[REGULARISED] <= LARGEST_REGULARISATION:
-        kept = _assemble(P, C, vectors, facts, matrix, gone)
-        if _eliminate(matrix, C.shape[1], C.shape[1] + kept):
+        kept = _assemble(P, C, vectors, facts, matrix, room)
+        if _eliminate(matrix, room, C.shape[1], C.shape[1] + kept):
             return kept
         facts[REGULARISED] *= 100.0
     return -1
 
 
 @compiled_part
-def _assemble(P, C, vectors, facts, matrix, gone):  # type: ignore[no-untyped-def]
+def _assemble(P, C, vectors, facts, matrix, room):  # type: ignore[no-untyped-def]
     """Fill the upper triangle of the system that is left without the multipliers that can go; return how many stay."""
     m, n = C.shape
     kept, going, regularisation = 0, 0, facts[REGULARISED]
@@ -81,32 +97,32 @@ def _assemble(P, C, vectors, facts, matrix, gone):  # type: ignore[no-untyped-de
             matrix[n + kept, n + kept] = -pivot
             kept += 1
         elif pivot < PINNED:
-            gone[going], facts[WEIGHTS + going], going = i, 1.0 / pivot, going + 1
+            facts[WEIGHTS + going] = 1.0 / pivot
+            for j in range(n):
+                room[going, j] = C[i, j]
+            going += 1
             if going == 4:
-                _add(C, gone, facts, matrix)
+                _add(n, facts, room, matrix)
                 going = 0
-    for a in range(going, 4):
-        gone[a], facts[WEIGHTS + a] = 0, 0.0
     if going:
-        _add(C, gone, facts, matrix)
+        for k in range(going, 4):
+            facts[WEIGHTS + k] = 0.0
+        _add(n, facts, room, matrix)
     return kept
 
 
 @compiled_into_others
-def _add(C, gone, facts, matrix):  # type: ignore[no-untyped-def]
-    """Add what four rows of C, with their weights, leave among x."""
-    n = C.shape[1]
-    a, b, c, d = gone[0], gone[1], gone[2], gone[3]
+def _add(n, facts, room, matrix):  # type: ignore[no-untyped-def]
+    """Add what four rows of C, in `room`, leave among x with their weights."""
     for i in range(n):
-        e, f = facts[WEIGHTS] * C[a, i], facts[WEIGHTS + 1] * C[b, i]
-        g, h = facts[WEIGHTS + 2] * C[c, i], facts[WEIGHTS + 3] * C[d, i]
+        e, f = facts[WEIGHTS] * room[0, i], facts[WEIGHTS + 1] * room[1, i]
+        g, h = facts[WEIGHTS + 2] * room[2, i], facts[WEIGHTS + 3] * room[3, i]
         if e != 0.0 or f != 0.0 or g != 0.0 or h != 0.0:
-            for j in range(i, n):
-                matrix[i, j] += (e * C[a, j] + f * C[b, j]) + (g * C[c, j] + h * C[d, j])
+            _subtract_four(matrix, i, n, room, -e, -f, -g, -h)
 
 
 @compiled_part
-def _eliminate(matrix, positive, size):  # type: ignore[no-untyped-def]
+def _eliminate(matrix, room, positive, size):  # type: ignore[no-untyped-def]
     """Eliminate without pivoting, on and above the diagonal; return whether the pivots have the signs they should."""
     for start in range(0, size, 4):
         end = min(start + 4, size)
@@ -115,16 +131,15 @@ def _eliminate(matrix, positive, size):  # type: ignore[no-untyped-def]
             if not (pivot > 0.0 if p < positive else pivot < 0.0) or not abs(pivot) < LARGEST:
                 return False
             for i in range(p + 1, end):
-                factor = matrix[p, i] / pivot
-                for j in range(i, size):
-                    matrix[i, j] -= factor * matrix[p, j]
+                _add_row(matrix, p, i, size, -matrix[p, i] / pivot, matrix, i)
         if end < size:
-            a, b, c, d = start, start + 1, start + 2, start + 3
-            for i in range(end, size):  # what four rows say, at once
-                e, f = matrix[a, i] / matrix[a, a], matrix[b, i] / matrix[b, b]
-                g, h = matrix[c, i] / matrix[c, c], matrix[d, i] / matrix[d, d]
-                for j in range(i, size):
-                    matrix[i, j] -= (e * matrix[a, j] + f * matrix[b, j]) + (g * matrix[c, j] + h * matrix[d, j])
+            for k in range(4):
+                for j in range(end, size):
+                    room[k, j] = matrix[start + k, j]
+            a, b = 1.0 / matrix[start, start], 1.0 / matrix[start + 1, start + 1]
+            c, d = 1.0 / matrix[start + 2, start + 2], 1.0 / matrix[start + 3, start + 3]
+            for i in range(end, size):
+                _subtract_four(matrix, i, size, room, a * room[0, i], b * room[1, i], c * room[2, i], d * room[3, i])
     return True
 
 
@@ -167,13 +182,11 @@ def _apply(C, vectors, regularisation, matrix, n, m, size):  # type: ignore[no-u
             kept += 1
         elif pivot < PINNED:
             share = vectors[SPARE, n + i] / pivot
-            for j in range(n):
-                vectors[MORE, j] -= C[i, j] * share
+            _add_row(C, i, 0, n, -share, vectors, MORE)
     for p in range(size):
         share = vectors[MORE, p] / matrix[p, p]
         if share != 0.0:
-            for j in range(p + 1, size):
-                vectors[MORE, j] -= matrix[p, j] * share
+            _add_row(matrix, p, p + 1, size, -share, vectors, MORE)
     for p in range(size - 1, -1, -1):
         vectors[MORE, p] = (vectors[MORE, p] - _row_times(matrix, p, p + 1, size, vectors, MORE)) / matrix[p, p]
     for i in range(m - 1, -1, -1):

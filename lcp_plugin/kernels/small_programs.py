@@ -71,20 +71,20 @@ def run(  # type: ignore[no-untyped-def]
     P and C, shapes (1 or count, n, n) and (1 or count, m, n), may be shared. `vectors`, shape (WIDTH, n + m), `matrix`,
     shape (n + m, n + m), and the two scaled matrices are room to work in.
     """
-    facts, gone = np.zeros(SYSTEM_FACTS), np.zeros(4, np.int64)
+    facts, room = np.zeros(SYSTEM_FACTS), np.empty((4, vectors.shape[1]))
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
         _equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled)
         _fill(c, d, is_equality, lower, upper, k, vectors, facts)
         steps[k], has_converged[k] = 0, False
-        if not _start(vectors, facts, matrix, gone, P_scaled, C_scaled):
+        if not _start(vectors, facts, matrix, room, P_scaled, C_scaled):
             continue
         first_gap, settled = facts[GAP], 0
         while steps[k] < STEPS and not has_converged[k]:
             product(P_scaled, C_scaled, vectors, Z, LEFT)
             if not begin(vectors, facts):
                 break
-            kept = factorise(P_scaled, C_scaled, vectors, facts, matrix, gone)
+            kept = factorise(P_scaled, C_scaled, vectors, facts, matrix, room)
             if kept < 0:
                 break
             phase = advance(vectors, facts, BEGUN)
@@ -98,7 +98,7 @@ def run(  # type: ignore[no-untyped-def]
             is_closed = facts[GAP] <= CLOSED_GAP * first_gap
             if is_closed or (settled in (1, 3, 6, 10) and facts[GAP] <= SETTLED_GAP * first_gap):
                 has_converged[k] = _has_active_set(
-                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, tolerance, vectors, facts, matrix, gone,
+                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, tolerance, vectors, facts, matrix, room,
                     P_scaled, C_scaled, x, y, reduced, measures,
                 )
                 if is_closed:
@@ -165,14 +165,14 @@ def _fill(c, d, is_equality, lower, upper, k, vectors, facts):  # type: ignore[n
 
 
 @compiled_part
-def _start(vectors, facts, matrix, gone, P, C):  # type: ignore[no-untyped-def]
+def _start(vectors, facts, matrix, room, P, C):  # type: ignore[no-untyped-def]
     """Begin where M z + q = anchor − z on the bounded rows, shifted inwards as Mehrotra does."""
     m, n = C.shape
     for i in range(n + m):
         sides = vectors[HAS_LOWER, i] + vectors[HAS_UPPER, i]
         vectors[DIAGONAL, i] = min(sides, 1.0)
         vectors[RIGHT, i] = (vectors[LOWER, i] + vectors[UPPER, i]) / max(sides, 1.0) - vectors[Q, i]
-    kept = factorise(P, C, vectors, facts, matrix, gone)
+    kept = factorise(P, C, vectors, facts, matrix, room)
     if kept < 0:
         return False
     solve(P, C, vectors, facts, matrix, kept, ROUGH)
@@ -248,7 +248,7 @@ def _guess(vectors):  # type: ignore[no-untyped-def]
 
 @compiled_part
 def _has_active_set(  # type: ignore[no-untyped-def]
-    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, tolerance, vectors, facts, matrix, gone, P_scaled, C_scaled,
+    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, tolerance, vectors, facts, matrix, room, P_scaled, C_scaled,
     x, y, reduced, measures,
 ):
     """Solve for the active set and correct it; return whether its point is an answer, which x, y and measures are."""
@@ -262,7 +262,7 @@ def _has_active_set(  # type: ignore[no-untyped-def]
             if side != BETWEEN:
                 vectors[point, i] = vectors[LOWER, i] if side == AT_LOWER else vectors[UPPER, i]
             vectors[DIAGONAL, i] = 0.0 if side == BETWEEN else PINNED
-        kept = factorise(P_scaled, C_scaled, vectors, facts, matrix, gone)
+        kept = factorise(P_scaled, C_scaled, vectors, facts, matrix, room)
         if kept < 0:
             return False
         for _twice in range(2):

@@ -10,15 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, work_of
+from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of
 from ..algorithms.search.stages import FeasibilityCheck
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
-from ..conversions.qp_forms import PROGRAM_TOLERANCE, cancels, program_goal
+from ..conversions.qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
 from ..conversions.qp_solution import QPSolution
-from ..conversions.quadratic_program import attempts, optimality_conditions
+from ..conversions.quadratic_program import attempts
+from ..conversions.reductions import fold_simple_rows, substitute_definitions
 from ..deadline import Clock, is_over, seconds_left
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status
@@ -26,9 +27,9 @@ from .driver import solve
 from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
 
-AT_ONCE = ("auto", "interior_point")
+TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
+AT_ONCE = "small: all steps in one compiled call"
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
-MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "slope_along_x")
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
@@ -88,35 +89,29 @@ def _solved_at_once(
     program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
 ) -> tuple[Result, QPSolution] | None:
     """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""
-    if algorithm not in AT_ONCE or any(options.get(name) for name in SEEN) or not 0.0 < tolerance < 1.0:
+    if algorithm not in TAKE_SMALL_PROGRAMS or any(options.get(name) for name in SEEN) or not 0.0 < tolerance < 1.0:
         return None
-    rows, clock = program.constraints, Clock(ALONE)
-    d, acts = rows.limit[: rows.rows], np.isfinite(rows.limit[: rows.rows])
-    C, is_equality = program.matrices.rows, rows.is_equality[: rows.rows]
-    if not acts.all():
-        C, d, is_equality = C[acts], d[acts], is_equality[acts]
-    small = SmallPrograms.of_one(program.P, program.c, C, d, is_equality, program.lower, program.upper)
     is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
-    if small is None or is_limited:
+    if is_limited or not may_be_small(program.n, program.h.size + program.b.size):
+        return None
+    clock, substitution = Clock(ALONE), substitute_definitions(program)
+    origin = KKTForm(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
+    rows = origin.rows.folded
+    limits, is_equality = np.append(rows.h, rows.b), rows.matrices.is_equality[: origin.rows.left.size]
+    small = SmallPrograms.of_one(rows.P, rows.c, rows.matrices.rows, limits, is_equality, rows.lower, rows.upper)
+    if small is None:
         return None
     answers = small.solved(min(tolerance, PROGRAM_TOLERANCE))
     if not answers.has_converged[0]:
         return None
-    y, reduced = np.zeros(rows.rows), answers.reduced[0]
-    y[acts] = answers.y[0]
-    if cancels(program, y, float(np.abs(program.P @ answers.x[0] + program.c).max(initial=0.0))):
-        return None
-    solution = QPSolution(
-        program, answers.x[0], y[: program.h.size], y[program.h.size :], np.maximum(reduced, 0.0),
-        np.maximum(-reduced, 0.0),
-    )
-    solution.__dict__.update(zip(MEASURED, answers.measures[0].tolist(), strict=True))
+    z = small.point(answers, 0)
+    solution = origin.recover(z)
     if not solution.is_stationary(program_goal(tolerance)):
         return None
-    seconds, steps = clock.read(), int(answers.steps[0])
-    name = "interior_point"
-    result = ProgramResult(solution, steps, seconds, tolerance, algorithm if algorithm == name else f"auto: {name}")
-    return result, solution
+    steps, name = int(answers.steps[0]), "interior_point"
+    work = work_of(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
+    stage = StageRecord(name, AT_ONCE, steps, work)
+    return ProgramResult(origin, z, stage, clock.read(), tolerance, algorithm), solution
 
 
 class ProgramResult(Result):
@@ -126,33 +121,30 @@ class ProgramResult(Result):
 
     Attributes
     ----------
-    solution : QPSolution
+    origin : QPOrigin
+        Of that problem.
+    z : ndarray, shape (n,)
     """
 
-    solution: QPSolution
+    origin: QPOrigin
 
-    def __init__(self, solution: QPSolution, steps: int, seconds: float, tolerance: float, algorithm: str) -> None:
-        program, rows = solution.program, solution.program.constraints.rows
-        work = work_of(program.n, rows, steps) / max(sum(program.matrices.entries), 1)
-        stage = StageRecord("interior_point", "small: all steps in one compiled call", steps, work)
+    def __init__(
+        self, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
+    ) -> None:
         self.__dict__.update(
-            solution=solution, status=Status.SOLVED, algorithm=algorithm, iterations=steps, work=work,
-            seconds=seconds, setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
-            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm.partition(":")[0],
+            origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
+            algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
+            setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
+            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
             _bound=BoundOrReason(), _advice={},
         )
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Of z = (x, multipliers) in the KKT form of the program."""
-        problem, solution = optimality_conditions(self.solution.program, "kkt"), self.solution
-        multipliers = np.concatenate([solution.inequality, solution.equality])
-        return Certificate.of(problem, np.append(solution.x, multipliers[problem.origin.rows.left]))
-
-    @property
-    def z(self) -> FloatVector:
-        """The certificate's z."""
-        return self.certificate.z
+        """The certificate of z in the KKT form of the program."""
+        problem = self.origin.problem()
+        problem.origin = self.origin
+        return Certificate.of(problem, self.z)
 
     @property
     def w(self) -> FloatVector:

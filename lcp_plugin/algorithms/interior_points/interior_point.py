@@ -96,7 +96,7 @@ class InteriorPoint(Algorithm):
         answers = None if small is None else small.solved(tolerance)
         if small is None or answers is None or not answers.has_converged[0]:
             return None
-        steps, z = int(answers.steps[0]), np.append(answers.x[0], answers.y[0])
+        steps, z = int(answers.steps[0]), small.point(answers, 0)
         residual = Certificate.of(problem, z).relative_residual
         work = work_of(small.c.size, small.d.size, steps) / max(problem.nonzeros, 1)
         return FusedSolve(z, residual, work, ((self.name, steps, work),)) if residual <= tolerance else None

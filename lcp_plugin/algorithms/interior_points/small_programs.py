@@ -11,8 +11,9 @@ from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
 from .quasidefinite import signs_of
 
-UP_TO = 200  # unknowns and rows
+UP_TO, ROWS_UP_TO, WORK_UP_TO = 250, 1500, 5e6  # unknowns, rows, multiplications of a step
 MOST_STEPS = 100  # with a smaller limit they are taken one by one
+SPARSE, SPARSE_UP_TO = 0.3, 1.5e6  # share of entries; multiplications of a step that sparse factors take more quickly
 LARGEST = 1e100  # numbers whose products stay in range
 
 
@@ -25,6 +26,8 @@ class SmallPrograms(NamedTuple):
     c, lower, upper : ndarray, shape (count, n)
     d : ndarray, shape (count, m)
     is_equality : ndarray of bool, shape (m,)
+    fixed : ndarray or None
+        The values of all variables, NaN where they are unknown, of one program of which some are known.
     """
 
     P: FloatVector
@@ -34,22 +37,42 @@ class SmallPrograms(NamedTuple):
     is_equality: BoolVector
     lower: FloatVector
     upper: FloatVector
+    fixed: Any = None
 
     @classmethod
     def of_one(
         cls, P: Any, c: FloatVector, C: Any, d: FloatVector, is_equality: BoolVector, lower: FloatVector,
         upper: FloatVector,
     ) -> SmallPrograms | None:
-        """Return one program, or None where it is out of the ordinary: large, with fixed variables or huge numbers."""
-        if not 0 < c.size + d.size <= UP_TO or bool((lower == upper).any()):
+        """Return one program, or None where it is out of the ordinary: too much work for dense loops, or huge numbers.
+
+        Variables whose bounds are equal are taken out.
+        """
+        free = lower < upper
+        n, m = int(np.count_nonzero(free)), d.size
+        if n == 0 or not may_be_small(n, m):
             return None
-        dense = [matrix.toarray() if sp.issparse(matrix) else matrix for matrix in (P, C)]
-        if any(np.abs(part).max(initial=0.0) > LARGEST for part in (*dense, c, d)):
+        is_sparse = sp.issparse(P) and P.nnz + (C.nnz if sp.issparse(C) else C.size) < SPARSE * n * (n + m)
+        if work_of(n, m, 1) > (SPARSE_UP_TO if is_sparse else WORK_UP_TO):
             return None
-        P, c, C, d, lower, upper = (
-            np.ascontiguousarray(part)[np.newaxis] for part in (dense[0], c, dense[1], d, lower, upper)
-        )
-        return cls(P, c, C, d, np.ascontiguousarray(is_equality), lower, upper)
+        P, C = (matrix.toarray() if sp.issparse(matrix) else matrix for matrix in (P, C))
+        if any(np.abs(part).max(initial=0.0) > LARGEST for part in (P, C, c, d)):
+            return None
+        fixed = None
+        if n < c.size:
+            fixed = np.where(free, 0.0, lower)
+            c, d, lower, upper = (c + P @ fixed)[free], d - C @ fixed, lower[free], upper[free]
+            fixed[free], P, C = np.nan, P[np.ix_(free, free)], C[:, free]
+        P, c, C, d, lower, upper = (np.ascontiguousarray(part)[np.newaxis] for part in (P, c, C, d, lower, upper))
+        return cls(P, c, C, d, np.ascontiguousarray(is_equality), lower, upper, fixed)
+
+    def point(self, answers: SmallAnswers, k: int) -> FloatVector:
+        """Return (x, y) of answer k, fixed variables put back."""
+        x = answers.x[k]
+        if self.fixed is not None:
+            x, own = self.fixed.copy(), x
+            x[np.isnan(x)] = own
+        return np.append(x, answers.y[k])
 
     @classmethod
     def of_conditions(cls, problem: LCP) -> SmallPrograms | None:
@@ -57,16 +80,17 @@ class SmallPrograms(NamedTuple):
 
         That is M = [[P, Cᵀ], [−C, 0]] with P symmetric and multipliers that are free or not negative.
         """
-        if problem.is_distributed or not 0 < problem.n <= UP_TO:
+        if problem.is_distributed or not 0 < problem.n <= UP_TO + ROWS_UP_TO:
             return None
         signs = signs_of(problem.M)
         if signs is None or not signs[-1] < 0.0 or bool((signs[:-1] < signs[1:]).any()):
             return None
-        n, M = int((signs > 0.0).sum()), problem.M.toarray() if sp.issparse(problem.M) else problem.M
-        lower, is_free = problem.lower[n:], np.isneginf(problem.lower[n:])
-        if M[n:, n:].any() or bool((problem.upper[n:] < np.inf).any()) or bool((lower[~is_free] != 0.0).any()):
+        n, M, lower = int((signs > 0.0).sum()), problem.M, problem.lower
+        is_free, above, beside = np.isneginf(lower[n:]), M[:n], M[n:, n:]
+        is_empty = not (beside.nnz if sp.issparse(M) else beside.any())
+        if not is_empty or bool((problem.upper[n:] < np.inf).any()) or bool((lower[n:][~is_free] != 0.0).any()):
             return None
-        return cls.of_one(M[:n, :n], problem.q[:n], -M[n:, :n], problem.q[n:], is_free, problem.lower[:n],
+        return cls.of_one(above[:, :n], problem.q[:n], above[:, n:].T, problem.q[n:], is_free, lower[:n],
                           problem.upper[:n])
 
     def solved(self, tolerance: float) -> SmallAnswers:
@@ -79,8 +103,13 @@ class SmallPrograms(NamedTuple):
             np.full((count, kernels.MEASURES), np.inf), np.zeros(count, np.int64), np.zeros(count, np.bool_),
         )
         room = np.empty((kernels.WIDTH, n + m)), np.empty((n + m, n + m)), np.empty((n, n)), np.empty((m, n))
-        kernels.run(*self, tolerance, 0, count, *room, *answers)
+        kernels.run(*self[:7], tolerance, 0, count, *room, *answers)
         return answers
+
+
+def may_be_small(n: int, m: int) -> bool:
+    """Return whether dense loops may take a program with so many unknowns and rows."""
+    return n <= UP_TO and m <= ROWS_UP_TO and work_of(n, m, 1) <= WORK_UP_TO
 
 
 def work_of(n: int, m: int, steps: int) -> float:

@@ -65,9 +65,9 @@ class ProgramMatrices:
         return n * np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), self.P.ravel(), True
 
     @cached_property
-    def magnitudes(self) -> tuple[Any, sp.csr_array]:
-        """|P| and |[G; A]|."""
-        return abs(self.P), abs(self.rows)
+    def magnitudes(self) -> Any:
+        """|P|."""
+        return abs(self.P)
 
     @cached_property
     def row_sizes(self) -> FloatVector:
@@ -178,6 +178,21 @@ def is_kept_dense(n: int, entries: int) -> bool:
 def or_one(sizes: FloatVector) -> FloatVector:
     """Return the sizes, 1 in the place of 0."""
     return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return yᵀM and |y|ᵀ|M| of a CSR array, which is not transposed.
+
+    Examples
+    --------
+    >>> sums_and_terms(sp.csr_array([[1.0, -2.0], [0.0, 3.0]]), np.array([1.0, 1.0]))
+    (array([1., 1.]), array([1., 5.]))
+    """
+    terms: FloatVector = np.repeat(y, np.diff(rows.indptr)) * rows.data
+    sums, sizes = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
+    sums += np.bincount(rows.indices, terms, rows.shape[1])
+    sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
+    return sums, sizes
 
 
 # Blocks of sparse matrices, cut out and put together without triplets: these would take longer than a small program.

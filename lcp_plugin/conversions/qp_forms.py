@@ -15,7 +15,7 @@ from ..matrix.definiteness import is_diagonal
 from ..matrix.factors import factor_fits
 from ..problem.farkas import linear_program
 from ..problem.lcp import LCP
-from .program_matrices import Indices, as_csr, is_kept_dense
+from .program_matrices import Indices, as_csr, is_kept_dense, sums_and_terms
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution
 
@@ -108,9 +108,9 @@ class QPOrigin:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
         folded = self.rows.folded
         # What the bounds have to balance, μ_lower − μ_upper.
-        reduced_cost = folded.P @ x + folded.c + y @ folded.matrices.rows
-        of_P, of_rows = folded.matrices.magnitudes
-        terms = of_P @ np.abs(x) + np.abs(folded.c) + np.abs(y) @ of_rows
+        of_rows, sizes = sums_and_terms(folded.matrices.rows, y)
+        reduced_cost = folded.P @ x + folded.c + of_rows
+        terms = folded.matrices.magnitudes @ np.abs(x) + np.abs(folded.c) + sizes
         reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)

@@ -90,11 +90,11 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     if (diagonal < 0.0).any():
         return False
     filled = np.flatnonzero(diagonal)
+    if int(P.nnz if sp.issparse(P) else np.count_nonzero(P)) == filled.size:
+        return True
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.
     if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
         return False
-    if is_diagonal(P):
-        return True
     is_small = filled.size <= CHOLESKY_UP_TO
     if sp.issparse(P) and (
         is_small or (filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > FULL_CHOLESKY_FROM * filled.size**2)

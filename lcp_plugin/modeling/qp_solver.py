@@ -22,7 +22,7 @@ from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
 from ..settings import Status
-from ..solving.quadratic_program import ended_by_caller, solve_quadratic_program
+from ..solving.quadratic_program import ProgramResult, ended_by_caller, solve_quadratic_program
 from ..solving.result import Result
 from ._compat import statistics
 from .stated_terms import dense_value
@@ -94,7 +94,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         result, solution = solve_quadratic_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
-        cache[self.name()] = compiled._replace(z=result.z)
+        # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
+        cache[self.name()] = compiled._replace(z=None if isinstance(result, ProgramResult) else result.z)
         proof = None
         goal = program_goal(options["tolerance"])
         is_optimal = solution.is_stationary(goal)

@@ -53,6 +53,12 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
         assert anew.is_optimal(1e-8)
 
 
+def test_an_option_that_is_none_is_not_there() -> None:
+    """As in solve, limits of None are none."""
+    program = planted(5, 4, 1, 5, 0)[0]
+    assert solve_quadratic_program(program, max_iterations=None, max_seconds=None)[1].is_optimal()
+
+
 def test_most_small_programs_take_the_compiled_call() -> None:
     """Of two hundred planted ones nearly all are solved there, within a dozen steps in the mean."""
     results = [solve_quadratic_program(planted(12, 8, 2, 12 - k % 3, k)[0])[0] for k in range(200)]

@@ -74,6 +74,7 @@ def solve_quadratic_program(
         Where the program is not convex, or the named algorithm cannot run on a merely convex one.
     """
     refuse_nonconvex(program)
+    options = {name: wish for name, wish in options.items() if wish is not None}
     if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
         return found
     goal, refutes = program_goal(tolerance), options.get("refute", True)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
     from .certificates.theorems import Guarantee as Guarantee
+    from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
     from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
@@ -100,6 +101,7 @@ _HOME = {
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",
+    "QuadraticProgramBatch": "conversions.program_batch",
     "CrossCheck": "evidence.cross_check",
     "cross_validate": "evidence.cross_check",
     "box": "modeling.constraint",

@@ -19,7 +19,7 @@ from small_families import FAMILIES, problem
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import LCP, Status, bounded_least_squares, gallery, solve
+from lcp_plugin import LCP, QuadraticProgramBatch, Status, bounded_least_squares, gallery, solve, solve_batch
 from lcp_plugin.commands.cli import app
 from lcp_plugin.communicator.alone import ALONE
 from lcp_plugin.deadline import NEW_KERNELS, Clock, compilation
@@ -29,7 +29,7 @@ from lcp_plugin.solving import run_log
 
 COUNT_COMPILED = """
 import sys
-from lcp_plugin import derivative, error_bound, solve, solve_batch
+from lcp_plugin import QuadraticProgramBatch, derivative, error_bound, solve, solve_batch
 from lcp_plugin.evidence import gallery
 from numba.core.dispatcher import Dispatcher
 
@@ -41,6 +41,7 @@ for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:
             error_bound(problem, result.z)
 found = derivative(solve_batch([[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]))
 found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
+solve_batch(QuadraticProgramBatch([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0], lower=0.0))
 kernels = [
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
     for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
@@ -52,7 +53,7 @@ print(len(kernels) > 20, sum(sum(kernel.stats.cache_misses.values()) for kernel 
 COUNT_OVERLOADS = """
 import sys
 import numpy as np
-from lcp_plugin import LCP, bounded_least_squares, derivative, error_bound, solve, solve_batch
+from lcp_plugin import LCP, QuadraticProgramBatch, bounded_least_squares, derivative, error_bound, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.evidence import gallery
 from lcp_plugin.kernels.compilation import compiling_at_once
@@ -76,6 +77,8 @@ with compiling_at_once():
     found = derivative(solve_batch(M, q))
     found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
     solve(LCP(M[0], q), record=True), solve_batch(np.array(M), np.array([q]), z0=np.ones(2))
+    for P in (M, M[0], np.asfortranarray(M * 2)):
+        solve_batch(QuadraticProgramBatch(P, q, [[1.0, 1.0]], [2.0], lower=-9.0))
     bounded_least_squares(np.eye(3)[:, :2], np.ones(3)), bounded_least_squares(np.eye(300)[:, :99], np.ones(300))
 
 
@@ -248,6 +251,9 @@ def solutions() -> list[bytes]:
         A, b = rng.normal(size=(9 + k, 5)), rng.normal(size=9 + k)
         found.append(bounded_least_squares(A, b, upper=0.3 + k, ridge=0.1 * (k % 2)).x)
         found.append(solve(LCP(A.T @ A + np.eye(5), A.T @ b), "interior_point").z)
+        programs = QuadraticProgramBatch(np.diag([1.0] * k + [0.0] * (5 - k)), b[:5], A[:, :5], b + 1.0, lower=-1.0)
+        answers = solve_batch(programs, refute=False)
+        found += [answers.x, answers.inequality, answers.lower, answers.residual]
     return [array.tobytes() for array in found]
 
 

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from ..algorithms import REGISTRY
 from ..algorithms.interior_points.primal_active_set import UpdatedFactor
 from ..certificates.error_bounds import error_bound
+from ..conversions.program_batch import QuadraticProgramBatch
 from ..crossovers import SINGLE_FROM
 from ..deadline import NEW_KERNELS
 from ..errors import LCPError
@@ -59,6 +60,7 @@ def _run(part: str) -> None:
     sparse = gallery.build("obstacle_2d", size=20).problem
     dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
     if part == "batches":
+        solve_batch(QuadraticProgramBatch(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0]))
         found = derivative(solve_batch([dense]))
         found.vjp(np.ones((1, 9)))
         found.jvp(dq=np.ones(9))

@@ -7,6 +7,7 @@ was asked, together with a measure of how wrong it is there.
 | problem | function |
 |---|---|
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
+| many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``quadratic_program.lcp_from_lp`` |
 | least squares within bounds | ``least_squares.lcp_from_least_squares`` |
 | bimatrix game | ``bimatrix_game.lcp_from_bimatrix_game`` |

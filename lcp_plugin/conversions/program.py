@@ -331,13 +331,18 @@ def _with_infinities(limit: FloatVector) -> FloatVector:
     return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
 
 
+def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
+    """Raise where there is a matrix without a right-hand side, or the other way round."""
+    if (matrix is None) != (right is None):
+        given, missing = (name, right_name) if right is None else (right_name, name)
+        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+
+
 def _checked_rows(
     matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, *, allow_plus_infinity: bool
 ) -> tuple[Any, FloatVector]:
     """Return the checked matrix and right-hand side; none of either is no rows."""
-    if (matrix is None) != (right is None):
-        given, missing = (name, right_name) if right is None else (right_name, name)
-        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+    check_pair(matrix, right, name, right_name)
     if matrix is None:
         return sp.csr_array((0, n)), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)

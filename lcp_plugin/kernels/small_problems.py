@@ -93,7 +93,7 @@ def _long_row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
+def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
     """Return the same as four sums side by side, which a row that may be interpreted adds up in one order."""
     if end > LONGEST_IN_ORDER:
         return _long_row_times(M, k, i, end, real, point)
@@ -114,7 +114,7 @@ def slack(M, k, real, point):  # type: ignore[no-untyped-def]
     """Write W = M x + q at that row x of `real`."""
     n = M.shape[1]
     for i in range(n):
-        real[W, i] = _row_times(M, k, i, n, real, point) + real[Q, i]
+        real[W, i] = row_times(M, k, i, n, real, point) + real[Q, i]
 
 
 @compiled_part
@@ -157,7 +157,7 @@ def _sweep(M, k, real):  # type: ignore[no-untyped-def]
     """Write FOUND by a sweep of NPSOR with the row scaling 1/d from Z and W."""
     n, pivot = M.shape[1], 1.0 / (1.0 / RELAXATION + 3.0)
     for i in range(n):
-        total = _row_times(M, k, i, i, real, KEPT)
+        total = row_times(M, k, i, i, real, KEPT)
         z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
         r = min(max(real[W, i] / scale, z - upper), z - lower)
         new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)

@@ -275,7 +275,7 @@ def _has_active_set(  # type: ignore[no-untyped-def]
                 if vectors[side_now, i] == BETWEEN:
                     vectors[point, i] -= vectors[FOUND, i]
         _unscale(lower, upper, is_equality, k, vectors, point, n, m, x, y)
-        _measure(P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures)
+        measure(P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures)
         largest = 0.0
         for i in range(MEASURES):
             largest = max(largest, measures[k, i])
@@ -319,7 +319,7 @@ def _larger(largest, value):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _measure(  # type: ignore[no-untyped-def]
+def measure(  # type: ignore[no-untyped-def]
     P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
 ):
     """Write upper bounds of what :class:`~lcp_plugin.conversions.qp_solution.QPSolution` measures, rounding included.
@@ -353,19 +353,20 @@ def _measure(  # type: ignore[no-untyped-def]
             vectors[TRIAL + 1, j] += abs(pull)
             vectors[TRIAL + 2, j] = max(vectors[TRIAL + 2, j], abs(pull))
         coefficient = coefficient if coefficient > 0.0 else 1.0
-        gap = limit - value
-        excess = (abs(gap) if is_equality[i] else -gap) + margin * (size + abs(limit))
-        primal = _larger(primal, excess / (coefficient * (1.0 + abs(limit) / coefficient)))
+        if limit == np.inf:  # it says nothing
+            continue
+        gap, error = limit - value, margin * (size + abs(limit))
+        over = (abs(gap) if is_equality[i] else -gap) + error
+        primal = _larger(primal, over / (coefficient * (1.0 + abs(limit) / coefficient)))
         largest = max(largest, abs(limit))
-        over = abs(gap) if is_equality[i] else max(-gap, 0.0)
-        row = _larger(row, over / (1.0 + largest))
+        row = _larger(row, max(over, 0.0) / (1.0 + largest))
         if is_equality[i]:
             right = max(right, abs(limit) / coefficient)
         else:
             violated = max(violated, -limit / coefficient)
-            product = _larger(product, abs(multiplier * gap))
-            term = max(term, abs(multiplier * value), abs(multiplier * limit))
-            row = _larger(row, abs(multiplier * gap) / (1.0 + abs(multiplier) * largest))
+            product = _larger(product, multiplier * (abs(gap) + error))
+            term = max(term, multiplier * abs(limit))
+            row = _larger(row, multiplier * (abs(gap) + error) / (1.0 + multiplier * largest))
     for j in range(n):
         column = vectors[SPARE, j] if vectors[SPARE, j] > 0.0 else 1.0
         vectors[SPARE, j] = column
@@ -385,7 +386,7 @@ def _measure(  # type: ignore[no-untyped-def]
         if x[k, j] == (lower[k, j] if left > 0.0 else upper[k, j]):  # what is left is the multiplier of that bound
             reduced[k, j], term, left = left, max(term, abs(left * x[k, j])), 0.0
         dual = _larger(dual, (abs(left) + margin * size) / (vectors[SPARE, j] * unit))
-        row = _larger(row, abs(left) / (1.0 + largest))
+        row = _larger(row, (abs(left) + margin * size) / (1.0 + largest))
         along += left * x[k, j]
     measures[k, 0], measures[k, 1], measures[k, 2] = primal, dual, product / (1.0 + term)
     measures[k, 3], measures[k, 4] = row, abs(along) / (1.0 + scale)

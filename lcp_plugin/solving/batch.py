@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
+from ..conversions.program_batch import QuadraticProgramBatch
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..kernels.threads import threads_for
 from ..matrix.factors import bands
@@ -19,6 +20,7 @@ from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status, checked_threads
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchResult, BatchRun
+from .program_batch import ProgramBatchResult, ProgramBatchRun
 from .result import Result
 
 
@@ -63,6 +65,19 @@ def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
     return problem
 
 
+@overload
+def solve_batch(
+    M: QuadraticProgramBatch, *, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None, refute: bool = True,
+    threads: int | None = None,
+) -> ProgramBatchResult: ...
+@overload
+def solve_batch(
+    M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
+    z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    measure: str = "relative", max_iterations: int | None = None, max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+) -> BatchResult: ...
 def solve_batch(
     M: Any,
     q: ArrayLike | None = None,
@@ -78,14 +93,14 @@ def solve_batch(
     absolute_tolerance: float = 0.0,
     refute: bool = True,
     threads: int | None = None,
-) -> BatchResult:
-    """Return the answers to many problems, small ones in one compiled loop.
+) -> BatchResult | ProgramBatchResult:
+    """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
 
     Parameters
     ----------
-    M : array, shape (B, n, n) or (n, n), a sparse array for all of them, or a sequence of LCPs
-        LCPs may differ in size, and bring q and their bounds. Arrays of shape (B, n, n) are read where they lie: leave
-        their entries as they are while you use what is returned.
+    M : array, shape (B, n, n) or (n, n), a sparse array for all of them, a sequence of LCPs or a QuadraticProgramBatch
+        LCPs may differ in size; they and programs bring q and their bounds. Arrays of shape (B, n, n) are read where
+        they lie: leave their entries as they are while you use what is returned.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
@@ -100,9 +115,10 @@ def solve_batch(
 
     Returns
     -------
-    BatchResult
+    BatchResult, or ProgramBatchResult for programs
         Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
         solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
+        Each program is judged by its own residuals, those of a QPSolution to 1e-6.
 
     Raises
     ------
@@ -118,7 +134,20 @@ def solve_batch(
     ([[2.5, 0.0], [1.0, 2.0]], True)
     >>> batch[1].status.name
     'SOLVED'
+
+    The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
+
+    >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
+    >>> answers.x.round(6).tolist(), answers.inequality.round(6).tolist(), answers[0].status
+    ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'optimal')
     """
+    checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
+    if isinstance(M, QuadraticProgramBatch):
+        if z0 is not None or measure != "relative" or absolute_tolerance != 0.0:
+            raise InvalidOption("a batch of programs takes no z0, measure or absolute_tolerance; leave them out")
+        _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
+        of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
+        return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
@@ -128,17 +157,20 @@ def solve_batch(
         "tolerance": tolerance, "measure": measure, "max_iterations": max_iterations,
         "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
     }
-    limit = Settings(max_seconds=max_seconds).max_seconds
-    return BatchRun(items, algorithm, wishes, threads=checked_threads(threads), limit=limit).run()
+    return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
 
 
 def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
     for k, problem in enumerate(problems):
         if not isinstance(problem, LCP):
             raise InvalidProblem(f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)")
-    if q is not None or np.ndim(lower) or np.ndim(upper) or (lower, upper) != (0.0, np.inf):
-        raise InvalidOption("LCPs bring q and their bounds; write problem.with_q(q, lower=…, upper=…) for others")
+    _refuse_data("LCPs", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
     return problems
+
+
+def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+    if q is not None or np.ndim(lower) or np.ndim(upper) or (lower, upper) != (0.0, np.inf):
+        raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
 
 
 def solve_many(

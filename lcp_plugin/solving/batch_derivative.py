@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
+from ..checks import finite_vector, is_number, read_only, real_array, rectangular_matrix, rows_of_a_batch
 from ..errors import InvalidProblem, LCPError, UnsuitableProblem
 from ..kernels.threads import in_chunks
 from ..settings import Status
 from .batch_groups import Group
-from .batch_items import put, rows_of_a_batch
+from .batch_items import put
 from .batch_run import BatchResult
 from .result import Result
 

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
 
 from ..algorithms.small_dense import as_dense, is_short
-from ..checks import DENSE_ABOVE_DENSITY, read_only, real_array
+from ..checks import DENSE_ABOVE_DENSITY, length_of_all, read_only, real_array, rows_of_a_batch
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..matrix.structure import outer_on_pattern
@@ -128,10 +127,7 @@ class Stacked(Items):
         self._vectors = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
         counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
         counts |= {} if self._shared else {"M": self._M.shape[0]}
-        if len(set(counts.values())) > 1:
-            found = ", ".join(f"{name} {count}" for name, count in counts.items())
-            raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {found}")
-        super().__init__(next(iter(counts.values()), 1))
+        super().__init__(length_of_all(counts))
         self.sizes = {n}
         self._base = LCP(self._M, np.zeros(n)) if self._shared else None
         self._note_errors(self._suspects())
@@ -214,20 +210,6 @@ def _tridiagonal(M: Any) -> list[int]:
     outside = abs(np.subtract.outer(np.arange(n), np.arange(n))) > 1
     suspects = np.flatnonzero(~M[:, 0, 2:].any(axis=1)).tolist()
     return [k for k in suspects if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n]
-
-
-def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
-    """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
-    is_bound = name in ("lower", "upper", "dlower", "dupper")
-    need = f"{name} must have shape (B, n) or (n,), n = {n}{', or be a number' if is_bound else ''}"
-    array = real_array(values, need)
-    if array.ndim == 0 and is_bound:
-        array = np.full(n, float(array))
-    if array.ndim not in (1, 2) or array.shape[-1] != n:
-        hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
-        hint = "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)" if is_bound else hint
-        raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
-    return np.array(np.atleast_2d(array), order="C")
 
 
 def put(table: Any, items: Any, rows: Any) -> None:

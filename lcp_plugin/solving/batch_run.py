@@ -166,7 +166,7 @@ class BatchRun:
         return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 
 
-class BatchResult(Results):
+class BatchResult(Results[Result]):
     """The answers to a batch of problems.
 
     Parameters

@@ -26,7 +26,7 @@ from .result import Result, Results
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
 
-class March(Results):
+class March(Results[Result]):
     """The results of a march in time, in order; each is put together when it is looked at.
 
     Attributes

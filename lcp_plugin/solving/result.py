@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import index
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 
@@ -21,18 +21,21 @@ if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
     from ..certificates.theorems import Guarantee
 
-class Results(Sequence["Result"]):
+T = TypeVar("T")
+
+
+class Results(Sequence[T]):
     """A sequence of results, each put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
 
-    def at(self, k: int) -> Result:
+    def at(self, k: int) -> T:
         """Return result k."""
         raise NotImplementedError
 
     @overload
-    def __getitem__(self, k: int) -> Result: ...
+    def __getitem__(self, k: int) -> T: ...
     @overload
-    def __getitem__(self, k: slice) -> list[Result]: ...
-    def __getitem__(self, k: int | slice) -> Result | list[Result]:
+    def __getitem__(self, k: slice) -> list[T]: ...
+    def __getitem__(self, k: int | slice) -> T | list[T]:
         if isinstance(k, slice):
             return [self.at(i) for i in range(len(self))[k]]
         if not -len(self) <= index(k) < len(self):

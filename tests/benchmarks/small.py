@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.checks import FloatVector
+from lcp_plugin.conversions.program_batch import QuadraticProgramBatch
 from lcp_plugin.evidence.gallery import build
 from lcp_plugin.problem.lcp import LCP
 from lcp_plugin.settings import Status
@@ -131,6 +132,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
         behind = max([behind, *(1.0 / ratio for ratio in others.values())])
     yield f"first on {first} of {count}, at most {behind:.2f} × behind a rival   target half, ≤ 2 ×"
     yield from _batches(repeats, rivals, 200 if quick else 10_000)
+    yield _programs(repeats, 200 if quick else 10_000)
 
 
 def _calls(repeats: int) -> Iterator[str]:
@@ -210,6 +212,39 @@ def _batches(repeats: int, rivals: dict[str, Solver], count: int) -> Iterator[st
         if "gradients" in seconds:
             ratio, with_M = (seconds[name] / seconds["one"] for name in ("gradients", "matrices too"))
             yield f"their gradients by q and the bounds ÷ solving: {ratio:.2f}, by M too {with_M:.2f}   target ≤ 1 ×"
+
+
+def _programs(repeats: int, count: int, n: int = 10, m: int = 20) -> str:
+    """Return what a strictly convex program of a batch costs, on one thread and on two, beside loops over rivals."""
+    rng = np.random.default_rng(SEED)
+    factor, G, x = (rng.standard_normal(shape) for shape in ((count, n, n + 5), (count, m, n), (count, n)))
+    P, c = factor @ factor.transpose(0, 2, 1) / n + 0.01 * np.eye(n), rng.standard_normal((count, n))
+    h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m)) * (rng.random((count, m)) < 0.7)
+
+    def ours(threads: int) -> Any:
+        return solve_batch(QuadraticProgramBatch(P, c, G, h), threads=threads)
+
+    def daqp() -> None:
+        solver, none, sense = import_module("daqp"), np.full(m, -1e30), np.zeros(m, dtype=np.int32)
+        for k in range(count):
+            solver.solve(P[k], c[k], G[k], h[k], none, sense)
+
+    def piqp() -> None:
+        module, none = import_module("piqp"), np.full(m, -np.inf)
+        for k in range(count):
+            solver = module.DenseSolver()
+            solver.setup(P[k], c[k], None, None, G[k], none, h[k], None, None)
+            solver.solve()
+
+    calls: dict[str, Callable[[], Any]] = {"one": partial(ours, 1), "two": partial(ours, 2)}
+    calls |= {name: loop for name, loop in (("daqp", daqp), ("piqp", piqp)) if find_spec(name) is not None}
+    seconds, answers = medians(calls, max(repeats // 3, 1)), ours(1)
+    told = "".join(f"÷ {name} in a loop {seconds['one'] / seconds[name]:.2f}, " for name in calls if "qp" in name)
+    return (
+        f"batch of {count} programs n = {n}, m = {m}: {1e6 * seconds['one'] / count:.2f} µs a program, {told}"
+        f"two threads {seconds['one'] / seconds['two']:.2f} × faster, "
+        f"{int((answers.status != 'optimal').sum())} unsolved   target ≤ 10 µs"
+    )
 
 
 def _gradients(batch: BatchResult, *, of_matrices: bool = False) -> None:

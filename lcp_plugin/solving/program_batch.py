@@ -1,0 +1,188 @@
+"""The run of a batch of quadratic programs: a compiled loop over small ones, one by one what that leaves open."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms
+from ..communicator.alone import ALONE
+from ..conversions.program_batch import QuadraticProgramBatch
+from ..conversions.qp_forms import program_goal
+from ..conversions.qp_solution import QPSolution
+from ..crossovers import COMPILED_UP_TO
+from ..deadline import Clock
+from ..errors import InvalidOption, LCPError, UnknownAlgorithm
+from ..kernels.threads import in_chunks
+from ..settings import Status
+from .driver import asked_of_solve
+from .quadratic_program import solve_quadratic_program
+from .result import Results
+
+STRICT = 1e-7  # what is within this is stationary to 1e-6
+
+
+class ProgramBatchRun:
+    """The answers as they come, in tables with a row a program.
+
+    Parameters
+    ----------
+    programs : QuadraticProgramBatch
+    algorithm : str or Algorithm
+    wishes : dict
+        Whatever else :func:`lcp_plugin.solve` takes, for each program.
+    threads : int
+    limit : float
+        Seconds for all programs together.
+    """
+
+    def __init__(
+        self, programs: QuadraticProgramBatch, algorithm: Any, wishes: dict[str, Any], *, threads: int, limit: float
+    ) -> None:
+        self.programs, self.algorithm, self.wishes, self.threads, self.limit = (
+            programs, algorithm, wishes, threads, limit
+        )
+        self.settings = asked_of_solve(algorithm, wishes)[1]
+        programs.refuse_nonconvex()
+        self.small, count = SmallPrograms(*programs.arrays), len(programs)
+        self.answers = self.small.answers()
+        self.status, self.is_open = np.full(count, None), np.ones(count, np.bool_)
+        self.residual, self.at_bounds = np.full(count, np.nan), np.full((2, count, programs.n), np.nan)
+        self.solutions: dict[int, QPSolution] = {}  # of those that were solved one by one
+        self.errors: dict[int, LCPError] = {}
+        self.seconds, self.clock = 0.0, Clock(ALONE)
+
+    def run(self) -> ProgramBatchResult:
+        """Solve all, and gather what was found."""
+        m, p, n, _ = self.programs.sizes
+        is_small, may_run = 0 < n <= COMPILED_UP_TO - m - p, self.settings.max_iterations >= MOST_STEPS
+        try:
+            if self.algorithm == "auto" and is_small and may_run:
+                self._solve_small()
+            for k in np.flatnonzero(self.is_open).tolist():
+                if self.clock.read() >= self.limit or not self._solve(k):
+                    break
+        except KeyboardInterrupt:
+            pass
+        left = self.is_open
+        self.answers.x[left] = np.clip(0.0, self.small.lower[left], self.small.upper[left])
+        self.status[left] = "unknown"
+        self.seconds = self.clock.read()
+        return ProgramBatchResult(self)
+
+    def _solve_small(self) -> None:
+        answers, tolerance = self.answers, min(self.settings.tolerance, STRICT)
+
+        def solve_chunk(first: int, end: int) -> None:
+            if self.clock.read() < self.limit:
+                self.small.search(tolerance, first, end, answers)
+
+        try:
+            in_chunks(solve_chunk, len(self.status), self.threads)
+        finally:
+            is_solved = answers.has_converged & self.programs.may_be_stated
+            self.is_open, self.status[is_solved] = ~is_solved, "optimal"
+            self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
+            self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
+            for table in (answers.x, answers.y, *self.at_bounds):
+                table[self.is_open] = np.nan
+
+    def _solve(self, k: int) -> bool:
+        """Solve program k by itself; return whether nobody has interrupted that."""
+        wishes = dict(self.wishes)
+        if self.limit < np.inf:
+            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
+        self.is_open[k] = False
+        try:
+            program = self.programs[k]
+            result, found = solve_quadratic_program(program, self.algorithm, **wishes)
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            self.errors[k] = error
+            return True
+        may_refute = self.settings.refute
+        self.solutions[k], self.answers.x[k], self.answers.steps[k] = found, found.x, result.iterations
+        self.answers.y[k] = np.concatenate([found.inequality, found.equality])
+        self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), max(found.residual, found.row_residual)
+        self.status[k] = found.status if may_refute or found.is_stationary() else "unknown"
+        if result.status is not Status.INTERRUPTED:
+            return True
+        return may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None
+
+    def solution_of(self, k: int) -> QPSolution:
+        """Return the solution of program k, which has no error."""
+        if k not in self.solutions:
+            m, (lower, upper), y = self.programs.sizes[0], self.at_bounds[:, k], self.answers.y[k]
+            self.solutions[k] = QPSolution(self.programs[k], self.answers.x[k], y[:m], y[m:], lower, upper)
+        return self.solutions[k]
+
+
+class ProgramBatchResult(Results[QPSolution]):
+    """The answers to a batch of quadratic programs.
+
+    Parameters
+    ----------
+    run : ProgramBatchRun
+        At its end.
+
+    Attributes
+    ----------
+    x : array, shape (B, n)
+        NaN where the data are no convex program.
+    inequality, equality, lower, upper : arrays, shapes (B, m), (B, p), (B, n), (B, n)
+        Multipliers as those of a QPSolution; NaN where there are none.
+    status : array of str, shape (B,)
+        As `QPSolution.status`: "optimal" by the residuals of the program itself, "infeasible" or "unbounded" by a
+        proof; otherwise, and where the clock or Ctrl-C came first, "unknown". None where the data are no convex
+        program.
+    residual : array, shape (B,)
+        An upper bound of the largest residual of a QPSolution, `row_residual` included; NaN where nothing was found.
+    iterations : array of int, shape (B,)
+    seconds : float
+        Seconds of the whole batch, compilation excluded.
+    errors : dict
+        What is wrong with program k, where something is; ``answers[k]`` raises it.
+    programs : QuadraticProgramBatch
+
+    Notes
+    -----
+    ``answers[k]`` is the :class:`~lcp_plugin.conversions.qp_solution.QPSolution` of program k.
+    """
+
+    def __init__(self, run: ProgramBatchRun) -> None:
+        m, self.x, self.status, self.residual = run.programs.sizes[0], run.answers.x, run.status, run.residual
+        self.iterations, self.seconds, self.errors = run.answers.steps, run.seconds, run.errors
+        self.programs, self._solution_of = run.programs, run.solution_of
+        for array in (self.x, run.answers.y, run.at_bounds, self.status, self.residual, self.iterations):
+            array.flags.writeable = False
+        self.inequality, self.equality = run.answers.y[:, :m], run.answers.y[:, m:]
+        self.lower, self.upper = run.at_bounds
+
+    @cached_property
+    def objective(self) -> Any:
+        """½ xᵀP x + cᵀx of each, shape (B,); computed when it is looked at."""
+        P, c = self.programs.P, self.programs.vectors["c"]
+        return ((0.5 * np.matmul(P, self.x[:, :, np.newaxis])[:, :, 0] + c) * self.x).sum(axis=1)
+
+    @property
+    def all_solved(self) -> bool:
+        """Whether every status is "optimal"."""
+        return bool((self.status == "optimal").all())
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def at(self, k: int) -> QPSolution:
+        """Return solution k, or raise what is wrong with its program."""
+        if k in self.errors:
+            raise self.errors[k]
+        return self._solution_of(k)
+
+    def __repr__(self) -> str:
+        counts = Counter("no program" if one is None else one for one in self.status)
+        told = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+        return f"ProgramBatchResult({len(self)} programs: {told or 'none'}; {self.seconds:.3g} s)"

@@ -289,6 +289,21 @@ def test_a_huge_coefficient_hides_no_error_in_another_row() -> None:
     assert right.is_optimal(0.0)
 
 
+def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
+    """1e8 out along a slope of 1e-10 every condition holds to 1e-9 beside its terms; the objective is off by 2e-2."""
+    program = QuadraticProgram(
+        np.zeros((2, 2)), [1.0, 1e-10 - 1.0], A=[[1.0, -1.0]], b=[0.0], lower=-1e8, upper=1e8
+    )
+    none, x = np.zeros(2), np.full(2, 1e8)
+    wrong = QPSolution(program, x, [], [-1.0], none, none)
+    assert max(wrong.residual, wrong.row_residual) < 1e-9
+    assert wrong.duality_gap == pytest.approx(1e-2, rel=0.1)
+    assert not wrong.is_optimal()
+    right = QPSolution(program, -x, [], [-1.0], np.array([0.0, program.c[1] + 1.0]), none)
+    assert right.objective == pytest.approx(-1e-2)
+    assert right.is_optimal(1e-9)
+
+
 @pytest.mark.parametrize("part", ["primal", "equation", "bound", "complementarity", "sign", "infinite"])
 def test_the_row_residual_sees_every_condition(part: str) -> None:
     """A violation of one condition by 1e-3 in a row of its own is seen at about that size."""

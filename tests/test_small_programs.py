@@ -15,7 +15,7 @@ from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.solving.quadratic_program import ProgramResult, solve_quadratic_program
 
 INF = np.inf
-MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "slope_along_x")
+MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
 
 
 def planted(n: int, rows: int, equations: int, rank: int, seed: int) -> tuple[QuadraticProgram, np.ndarray, float]:

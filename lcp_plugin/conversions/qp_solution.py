@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
-LARGEST_SLOPE = 1e-3
+OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
 
 
 class Errors(NamedTuple):
@@ -26,7 +26,7 @@ class Errors(NamedTuple):
     dual: float
     complementarity: float
     rows: float
-    slope_along_x: float
+    gap: float
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
@@ -34,10 +34,10 @@ class Errors(NamedTuple):
         is_equality = program.constraints.is_equality
         signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
         wrong = float((signed - multipliers).max(initial=0.0))
-        primal, dual, product, size, rows, slope, slope_size = _measured(program, x, multipliers)
+        primal, dual, product, size, rows, gap, objective = _measured(program, x, multipliers)
         if not wrong <= 0.0:
             dual = _measured(program, x, signed)[1] + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
-        return cls(primal, float(dual), product / (1.0 + size), rows, slope / (1.0 + slope_size))
+        return cls(primal, float(dual), product / (1.0 + size), rows, gap / (1.0 + abs(objective)))
 
 
 def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> list[float]:
@@ -171,7 +171,7 @@ class QPSolution:
         return self.is_stationary(tolerance) and self.program.is_shown_convex
 
     def is_stationary(self, tolerance: float = 1e-6) -> bool:
-        """Return whether all three residuals and every row's own are at most the tolerance, and `slope_along_x` small.
+        """Return whether all three residuals and every row's own are at most the tolerance, and `duality_gap` small.
 
         Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
         For a convex program the conditions are sufficient.
@@ -186,15 +186,17 @@ class QPSolution:
         if not self.primal_residual <= constraint_tolerance(float(tolerance)):
             return False
         is_small = self.residual <= tolerance and self.row_residual <= tolerance
-        return bool(is_small and self.slope_along_x <= max(LARGEST_SLOPE, tolerance))
+        return bool(is_small and self.duality_gap <= max(OBJECTIVE, tolerance))
 
     @property
-    def slope_along_x(self) -> float:
-        """What the error of the gradient makes of the objective on the way from 0 to x, beside its largest term.
+    def duality_gap(self) -> float:
+        """By how much the errors of all conditions together may change the objective, beside 1 + its size.
 
-        Rows with large entries, or multipliers of 1e20, excuse any gradient beside their own terms.
+        |xᵀ left| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far out
+        along a direction in which the objective hardly changes, each error is small beside its own terms, and yet not
+        all of them beside the objective.
         """
-        return self._errors.slope_along_x
+        return self._errors.gap
 
     @cached_property
     def _errors(self) -> Errors:

@@ -13,7 +13,7 @@ from .enclosures import MAY_UNDERFLOW, fused, outward, split_sum
 from .floats import EPSILON, TINY
 
 TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
-PRIMAL, DUAL, PRODUCT, PRODUCT_SIZE, ROW, SLOPE, SLOPE_SIZE = range(7)  # of `worst`
+PRIMAL, DUAL, PRODUCT, PRODUCT_SIZE, ROW, GAP, OBJECTIVE = range(7)  # of `worst`
 
 
 @compiled_into_others
@@ -53,6 +53,7 @@ def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type:
         size = max(term, abs(limit))
         violated = over if not over <= 0.0 else 0.0
         worst[ROW] = _larger(worst[ROW], violated / (1.0 + (size if violated > 0.0 else 0.0)))
+        worst[GAP] += abs(y * slack)
         if is_equation:
             return
         wrong = -y if not y >= 0.0 else 0.0
@@ -69,7 +70,7 @@ def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type:
 def program_residuals(  # type: ignore[no-untyped-def]
     of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
 ):
-    """Fill `worst` with the largest errors of any condition of a program, NaN where one is not finite.
+    """Fill `worst` with the largest errors of any condition, the gap and the objective; NaN where one is not finite.
 
     Parameters
     ----------
@@ -121,5 +122,5 @@ def program_residuals(  # type: ignore[no-untyped-def]
         worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / dual_units[j])
         worst[ROW] = _larger(worst[ROW], abs(left) / (1.0 + largest))
         moved += left * x[j]
-        worst[SLOPE_SIZE] = _larger(worst[SLOPE_SIZE], _larger(abs(c[j] * x[j]), abs(product * x[j])))
-    worst[SLOPE] = abs(moved)
+        worst[OBJECTIVE] += (c[j] + 0.5 * product) * x[j]
+    worst[GAP] += abs(moved)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
+from cvxpy.constraints import NonNeg, Zero
 from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_vector
 from ..conversions.program import QuadraticProgram
 from ..conversions.qp_forms import program_goal
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
@@ -25,12 +27,17 @@ from ..settings import Status
 from ..solving.quadratic_program import ProgramResult, ended_by_caller, solve_quadratic_program
 from ..solving.result import Result
 from ._compat import statistics
+from .compiled_program import CompiledProgram
 from .stated_terms import dense_value
 from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
 
+MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
+
+
+_compiled: WeakKeyDictionary[Any, CompiledProgram | None] = WeakKeyDictionary()
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
@@ -69,6 +76,27 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def cite(self, data: Any) -> str:
         """Return where the methods come from."""
         return "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem."
+
+    def apply(self, problem: Any) -> Any:
+        """Return the data of the program that cvxpy compiled, as its own interface does, and what leads back."""
+        if problem not in _compiled:
+            _compiled[problem] = CompiledProgram.of(problem)
+        compiled = _compiled[problem]
+        if compiled is None or not self.accepts(problem):
+            return super().apply(problem)
+        found, dims = compiled.present(), problem.cone_dims
+        equations, inequalities = ([c for c in problem.constraints if type(c) is kind] for kind in (Zero, NonNeg))
+        data = {
+            self.DIMS: dims, settings.PARAM_PROB: problem, settings.P: found.P, settings.Q: found.q,
+            settings.A: found.A, settings.B: found.b, settings.F: found.F, settings.G: found.g,
+            settings.BOOL_IDX: [], settings.INT_IDX: [], settings.LOWER_BOUNDS: problem.lower_bounds,
+            settings.UPPER_BOUNDS: problem.upper_bounds, "n_var": found.q.size, "n_eq": found.b.size,
+            "n_ineq": found.g.size, MATRICES: found.matrices,
+        }
+        return data, {
+            self.VAR_ID: problem.x.id, self.DIMS: dims, self.IS_MIP: problem.is_mixed_integer(),
+            settings.OFFSET: found.d, self.EQ_CONSTR: equations, self.NEQ_CONSTR: inequalities,
+        }
 
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
@@ -187,25 +215,42 @@ class _Compiled(NamedTuple):
 
         A parameter changes vectors as a rule, and matrices are what takes time.
         """
-        given = [matrix for matrix in (data[settings.P], data[settings.F], data[settings.A]) if matrix is not None]
-        columns = tuple(part for matrix in given for part in (matrix.data, matrix.indices, matrix.indptr))
-        same = before is not None and len(columns) == len(before.columns)
-        if before is None or not (same and all(map(np.array_equal, columns, before.columns))):
-            return cls(tuple(part.copy() for part in columns), quadratic_program(data))
+        if before is None or not before.has_matrices_of(data):
+            program = quadratic_program(data)
+            is_own = data.get(MATRICES) is program.matrices
+            return cls(() if is_own else tuple(part.copy() for part in _columns(data)), program)
         _require_plain(data)
         program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
         return before._replace(program=program)
+
+    def has_matrices_of(self, data: Any) -> bool:
+        """Return whether the matrices are those of this problem data, too."""
+        if data.get(MATRICES) is self.program.matrices:
+            return True
+        columns = _columns(data)
+        return len(columns) == len(self.columns) and all(map(np.array_equal, columns, self.columns))
+
+
+def _columns(data: Any) -> tuple[Any, ...]:
+    """Return the arrays of the matrices."""
+    given = (data[key] for key in (settings.P, settings.F, settings.A))
+    return tuple(part for one in given if one is not None for part in (one.data, one.indices, one.indptr))
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     _require_plain(data)
-    n = int(data["n_var"])
-    return QuadraticProgram(
-        _given(data[settings.P], (n, n)), data[settings.Q],
-        G=_given(data[settings.F], (int(data["n_ineq"]), n)), h=data[settings.G],
-        A=_given(data[settings.A], (int(data["n_eq"]), n)), b=data[settings.B],
+    n, matrices = int(data["n_var"]), data.get(MATRICES)
+    P, F, A = (data[key] for key in (settings.P, settings.F, settings.A))
+    if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
+        free, (c, b) = np.full(n, np.inf), (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
+        h = checked_vector(data[settings.G], settings.G, None, allow_plus_infinity=True)
+        return QuadraticProgram.with_matrices(matrices, c, h, b, -free, free)
+    P, F, A = (
+        sp.csr_array((rows, n)) if matrix is None else matrix
+        for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
     )
+    return QuadraticProgram(P, data[settings.Q], G=F, h=data[settings.G], A=A, b=data[settings.B])
 
 
 def _require_plain(data: Any) -> None:
@@ -217,10 +262,6 @@ def _require_plain(data: Any) -> None:
             "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
             "bounds that it derived itself; state them as constraints"
         )
-
-
-def _given(matrix: Any, shape: tuple[int, int]) -> Any:
-    return sp.csr_array(shape) if matrix is None else matrix
 
 
 def _status(

@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import lcp_from_qp, solve
+from lcp_plugin.algorithms.interior_points.small_programs import SmallPrograms
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.qp_solution import QPSolution
+from lcp_plugin.kernels import small_programs
+from lcp_plugin.kernels.compilation import compiling_at_once
 from lcp_plugin.solving.quadratic_program import ProgramResult, solve_quadratic_program
 
 INF = np.inf
@@ -133,3 +136,22 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
         assert result.is_solved == (solution.status == "optimal")
         assert solution.status == "optimal"
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [5, 70])
+def test_interpreted_and_compiled_are_the_same_bits(n: int) -> None:
+    """Rows are worked on at once where the kernel is interpreted, in the same order as in its loops."""
+    program = planted(n, n // 2, 3, n, 11)[0]
+    given = SmallPrograms.of_one(
+        program.P, program.c, np.vstack([program.G, program.A]), np.append(program.h, program.b),
+        np.arange(program.h.size + 3) >= program.h.size, program.lower, program.upper,
+    )
+    assert given is not None
+    with compiling_at_once():
+        compiled = given.solved(1e-9)
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
+        patch.setattr(small_programs, "run", small_programs.run.py_func)
+        interpreted = given.solved(1e-9)
+    assert compiled.has_converged.all()
+    for one, other in zip(compiled, interpreted, strict=True):
+        assert np.array_equal(one, other)

@@ -35,6 +35,7 @@ with compiling():  # loading the compiler takes most of a second
     from numba.core.compiler import Compiler
     from numba.core.sigutils import normalize_signature
 
+FEW = 2**12  # numbers in the arrays of a call
 _lock = Lock()
 
 
@@ -75,13 +76,14 @@ def compiled_in_any_order(function: Any) -> Any:
     return _part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
-def interpreted_while_small(function: Any, *, longest: float = np.inf) -> Any:
+def interpreted_while_small(function: Any, *, longest: float = np.inf, numbers: int = FEW) -> Any:
     """Compile a kernel as `compiled` does once a call is large, or many have been interpreted; the bits are the same.
 
     A kernel that lies on disk is loaded. Calls with an axis above `longest` are compiled: where sums of more terms may
-    be taken in another order, or where work grows faster than the numbers in the arrays.
+    be taken in another order, or where work grows faster than the numbers in the arrays. Those with more than `numbers`
+    numbers in their arrays are compiled, too.
     """
-    return _compiled(function, longest)
+    return _compiled(function, longest, numbers)
 
 
 def compiled_part(function: Any) -> Any:
@@ -92,6 +94,22 @@ def compiled_part(function: Any) -> Any:
 def compiled_into_others(function: Any) -> Any:
     """Compile a short part of kernels: on a few unknowns a call costs more than what it does."""
     return _part(function, forceinline=True)
+
+
+def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Compile a short part of kernels that works on a row; where kernels are interpreted, `by_arrays` does it at once.
+
+    Both give the same bits: sums are taken in the same order.
+    """
+
+    def decorate(function: Any) -> Any:
+        part = _part(function, forceinline=True)
+        if not hasattr(part, "compile"):
+            return by_arrays
+        part._compile_for_args = lambda *_, **__: by_arrays
+        return part
+
+    return decorate
 
 
 def compiled_in_place(function: Any) -> Any:
@@ -138,7 +156,7 @@ def _part(function: Any, **options: Any) -> Any:
 
 
 @compiling()
-def _compiled(function: Any, longest: float = 0.0) -> Any:
+def _compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
     if hasattr(dispatcher, "compile"):
@@ -146,7 +164,7 @@ def _compiled(function: Any, longest: float = 0.0) -> Any:
         compile_for, dispatcher.is_patient = dispatcher._compile_for_args, longest > 0.0
 
         def of_arguments(*arguments: Any) -> Any:
-            if longest and _may_be_interpreted(dispatcher, arguments, longest):
+            if longest and _may_be_interpreted(dispatcher, arguments, longest, numbers):
                 return partial(_interpret, function)
             with compiling(), _without_collector():  # or loading
                 return compile_for(*arguments)
@@ -156,16 +174,15 @@ def _compiled(function: Any, longest: float = 0.0) -> Any:
 
 
 LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the compiler; of more, in any order
-FEW = 2**12  # numbers in the arrays of a call
 PATIENCE = 1.0  # seconds that a process interprets before it compiles: about as long as a kernel or two are compiled
 _interpreted = [0.0]
 
 
-def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float) -> bool:
+def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float, numbers: int) -> bool:
     if _interpreted[0] >= PATIENCE:
         return False
     arrays = [argument for argument in arguments if isinstance(argument, np.ndarray)]
-    is_small = sum(array.size for array in arrays) <= FEW
+    is_small = sum(array.size for array in arrays) <= numbers
     is_small = is_small and all(max(array.shape, default=0) <= longest for array in arrays)
     return is_small and not dispatcher._cache.has(dispatcher, arguments)
 

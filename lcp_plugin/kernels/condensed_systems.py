@@ -2,20 +2,24 @@
 
 The multipliers with a large diagonal entry go first, and leave Σ c_i c_iᵀ ÷ entry among x; the others stay beside x.
 LDLᵀ of that quasidefinite matrix, a little regularised, refined against the system itself. Rows of `vectors` are those
-of :mod:`.interior_steps`, and two more.
+of :mod:`.interior_steps`, and three more.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compilation import compiled_into_others, compiled_part
+from .compilation import compiled_for_rows, compiled_into_others, compiled_part
 from .enclosures import unsigned
 from .interior_steps import DIAGONAL, FOUND, RIGHT, ROWS
 
-SPARE, MORE, SYSTEM_ROWS = ROWS, ROWS + 1, ROWS + 2  # what is left to be solved for, what a solve adds
+# What is left to be solved for, what a solve adds, scale factors.
+SPARE, MORE, UNIT, SYSTEM_ROWS = ROWS, ROWS + 1, ROWS + 2, ROWS + 3
 REGULARISED, WEIGHTS, SYSTEM_FACTS = 9, 10, 14  # entries of `facts` behind those of the steps; four weights
 
+RUIZ_PASSES = 6
 REGULARISATION, LARGEST_REGULARISATION = 1e-9, 1e-5
 KEPT_BELOW = 1e-4  # a multiplier with such a diagonal entry is no pivot
 PINNED = 1e30  # a diagonal that leaves nothing of an unknown
@@ -23,7 +27,26 @@ PASSES = 5  # solves with one factor
 LARGEST = 1e300
 
 
-@compiled_into_others
+def _row_times_at_once(matrix: Any, i: int, begin: int, end: int, vectors: Any, row: int) -> Any:
+    products, a, b, c, d = matrix[i, begin:end] * vectors[row, begin:end], *np.zeros(4)
+    fours = end - begin - (end - begin) % 4
+    if fours:  # sums of numbers in a row, one after the other
+        a, b, c, d = np.cumsum(products[:fours].reshape(-1, 4), axis=0)[-1]
+    for product_of_rest in products[fours:]:
+        a += product_of_rest
+    return (a + b) + (c + d)
+
+
+def _add_row_at_once(matrix: Any, i: int, begin: int, end: int, times: Any, vectors: Any, row: int) -> None:
+    vectors[row, begin:end] += matrix[i, begin:end] * times
+
+
+def _subtract_four_at_once(matrix: Any, i: int, end: int, room: Any, e: Any, f: Any, g: Any, h: Any) -> None:
+    a, b, c, d = room[:, i:end]
+    matrix[i, i:end] -= (e * a + f * b) + (g * c + h * d)
+
+
+@compiled_for_rows(_row_times_at_once)
 def _row_times(matrix, i, begin, end, vectors, row):  # type: ignore[no-untyped-def]
     """Return Σ matrix[i, j] v_j over begin ≤ j < end, v that row of `vectors`: four sums side by side."""
     a = b = c = d = 0.0
@@ -39,7 +62,7 @@ def _row_times(matrix, i, begin, end, vectors, row):  # type: ignore[no-untyped-
     return (a + b) + (c + d)
 
 
-@compiled_into_others
+@compiled_for_rows(_add_row_at_once)
 def _add_row(matrix, i, begin, end, times, vectors, row):  # type: ignore[no-untyped-def]
     """Add so many times matrix[i, j] to that row of `vectors`, begin ≤ j < end."""
     i, row = unsigned(i), unsigned(row)
@@ -47,12 +70,23 @@ def _add_row(matrix, i, begin, end, times, vectors, row):  # type: ignore[no-unt
         vectors[row, j] += matrix[i, j] * times
 
 
-@compiled_into_others
+@compiled_for_rows(_subtract_four_at_once)
 def _subtract_four(matrix, i, end, room, e, f, g, h):  # type: ignore[no-untyped-def]
     """Subtract so many times the four rows of `room` from row i, from the diagonal on: it is read and written once."""
     i = unsigned(i)
     for j in range(i, unsigned(end)):
         matrix[i, j] -= (e * room[0, j] + f * room[1, j]) + (g * room[2, j] + h * room[3, j])
+
+
+def _copy_row_at_once(matrix: Any, i: int, begin: int, end: int, target: Any, row: int) -> None:
+    target[row, begin:end] = matrix[i, begin:end]
+
+
+@compiled_for_rows(_copy_row_at_once)
+def _copy_row(matrix, i, begin, end, target, row):  # type: ignore[no-untyped-def]
+    """Copy matrix[i, j], begin ≤ j < end, to the same places of a row of another."""
+    for j in range(begin, end):
+        target[row, j] = matrix[i, j]
 
 
 @compiled_part
@@ -64,6 +98,64 @@ def product(P, C, vectors, source, target):  # type: ignore[no-untyped-def]
     for i in range(m):
         vectors[target, n + i] = -_row_times(C, i, 0, n, vectors, source)
         _add_row(C, i, 0, n, vectors[source, n + i], vectors, target)
+
+
+@compiled_part
+def equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled):  # type: ignore[no-untyped-def]
+    """Fill UNIT with powers of two that bring rows and columns of [[P, Cᵀ], [C, 0]] to even size; scale copies."""
+    m, n = C_scaled.shape
+    for i in range(n + m):
+        vectors[UNIT, i] = 1.0
+    for _ in range(RUIZ_PASSES):
+        for i in range(n + m):
+            vectors[SPARE, i] = 0.0
+        for i in range(n):
+            _enlarge(P, at_P, i, vectors[UNIT, i], vectors, i)
+        for i in range(m):
+            _enlarge(C, at_C, i, vectors[UNIT, n + i], vectors, n + i)
+        largest = 0.0
+        for i in range(n + m):
+            size = vectors[SPARE, i]
+            if size > 0.0:
+                vectors[UNIT, i] /= np.sqrt(size)
+                largest = max(largest, size, 1.0 / size)
+        if largest < 2.0:
+            break
+    for i in range(n + m):
+        vectors[UNIT, i] = 2.0 ** np.rint(np.log2(vectors[UNIT, i]))
+    for i in range(n):
+        _scale(P, at_P, i, vectors[UNIT, i], vectors, P_scaled)
+    for i in range(m):
+        _scale(C, at_C, i, vectors[UNIT, n + i], vectors, C_scaled)
+
+
+def _scale_at_once(matrix: Any, k: int, i: int, factor: Any, vectors: Any, scaled: Any) -> None:
+    scaled[i] = matrix[k, i] * (factor * vectors[UNIT, : scaled.shape[1]])
+
+
+@compiled_for_rows(_scale_at_once)
+def _scale(matrix, k, i, factor, vectors, scaled):  # type: ignore[no-untyped-def]
+    """Fill row i of the scaled matrix."""
+    for j in range(scaled.shape[1]):
+        scaled[i, j] = matrix[k, i, j] * (factor * vectors[UNIT, j])
+
+
+def _enlarge_at_once(matrix: Any, k: int, i: int, factor: Any, vectors: Any, row: int) -> None:
+    n = matrix.shape[2]
+    sizes = np.abs(matrix[k, i]) * factor * vectors[UNIT, :n]
+    np.maximum(vectors[SPARE, :n], sizes, out=vectors[SPARE, :n])
+    vectors[SPARE, row] = max(vectors[SPARE, row], sizes.max(initial=0.0))
+
+
+@compiled_for_rows(_enlarge_at_once)
+def _enlarge(matrix, k, i, factor, vectors, row):  # type: ignore[no-untyped-def]
+    """Let SPARE be no less than the scaled entries of row i in their columns, and in place `row` than all of them."""
+    largest = 0.0
+    for j in range(matrix.shape[2]):
+        size = abs(matrix[k, i, j]) * factor * vectors[UNIT, j]
+        vectors[SPARE, j] = max(vectors[SPARE, j], size)
+        largest = max(largest, size)
+    vectors[SPARE, row] = max(vectors[SPARE, row], largest)
 
 
 @compiled_part
@@ -84,22 +176,18 @@ def _assemble(P, C, vectors, facts, matrix, room):  # type: ignore[no-untyped-de
     m, n = C.shape
     kept, going, regularisation = 0, 0, facts[REGULARISED]
     for i in range(n):
-        for j in range(i, n):
-            matrix[i, j] = P[i, j]
+        _copy_row(P, i, i, n, matrix, i)
         matrix[i, i] += vectors[DIAGONAL, i] + regularisation
     for i in range(m):
         pivot = vectors[DIAGONAL, n + i] + regularisation
         if pivot < KEPT_BELOW:
-            for j in range(n):
-                matrix[j, n + kept] = C[i, j]
-            for j in range(kept):
-                matrix[n + j, n + kept] = 0.0
+            for j in range(n + kept):
+                matrix[j, n + kept] = C[i, j] if j < n else 0.0
             matrix[n + kept, n + kept] = -pivot
             kept += 1
         elif pivot < PINNED:
             facts[WEIGHTS + going] = 1.0 / pivot
-            for j in range(n):
-                room[going, j] = C[i, j]
+            _copy_row(C, i, 0, n, room, going)
             going += 1
             if going == 4:
                 _add(n, facts, room, matrix)
@@ -134,8 +222,7 @@ def _eliminate(matrix, room, positive, size):  # type: ignore[no-untyped-def]
                 _add_row(matrix, p, i, size, -matrix[p, i] / pivot, matrix, i)
         if end < size:
             for k in range(4):
-                for j in range(end, size):
-                    room[k, j] = matrix[start + k, j]
+                _copy_row(matrix, start + k, end, size, room, k)
             a, b = 1.0 / matrix[start, start], 1.0 / matrix[start + 1, start + 1]
             c, d = 1.0 / matrix[start + 2, start + 2], 1.0 / matrix[start + 3, start + 3]
             for i in range(end, size):

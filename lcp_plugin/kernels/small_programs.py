@@ -7,6 +7,8 @@ solved. What does not come to an end here is left to others.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from .compilation import compiled_into_others, compiled_part, interpreted_while_small
@@ -16,6 +18,8 @@ from .condensed_systems import (
     SPARE,
     SYSTEM_FACTS,
     SYSTEM_ROWS,
+    UNIT,
+    equilibrate,
     factorise,
     product,
     solve,
@@ -49,19 +53,19 @@ from .interior_steps import (
     move,
 )
 
-UNIT, SIDE, WIDTH = SYSTEM_ROWS, SYSTEM_ROWS + 1, SYSTEM_ROWS + 2  # rows of `vectors`: scale factors, the active side
+SIDE, WIDTH = SYSTEM_ROWS, SYSTEM_ROWS + 1  # a row of `vectors`: the active side
 AT_LOWER, BETWEEN, AT_UPPER = -1.0, 0.0, 1.0
 
 STEPS = 60
-RUIZ_PASSES = 6
 ROUGH, SHARP = 1e-8, 1e-15  # beside the right-hand side: what a direction, and an active set, may leave
 SETTLED_GAP, CLOSED_GAP = 1e-3, 1e-18  # of the first gap: an active set is tried; nothing more is gained
 ROUNDS = 5  # corrections of an active set
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
+NUMBERS = 2**17  # in the arrays of a call that may be interpreted: its loops are on rows
 MEASURES = 5  # primal and dual residual, complementarity, the largest error of a row, the slope along x
 
 
-@interpreted_while_small
+@partial(interpreted_while_small, numbers=NUMBERS)
 def run(  # type: ignore[no-untyped-def]
     P, c, C, d, is_equality, lower, upper, tolerance, first, end, vectors, matrix, P_scaled, C_scaled, x, y,
     reduced, measures, steps, has_converged,
@@ -74,7 +78,7 @@ def run(  # type: ignore[no-untyped-def]
     facts, room = np.zeros(SYSTEM_FACTS), np.empty((4, vectors.shape[1]))
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
-        _equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled)
+        equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled)
         _fill(c, d, is_equality, lower, upper, k, vectors, facts)
         steps[k], has_converged[k] = 0, False
         if not _start(vectors, facts, matrix, room, P_scaled, C_scaled):
@@ -103,41 +107,6 @@ def run(  # type: ignore[no-untyped-def]
                 )
                 if is_closed:
                     break
-
-
-@compiled_part
-def _equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled):  # type: ignore[no-untyped-def]
-    """Fill UNIT with powers of two that bring rows and columns of [[P, Cᵀ], [C, 0]] to even size; scale copies."""
-    m, n = C_scaled.shape
-    for i in range(n + m):
-        vectors[UNIT, i] = 1.0
-    for _ in range(RUIZ_PASSES):
-        for i in range(n + m):
-            vectors[SPARE, i] = 0.0
-        for i in range(n):
-            for j in range(n):
-                vectors[SPARE, i] = max(vectors[SPARE, i], abs(P[at_P, i, j]) * vectors[UNIT, i] * vectors[UNIT, j])
-        for i in range(m):
-            for j in range(n):
-                size = abs(C[at_C, i, j]) * vectors[UNIT, n + i] * vectors[UNIT, j]
-                vectors[SPARE, n + i] = max(vectors[SPARE, n + i], size)
-                vectors[SPARE, j] = max(vectors[SPARE, j], size)
-        largest = 0.0
-        for i in range(n + m):
-            size = vectors[SPARE, i]
-            if size > 0.0:
-                vectors[UNIT, i] /= np.sqrt(size)
-                largest = max(largest, size, 1.0 / size)
-        if largest < 2.0:
-            break
-    for i in range(n + m):
-        vectors[UNIT, i] = 2.0 ** np.rint(np.log2(vectors[UNIT, i]))
-    for i in range(n):
-        for j in range(n):
-            P_scaled[i, j] = P[at_P, i, j] * (vectors[UNIT, i] * vectors[UNIT, j])
-    for i in range(m):
-        for j in range(n):
-            C_scaled[i, j] = C[at_C, i, j] * (vectors[UNIT, n + i] * vectors[UNIT, j])
 
 
 @compiled_part

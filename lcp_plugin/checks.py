@@ -325,7 +325,8 @@ def is_number(value: Any) -> bool:
 def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
     """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
     is_bound = name in ("lower", "upper", "dlower", "dupper")
-    need = f"{name} must have shape (B, {n}) or ({n},){', or be a number' if is_bound else ''}"
+    size = {"h": "m", "b": "p"}.get(name, "n")
+    need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
     array = real_array(values, need)
     if array.ndim == 0 and is_bound:
         array = np.full(n, float(array))

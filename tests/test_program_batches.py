@@ -337,7 +337,7 @@ WRONG = {
     r"P must have shape \(B, 2, 2\), or \(2, 2\) for all, as c has 2 entries; got shape \(3, 3\)":
         lambda: QuadraticProgramBatch(np.eye(3), [1.0, 2.0]),
     r"G must have shape \(B, rows, 2\)": lambda: QuadraticProgramBatch(*ONE, G=np.ones((2, 3)), h=[1.0, 1.0]),
-    r"h must have shape \(B, 1\) or \(1,\), got shape \(2,\)":
+    r"h must have shape \(B, m\) or \(m,\), m = 1, got shape \(2,\)":
         lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]], h=[1.0, 2.0]),
     r"must be equally long, got P 3, c 4":
         lambda: QuadraticProgramBatch(np.stack([np.eye(2)] * 3), np.ones((4, 2))),

@@ -196,7 +196,7 @@ def test_a_bad_problem_costs_that_one_alone() -> None:
         ((np.eye(3), None), "q is missing"),
         ((np.ones((2, 3)), np.ones(3)), r"M must have shape \(B, n, n\)"),
         ((np.ones((4, 3, 3)), np.ones((5, 3))), "equally long, got q 5, M 4"),
-        ((np.ones((4, 3, 3)), np.ones((4, 2))), r"q must have shape \(B, 3\) or \(3,\)"),
+        ((np.ones((4, 3, 3)), np.ones((4, 2))), r"q must have shape \(B, n\) or \(n,\), n = 3"),
         ((np.ones((4, 3, 3)), 1.0), "q must have shape"),
         ((["M"], np.ones(3)), "real numbers|M must"),
     ],

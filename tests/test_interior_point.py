@@ -402,3 +402,12 @@ def test_steps_never_get_worse() -> None:
             last = step.residual
         assert k < 300
     assert last <= 1e-12
+
+
+def test_a_gap_that_falls_is_improvement_where_the_residual_hides_it() -> None:
+    """Residuals of few equations more than barely consistent, z ≥ 0: every w is 0 at the answer, and steps go on."""
+    rng = np.random.default_rng(1)
+    A, x = rng.standard_normal((300, 600)), rng.standard_normal(600) * (rng.random(600) < 0.1)
+    b = A @ x + 0.1 * rng.standard_normal(300)
+    P = A.T @ A
+    assert solve(LCP(0.5 * (P + P.T), -A.T @ b), "interior_point").status is Status.SOLVED

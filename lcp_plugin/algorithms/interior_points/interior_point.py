@@ -112,10 +112,13 @@ class InteriorPoint(Algorithm):
 
 
 class Standstill:
-    """The smallest residual so far; of a program, gap and infeasibility too: where none falls, nothing improves."""
+    """The smallest residual so far; of a convex program, gap and infeasibility too: where none falls, nothing improves.
 
-    def __init__(self, is_program: bool) -> None:
-        self._count, self._patience = (3, LONG_PATIENCE) if is_program else (1, PATIENCE)
+    That is where M is symmetric, or has the signs of a program: elsewhere there may be no solution.
+    """
+
+    def __init__(self, is_convex: bool) -> None:
+        self._count, self._patience = (3, LONG_PATIENCE) if is_convex else (1, PATIENCE)
         self._least = np.full(self._count, np.inf)
         self._since = 0
 
@@ -199,6 +202,11 @@ class _Search:
         return self.best if product <= self.product / MUCH_SMALLER else MUCH_SMALLER * self.best
 
     @property
+    def is_convex(self) -> bool:
+        """Whether the problem states a convex program, by the signs of M or as it is symmetric."""
+        return self.suited.is_program or self.suited.is_symmetric
+
+    @property
     def is_near(self) -> bool:
         """Whether the best residual is small, and yet that of no active set that was solved for."""
         return FINISHED * self.reference < self.best <= NEAR * self.reference
@@ -261,7 +269,7 @@ class _Search:
         """Make steps from a start of that weight until nothing improves; return whether there was a start."""
         if not point.start(starts.weight):
             return False
-        standstill, first_gap, counted = Standstill(self.suited.is_program), point.gap, point.matrix.work
+        standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
         polishes, settled_for, last, steps, held = 0, 0, point.active(1.0)[0], 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():

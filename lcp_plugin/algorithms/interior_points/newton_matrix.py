@@ -45,7 +45,7 @@ class NewtonMatrix:
         self.regularisation = self._least = REGULARISATION
         self.missed = 0.0
         self.share, self._share_before = 0.0, np.inf
-        self._may_sharpen = True
+        self._may_sharpen = self._is_easy = True
         self._diagonal = np.zeros(self.n)
 
     def product(self, z: FloatVector) -> FloatVector:
@@ -55,9 +55,11 @@ class NewtonMatrix:
     def factorise(self, diagonal: FloatVector) -> bool:
         """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
         self._diagonal, self.missed, self.share = diagonal, 0.0, 0.0
-        self.regularisation = max(self._least, 0.01 * self.regularisation)
+        if self._is_easy:
+            self.regularisation = max(self._least, 0.01 * self.regularisation)
+        self._is_easy = True
         while not self._try(diagonal + self.regularisation):
-            self._may_sharpen = False
+            self._may_sharpen = self._is_easy = False
             self.regularisation *= 100.0
             self._least = min(self.regularisation, REGULARISATION)
             if self.regularisation > LARGEST_REGULARISATION:

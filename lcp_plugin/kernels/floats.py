@@ -10,6 +10,7 @@ NEGLIGIBLE_DIAGONAL = 1e-10  # beside the largest entry of its row: no measure o
 
 # Solving with a factor, and again with what is left over.
 REFINEMENTS = 5
+ROUGH = 1e-7  # beside the right-hand side: more is always worth another solve
 REFINED = 1e-12  # beside the right-hand side: what is left is not worth another solve
 USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
 STABLE = 1e-10  # the same beside the solution, which is large where the matrix is nearly singular

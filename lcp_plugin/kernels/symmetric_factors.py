@@ -10,7 +10,7 @@ import numpy as np
 from numba import uintp
 
 from .compilation import compiled
-from .floats import REFINED
+from .floats import REFINED, ROUGH
 
 
 @compiled
@@ -44,9 +44,9 @@ def factorise(order, starts, below, row_starts, columns, above_starts, above, at
 
 @compiled
 def solve(  # type: ignore[no-untyped-def]
-    order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, right, x, spare, refinements
+    order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, right, x, spare, refinements, enough
 ):
-    """Fill x with (M + diag(diagonal))⁻¹ right, refined as long as that gains anything.
+    """Fill x with (M + diag(diagonal))⁻¹ right, refined as long as that gains anything, or until the error is enough.
 
     Return the largest error left, NaN where one is NaN, the largest component of `right`, and how often was solved.
     """
@@ -55,7 +55,7 @@ def solve(  # type: ignore[no-untyped-def]
     size, error, passes = 0.0, np.inf, 0
     for i in range(n):
         x[i], left[i], size = 0.0, right[i], max(size, abs(right[i]))
-    while passes <= refinements and (passes == 0 or REFINED * size < error < np.inf):
+    while passes <= refinements and (passes == 0 or max(REFINED * size, min(enough, ROUGH * size)) < error < np.inf):
         for k in range(n):
             i = order[k]
             y[k] = signs[i] * left[i]

@@ -40,7 +40,6 @@ MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
 NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
-LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
 MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
@@ -257,7 +256,7 @@ class _Search:
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
         matrix = newton_matrix(self.M, primal is not None, self.signs, self.suited.symbolic)
-        point = PredictorCorrector(matrix, self.q, self.lower, self.upper, 2 if self.q.size >= LARGE else 1)
+        point = PredictorCorrector(matrix, self.q, self.lower, self.upper)
         weight = _weight_of(primal)
         for heavier in (1.0, HEAVIER) if self.suited.is_program else (1.0,):
             if not (yield from self._from(point, Starts(heavier * weight), primal)):

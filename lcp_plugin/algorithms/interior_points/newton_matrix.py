@@ -12,13 +12,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import FloatVector, read_only
-from ...kernels.floats import REFINED, REFINEMENTS, STABLE, USEFUL
+from ...kernels.floats import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 from ...matrix.factors import cholesky, dense_lu, sparse_lu, sparse_work
 from ...matrix.structure import row_numbers
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
 SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
 SMALLEST = 1e-300
+LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
 WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
 PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
 
@@ -30,6 +31,8 @@ class NewtonMatrix:
     ----------
     work : float
         Multiplications so far.
+    enough : float
+        An error of a solve that is not refined any further.
     missed : float
         The largest error that a solve has left since the last factorisation.
     share : float
@@ -43,10 +46,15 @@ class NewtonMatrix:
         self.work = 0.0
         self.signs = read_only(np.ones(self.n))
         self.regularisation = self._least = REGULARISATION
-        self.missed = 0.0
+        self.missed = self.enough = 0.0
         self.share, self._share_before = 0.0, np.inf
         self._may_sharpen = self._is_easy = True
         self._diagonal = np.zeros(self.n)
+
+    @property
+    def corrections(self) -> int:
+        """How many corrections towards the centre are worth their solves, beside a factorisation."""
+        return 2 if self.n >= LARGE else 1
 
     def product(self, z: FloatVector) -> FloatVector:
         """Return M z."""
@@ -83,7 +91,7 @@ class NewtonMatrix:
         size = float(np.max(np.abs(right), initial=0.0))
         left, error = self._left(right, x)
         for _ in range(REFINEMENTS):
-            if not REFINED * size < error < np.inf:
+            if not max(REFINED * size, min(self.enough, ROUGH * size)) < error < np.inf:
                 break
             better = x + self._apply(left)
             left, smaller = self._left(right, better)

@@ -11,6 +11,7 @@ import numpy as np
 from ...checks import BoolVector, FloatVector
 from .newton_matrix import NewtonMatrix
 
+ENOUGH = 1e-2  # of the infeasibility: an error that a solve of a direction may leave
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
 FAR = 10.0  # times as large as usual, a number says nothing of where to start
 
@@ -31,7 +32,8 @@ class PredictorCorrector:
     """
 
     def __init__(
-        self, matrix: NewtonMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector, corrections: int
+        self, matrix: NewtonMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector,
+        corrections: int | None = None,
     ) -> None:
         from ...kernels import interior_steps as kernels
 
@@ -44,7 +46,8 @@ class PredictorCorrector:
             is_finite = np.isfinite(bound)
             vectors[bound_row], vectors[flag_row] = np.where(is_finite, bound, 0.0), is_finite
             facts[kernels.PAIRS] += np.count_nonzero(is_finite)
-        facts[kernels.CORRECTIONS], facts[kernels.IS_PROGRAM] = corrections, float((matrix.signs < 0.0).any())
+        facts[kernels.CORRECTIONS] = matrix.corrections if corrections is None else corrections
+        facts[kernels.IS_PROGRAM] = float((matrix.signs < 0.0).any())
         facts[kernels.INFEASIBILITY] = np.inf
         self.z = vectors[kernels.Z]
 
@@ -155,10 +158,12 @@ class PredictorCorrector:
         vectors[kernels.LEFT] = matrix.product(self.z)
         if not kernels.begin(vectors, facts) or not matrix.factorise(vectors[kernels.DIAGONAL]):
             return False
+        matrix.enough = ENOUGH * self.infeasibility
         phase = kernels.advance(vectors, facts, kernels.BEGUN)
         while phase != kernels.DONE:
             vectors[kernels.FOUND] = matrix.solve(vectors[kernels.RIGHT])
             phase = kernels.advance(vectors, facts, phase)
+        matrix.enough = 0.0
         if facts[kernels.IS_PROGRAM] and matrix.missed > kernels.SHARP * self.infeasibility:
             matrix.sharpen()
         return bool(kernels.move(vectors, facts))

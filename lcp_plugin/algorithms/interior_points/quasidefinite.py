@@ -19,6 +19,7 @@ from ...matrix.factors import made, most_operations
 from ...matrix.structure import compressed_rows
 from .newton_matrix import SMALLEST, NewtonMatrix
 
+DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
@@ -126,6 +127,12 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
         return bool(symmetric_factors.factorise(*arrays))
 
+    @property
+    def corrections(self) -> int:
+        """As in every Newton matrix; the work is known."""
+        times = self.symbolic.work / max(self.symbolic.solve_work, 1.0)
+        return 2 if times > DEAR[1] else int(times > DEAR[0])
+
     def solve(self, right: FloatVector) -> FloatVector:
         """Return what every Newton matrix does, refined in compiled loops."""
         x, error, size = self._solved(right, self._diagonal, REFINEMENTS)
@@ -137,7 +144,9 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         from ...kernels import symmetric_factors
 
         x = np.empty(self.n)
-        error, size, passes = symmetric_factors.solve(*self._system, diagonal, right, x, self._spare, refinements)
+        error, size, passes = symmetric_factors.solve(
+            *self._system, diagonal, right, x, self._spare, refinements, self.enough
+        )
         self.work += passes * (self.symbolic.solve_work + self._entries)
         return x, error, size
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms.interior_points.dense_ends import DenseEnd, analysed, newton_matrix
+from lcp_plugin.algorithms.interior_points.dense_ends import DenseEnd, analysed, in_order, newton_matrix
 from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic, signs_of
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.settings import Status
@@ -58,6 +58,22 @@ def test_dense_rows_come_last(kind: str) -> None:
     assert 80 <= known.last <= 82
     assert known.entries <= 1.01 * plain.entries
     assert known.work < 0.5 * plain.work
+
+
+@pytest.mark.parametrize("density", [0.0, 0.02, 0.3])
+def test_the_pattern_in_any_order_is_that_of_a_dense_factor(density: float) -> None:
+    """L in an order that is given has the entries that Cholesky's factor of such a matrix has, few or many."""
+    rng, n = np.random.default_rng(5), 80
+    half = sp.random_array((n, n), density=density, rng=rng, data_sampler=rng.random)
+    M, order = sp.csr_array(half + half.T + 2.0 * n * sp.eye_array(n)), rng.permutation(n)
+    M.sort_indices()
+    symbolic = in_order(M, order)
+    expected = np.tril(np.linalg.cholesky(M.toarray()[np.ix_(order, order)]), -1)
+    _, starts, below, row_starts, columns = (part.astype(np.int64) for part in symbolic.pattern[:5])
+    found = sp.csc_array((np.ones(below.size), below, starts), shape=(n, n)).toarray()
+    by_rows = sp.csr_array((np.ones(columns.size), columns, row_starts), shape=(n, n)).toarray()
+    assert np.array_equal(found, by_rows)
+    assert np.array_equal(found > 0.0, expected != 0.0)
 
 
 def test_one_sign_or_both_are_factorised() -> None:

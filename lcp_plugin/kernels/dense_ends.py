@@ -77,29 +77,24 @@ def store(starts, values, pivots, slot, block, factor, positive):  # type: ignor
 
 
 @compiled
-def rows_of_factor(above_starts, above):  # type: ignore[no-untyped-def]
-    """Return L by rows (starts, columns) from what is above the diagonal of a symmetric matrix, by columns.
+def rows_of_factor(above_starts, above, parent, seen, starts, columns):  # type: ignore[no-untyped-def]
+    """Fill L by rows from what is above the diagonal, by columns; return how many entries it has, written as they fit.
 
     Row k has the places of column k and those on the way from them to k in the elimination tree (Liu 1986,
-    doi:10.1145/6497.6499).
+    doi:10.1145/6497.6499), `parent`. `seen`, shape (n,), is room to work in.
     """
-    n = above_starts.size - 1
-    parent, seen, starts = np.full(n, -1), np.full(n, -1), np.zeros(n + 1, np.int64)
-    columns, count = np.empty(2 * above.size + n, np.int64), 0
-    for k in range(n):
-        seen[k] = k
+    count, room = 0, columns.size
+    for k in range(seen.size):
+        parent[k], seen[k] = -1, k
         for p in range(above_starts[k], above_starts[k + 1]):
             j = above[p]
             while seen[j] != k:
                 if parent[j] < 0:
                     parent[j] = k
                 seen[j] = k
-                if count == columns.size:
-                    longer = np.empty(2 * count, np.int64)
-                    longer[:count] = columns
-                    columns = longer
-                columns[count] = j
+                if count < room:
+                    columns[count] = j
                 count += 1
                 j = parent[j]
         starts[k + 1] = count
-    return starts, columns[:count].copy()
+    return count

@@ -52,21 +52,22 @@ class DenseEnd(Symbolic):
 class DensePart(NamedTuple):
     """Which columns are a dense block, which others are full in its rows, and what a factorisation takes then.
 
-    Work is in multiplications of compiled loops; `by_lapack` is what LAPACK does of it.
+    `fill` zeros become entries of L. Work is in multiplications of compiled loops; `by_lapack` is LAPACK's part of it.
     """
 
     first: int
     is_blocked: Any
+    fill: float
     work: float
     by_lapack: float
 
 
 def analysed(M: sp.csr_array, signs: FloatVector) -> Symbolic:
     """Return order and pattern of a factor of M, canonical, with a dense end where that is predicted to be quicker."""
-    order = dense_rows_last(M)
-    if order is not None:
+    order, last = dense_rows_last(M, signs)
+    if last:
         symbolic = in_order(M, order)
-        part = dense_part(symbolic)
+        part = dense_part(symbolic, last)
         if part is not None and part.work <= SHARED_BY * part.by_lapack:
             return rearranged(symbolic, part, signs)
     symbolic = Symbolic.of(M)
@@ -74,33 +75,35 @@ def analysed(M: sp.csr_array, signs: FloatVector) -> Symbolic:
     return symbolic if part is None else rearranged(symbolic, part, signs)
 
 
-def dense_rows_last(M: sp.csr_array) -> Any:
-    """Return an order in which dense rows come last, and before them those that share entries with most of them.
+def dense_rows_last(M: sp.csr_array, signs: FloatVector) -> tuple[Any, int]:
+    """Return an order with dense rows last, before them those that share entries with most of these; and how many.
 
-    None where LAPACK would gain nothing. To minimum degree the unknowns of a lasso have few neighbours, as it leaves
-    dense rows out: it eliminates them first, which fills the rows of their bounds.
+    0 where LAPACK would gain nothing. To minimum degree the unknowns of a lasso have few neighbours, as it leaves dense
+    rows out: it eliminates them first, which fills the rows of their bounds.
     """
     degrees = np.diff(M.indptr)
     if np.count_nonzero(is_almost(degrees, NARROW)) < NARROW / TALL:
-        return None
+        return None, 0
     sizes, counts = np.unique(degrees, return_counts=True)
     leaps = sizes[1:] / np.maximum(sizes[:-1], 1)
     most, chosen = 0.0, None
     for k in np.argsort(-leaps, kind="stable")[:CLASSES]:
-        last, is_last = float(counts[k + 1 :].sum()), degrees > sizes[k]
+        count, is_last = float(counts[k + 1 :].sum()), degrees > sizes[k]
         if leaps[k] < LEAP:
             break
         reach = np.add.reduceat(np.append(is_last[M.indices], False), M.indptr[:-1], dtype=np.int64)
-        is_shared = ~is_last & (degrees > 0) & is_almost(reach, last)
+        is_shared = ~is_last & (degrees > 0) & is_almost(reach, count)
         shared = float(np.count_nonzero(is_shared))
-        gain = 0.5 * shared * last**2 - lapack_work(last, shared) - BLOCKED_FROM * shared * last
-        if gain > most and last <= TALL * shared:
+        gain = 0.5 * shared * count**2 - lapack_work(count, shared) - BLOCKED_FROM * shared * count
+        if gain > most and count <= TALL * shared:
             most, chosen = gain, (is_shared, is_last)
     if chosen is None:
-        return None
+        return None, 0
     others = np.flatnonzero(~(chosen[0] | chosen[1]))
     first = others[Symbolic.of(sp.csr_array(M[others][:, others])).pattern[0]] if others.size else others
-    return np.concatenate([first, *map(np.flatnonzero, chosen)])
+    dense = np.flatnonzero(chosen[1])
+    dense = dense[np.argsort(-signs[dense], kind="stable")]
+    return np.concatenate([first, np.flatnonzero(chosen[0]), dense]), dense.size
 
 
 def is_almost(reach: Any, last: float) -> Any:
@@ -117,8 +120,13 @@ def in_order(M: sp.csr_array, order: Any) -> Symbolic:
     position = np.empty(n, dtype=np.int64)
     position[order] = np.arange(n)
     above = _above(at, position[rows[at]], position[M.indices[at]], n)
-    indptr, indices = dense_ends.rows_of_factor(above.indptr.astype(np.int64), above.indices.astype(np.int64))
-    return _of(M.indptr, M.indices, order, sp.csr_array((np.ones(indices.size), indices, indptr), shape=(n, n)), above)
+    upper = above.indptr.astype(np.int64), above.indices.astype(np.int64)
+    room, starts = np.empty((2, n), dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
+    columns = np.empty(2 * at.size + n, dtype=np.int64)
+    while (count := dense_ends.rows_of_factor(*upper, *room, starts, columns)) > columns.size:
+        columns = np.empty(count, dtype=np.int64)
+    L = sp.csr_array((np.ones(count), columns[:count], starts), shape=(n, n))
+    return _of(M.indptr, M.indices, order, L, above)
 
 
 def _above(at: Any, first: Any, second: Any, n: int) -> sp.csc_array:
@@ -138,25 +146,25 @@ def _of(indptr: Any, indices: Any, order: Any, L: Any, above: sp.csc_array) -> S
     return Symbolic(indptr, indices, pattern, L.nnz, 0.5 * float(counts @ counts), 2.0 * L.nnz)
 
 
-def dense_part(symbolic: Symbolic) -> DensePart | None:
-    """Return what is best left to LAPACK, None where that is nothing."""
+def dense_part(symbolic: Symbolic, expected: int = 0) -> DensePart | None:
+    """Return what is best left to LAPACK, None where that is nothing; `expected` rows are among what is tried."""
     if symbolic.work <= 0.5 * NARROW * symbolic.entries:  # each column would have to be longer
         return None
-    starts, below = (part.astype(np.int64) for part in symbolic.pattern[1:3])
-    counts, n = np.diff(starts), starts.size - 1
+    starts, _, row_starts, of_rows = symbolic.pattern[1:5]
+    counts, n = np.diff(starts).astype(np.float64), starts.size - 1
     sums, sizes = np.cumsum(counts[::-1]), np.arange(n)
     best, least = None, symbolic.work - BLOCKED_FROM * symbolic.entries
-    for share in FULL:
-        are_full = np.flatnonzero(sums >= share * 0.5 * sizes * (sizes + 1))  # of the last 1, 2, … columns
-        first = n - 1 - int(are_full[-1]) if are_full.size else n
-        ends = np.concatenate([[0], np.cumsum(below >= first)])
-        reach = np.diff(ends[starts])[:first]  # how many of the last rows each column has
+    full = [np.flatnonzero(sums >= share * 0.5 * sizes * (sizes + 1)) for share in FULL]  # the last 1, 2, … columns
+    for first in (n - expected, *(n - 1 - int(columns[-1]) for columns in full if columns.size)):
+        reach = np.bincount(of_rows[row_starts[first] :], minlength=n)[:first]  # how many of the last rows each has
         is_blocked = is_almost(reach, n - first)
         taken = 0.5 * float(reach[is_blocked] @ reach[is_blocked] + counts[first:] @ counts[first:])
         by_lapack = lapack_work(n - first, float(np.count_nonzero(is_blocked)))
         if symbolic.work - taken + by_lapack < least:
             least = symbolic.work - taken + by_lapack
-            best = DensePart(first, is_blocked, least, by_lapack)
+            entries = float(reach[is_blocked].sum() + counts[first:].sum())
+            fill = (np.count_nonzero(is_blocked) + 0.5 * (n - first - 1)) * (n - first) - entries
+            best = DensePart(first, is_blocked, fill, least, by_lapack)
     return best
 
 
@@ -168,27 +176,26 @@ def lapack_work(last: float, blocked: float) -> float:
 
 def rearranged(symbolic: Symbolic, part: DensePart, signs: FloatVector) -> DenseEnd:
     """Return the pattern with its last rows sorted by sign, and full where it is almost full."""
-    order, starts, below, _, _, above_starts, above, at = (kept.astype(np.int64) for kept in symbolic.pattern)
+    order, starts, below, _, _, above_starts, above, at = symbolic.pattern
     n, first, blocked = order.size, part.first, np.flatnonzero(part.is_blocked)
     last, moved = n - first, np.argsort(-signs[order[first:]], kind="stable")
-    position = np.arange(n)
-    position[first + moved] = np.arange(first, n)
-    order[first:] = order[first:][moved]
-    columns, rows = np.repeat(np.arange(n), np.diff(starts)), position[below]
-    is_kept = columns < first
-    is_kept[is_kept] = ~(part.is_blocked[columns[is_kept]] & (rows[is_kept] >= first))
-    lower, upper = np.tril_indices(last, -1)
-    rows = np.concatenate([rows[is_kept], np.tile(np.arange(first, n), blocked.size), first + lower])
-    columns = np.concatenate([columns[is_kept], np.repeat(blocked, last), first + upper])
-    of_columns = np.repeat(np.arange(n), np.diff(above_starts))
-    L = sp.coo_array((np.ones(rows.size), (rows, columns)), shape=(n, n)).tocsr()
-    known = _of(
-        symbolic.indptr, symbolic.indices, order, L, _above(at, position[above], position[of_columns], n)
-    )
+    if part.fill or (np.diff(moved) < 0).any():
+        position = np.arange(n)
+        position[first + moved] = np.arange(first, n)
+        order = np.concatenate([order[:first], order[first:][moved]])
+        columns, rows = np.repeat(np.arange(n), np.diff(starts.astype(np.int64))), position[below]
+        is_kept = columns < first
+        is_kept[is_kept] = ~(part.is_blocked[columns[is_kept]] & (rows[is_kept] >= first))
+        lower, upper = np.tril_indices(last, -1)
+        rows = np.concatenate([rows[is_kept], np.tile(np.arange(first, n), blocked.size), first + lower])
+        columns = np.concatenate([columns[is_kept], np.repeat(blocked, last), first + upper])
+        places = position[above], position[np.repeat(np.arange(n), np.diff(above_starts.astype(np.int64)))]
+        L = sp.coo_array((np.ones(rows.size), (rows, columns)), shape=(n, n)).tocsr()
+        symbolic = _of(symbolic.indptr, symbolic.indices, order, L, _above(at, *places, n))
     slot = np.full(n, -1, dtype=np.int64)
     slot[blocked] = np.arange(blocked.size)
     positive = int(np.count_nonzero(signs[order[first:]] > 0.0))
-    return DenseEnd(**known.__dict__ | {"work": part.work}, slot=read_only(slot), last=last, positive=positive)
+    return DenseEnd(**symbolic.__dict__ | {"work": part.work}, slot=read_only(slot), last=last, positive=positive)
 
 
 class DenseEndNewtonMatrix(QuasidefiniteNewtonMatrix):

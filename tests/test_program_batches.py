@@ -24,6 +24,7 @@ from lcp_plugin import (
     strategies,
 )
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
+from lcp_plugin.solving import program_batch
 from lcp_plugin.solving.program_batch import ProgramBatchResult, ProgramBatchRun
 from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 from lcp_plugin.strategies.programs import QPAnswer
@@ -196,7 +197,10 @@ def test_a_bad_program_costs_that_one_alone() -> None:
 
 
 def test_programs_without_a_minimum_come_with_a_proof() -> None:
-    """Contradicting rows, a slope without end, and one that has a minimum; without refute no proof is looked for."""
+    """Contradicting rows, a slope without end, and one that has a minimum; without refute a proof is not looked for.
+
+    That of contradicting rows is found on the way.
+    """
     programs = QuadraticProgramBatch(
         np.diag([1.0, 0.0]), [[0.0, 1.0], [0.0, -1.0], [0.0, 1.0]], G=[[-1.0, 0.0], [1.0, 0.0]],
         h=[[-1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], lower=[-INF, 0.0],
@@ -206,7 +210,29 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
     assert isinstance(answers[0].proof, QPInfeasibility)
     assert isinstance(answers[1].proof, QPUnboundedness)
     assert answers[1].proof.verify()
-    assert solve_batch(programs, refute=False).status.tolist() == ["unknown", "unknown", "optimal"]
+    assert solve_batch(programs, refute=False).status.tolist() == ["infeasible", "unknown", "optimal"]
+
+
+def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows, equations and bounds that contradict each other by Farkas multipliers chosen first: no linear program."""
+    def never(*given: Any, **options: Any) -> Any:
+        raise AssertionError("the long way was taken")
+
+    monkeypatch.setattr(program_batch, "solve_quadratic_program", never)
+    rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
+    A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
+    signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
+    G[:, 0] = -signed  # times 1 with the others times y it leaves nothing
+    h[:, 0] = -(h[:, 1:] * y[:, 1:]).sum(axis=1) - b.sum(axis=1) - 0.1
+    for semidefinite in (1.0, 0.0):
+        answers = solve_batch(QuadraticProgramBatch(semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]))
+        assert set(answers.status) == {"infeasible"}
+        assert all(solution.proof.verify() and solution.status == "infeasible" for solution in answers)
+        assert np.isnan(answers.inequality).all()
+    twice = QuadraticProgramBatch(np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]])
+    assert solve_batch(twice).status.tolist() == ["infeasible", "optimal"]
+    boxed = QuadraticProgramBatch(np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0)
+    assert solve_batch(boxed).status.tolist() == ["infeasible", "optimal"]
 
 
 def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:

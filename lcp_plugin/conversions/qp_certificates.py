@@ -95,12 +95,12 @@ def _unfolded(
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
     rows = program.constraints.within_bounds
-    proofs = (_with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
+    proofs = (with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
     return next((proof for proof in proofs if proof.verify()), None)
 
 
-def _with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
-    """Return multipliers of all rows with those of the bounds, which take up what the rows leave."""
+def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
+    """Return multipliers of all rows with those of the bounds, which take up what the rows leave: a proof, or none."""
     m, p, n, _ = program.constraints.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
     found = Contradiction(program.constraints.within_bounds, y)
@@ -126,7 +126,7 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
         return None
 
     def proven(y: Multipliers) -> QPInfeasibility | None:
-        proof = _with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
+        proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
         return proof if proof.margin > 0.0 else None
 
     return farkas.proof(answer, proven)

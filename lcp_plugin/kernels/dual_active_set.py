@@ -38,6 +38,7 @@ CENTERS = 5  # proximal points
 REFINEMENTS = 4
 REFINED = 1e-11  # a measure that needs no refinement
 NONE, DEFINITE, SEMIDEFINITE = 0, 1, 2
+LOST, CONTRADICTION = -1, -2  # in the place of a size
 
 
 @compiled_part
@@ -184,8 +185,50 @@ def _gradient(P, at_P, c, k, real, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
+def _add_normals(C, at_C, real, whole, n, size):  # type: ignore[no-untyped-def]
+    """Add the normals of active constraints, times their multipliers, to LEFT."""
+    m = C.shape[1]
+    for a in range(n, size):
+        i = whole[ROW, a]
+        for j in range(n if i < m else 0):
+            real[LEFT, j] += C[at_C, i, j] * real[Y, i]
+        if i >= m:
+            real[LEFT, (i - m) % n] += real[Y, i] if i >= m + n else -real[Y, i]
+
+
+@compiled_part
+def _multiply(real, room, count, size):  # type: ignore[no-untyped-def]
+    """Write STEP = W times the first so many entries of LEFT."""
+    for a in range(size):
+        real[STEP, a] = 0.0
+    for a in range(count):
+        for b in range(size):
+            real[STEP, b] += real[LEFT, a] * room[a, b]
+
+
+@compiled_part
+def _contradict(C, at_C, new, sign, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
+    """Write to Y the multipliers with which the normals of `new` and of the active constraints cancel (Farkas)."""
+    m, n = C.shape[1], C.shape[2]
+    for i in range(m + 2 * n):
+        real[Y, i] = 0.0
+    real[Y, new] = sign
+    for _twice in range(2):  # the second takes off what the first has rounded
+        whole[ROW, size] = new
+        for j in range(n):
+            real[LEFT, j] = 0.0
+        _add_normals(C, at_C, real, whole, n, size + 1)
+        _multiply(real, room, n, size)
+        _move(real, whole, n, size, 1.0, False)
+    for a in range(n, size):
+        i = whole[ROW, a]
+        if not (real[Y, i] > 0.0 or _is_equation(i, is_equality, n, real)):
+            real[Y, i] = 0.0
+
+
+@compiled_part
 def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # type: ignore[no-untyped-def]
-    """Put x at the minimum subject to the equations, from CENTER; return the size of W, −1 where they contradict."""
+    """Put x at the minimum subject to the equations, from CENTER; return the size of W or CONTRADICTION."""
     m, n = C.shape[1], C.shape[2]
     for i in range(m + 2 * n):
         real[Y, i], whole[ACTIVE, i] = 0.0, 0
@@ -208,7 +251,8 @@ def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # 
                 _join(real, whole, room, i, size, steepness)
                 size += 1
             elif not abs(violation) <= CONSISTENT * (real[SIZE, i] + abs(real[LIMIT, i])):
-                return -1
+                _contradict(C, at_C, i, np.sign(violation), is_equality, real, whole, room, size)
+                return CONTRADICTION
     return size
 
 
@@ -226,7 +270,7 @@ def _most_violated(C, at_C, real, whole):  # type: ignore[no-untyped-def]
 
 @compiled_part
 def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
-    """Let constraints join and leave until none is violated; return (size of W, steps), −1 where that fails."""
+    """Let constraints join and leave until none is violated; return the size of W, LOST or CONTRADICTION, and steps."""
     m, n = C.shape[1], C.shape[2]
     made = 0
     while True:
@@ -236,7 +280,7 @@ def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-
         violation, is_active = _value(C, at_C, new, real) - real[LIMIT, new], False
         while not is_active:
             if made == STEPS * (m + 3 * n):
-                return -1, made
+                return LOST, made
             made += 1
             steepness = _direction(C, at_C, new, real, room, size)
             step, at = violation / steepness if steepness > 0.0 else np.inf, -1
@@ -247,7 +291,8 @@ def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-
                     step, at = max(real[Y, i], 0.0) / real[STEP, a], a
             if not step < np.inf:
                 if not violation <= CONSISTENT * (real[SIZE, new] + abs(real[LIMIT, new])):
-                    return -1, made
+                    _contradict(C, at_C, new, 1.0, is_equality, real, whole, room, size)
+                    return CONTRADICTION, made
                 real[Y, new], whole[ACTIVE, new] = 0.0, 1  # rounding of what depends on it: others stand for it
                 break
             _move(real, whole, n, size, step, steepness > 0.0)
@@ -271,15 +316,8 @@ def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size):  # ty
     for a in range(n, size):
         i = whole[ROW, a]
         real[LEFT, a] = _value(C, at_C, i, real) - real[LIMIT, i]
-        for j in range(n if i < m else 0):
-            real[LEFT, j] += C[at_C, i, j] * real[Y, i]
-        if i >= m:
-            real[LEFT, (i - m) % n] += real[Y, i] if i >= m + n else -real[Y, i]
-    for a in range(size):
-        real[STEP, a] = 0.0
-    for a in range(size):
-        for b in range(size):
-            real[STEP, b] += real[LEFT, a] * room[a, b]
+    _add_normals(C, at_C, real, whole, n, size)
+    _multiply(real, room, size, size)
     _move(real, whole, n, size, 1.0, True)
     for a in range(n, size):
         i = whole[ROW, a]
@@ -292,8 +330,7 @@ def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size):  # ty
 @compiled_part
 def _look_at(P, at_P, C, at_C, real):  # type: ignore[no-untyped-def]
     """Fill SIZE with the largest entries of rows, 1 where there is none; return whether all numbers are usual."""
-    m, n = C.shape[1], C.shape[2]
-    is_usual = True
+    m, n, is_usual = C.shape[1], C.shape[2], True
     for i in range(n + m):
         largest = 0.0
         for j in range(n):
@@ -309,35 +346,40 @@ def _look_at(P, at_P, C, at_C, real):  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def run(  # type: ignore[no-untyped-def]
-    P, c, C, d, is_equality, lower, upper, tolerance, first, end, x, y, reduced, measures, steps, has_converged
+    P, c, C, d, is_equality, lower, upper, tolerance, first, end, x, y, reduced, measures, steps, has_converged,
+    contradicts,
 ):
     """Write x, y, reduced, measures, steps and has_converged of the programs first ≤ k < end.
 
-    P and C, shapes (1 or count, n, n) and (1 or count, m, n), may be shared. Rows of C with d = ∞ say nothing.
+    P and C, shapes (1 or count, n, n) and (1 or count, m, n), may be shared. Rows of C with d = ∞ say nothing. Where
+    constraints contradict each other by all that doubles tell, y and reduced are multipliers that should prove it.
     """
     m, n = C.shape[1], C.shape[2]
-    real, whole = np.empty((ROWS, m + 2 * n)), np.empty((2, m + 2 * n), np.int64)
+    real, whole = np.empty((ROWS, m + 2 * n)), np.empty((2, m + 2 * n + 1), np.int64)
     room, inverse, vectors = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((WIDTH, n + m))
-    kind, is_usual = NONE, False
+    kind = NONE
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
         if k == first or at_P > 0:
             kind = _invert(P, at_P, real, room, inverse)
-        if k == first or at_P > 0 or at_C > 0:
-            is_usual = _look_at(P, at_P, C, at_C, real)
+        if (k == first or at_P > 0 or at_C > 0) and not _look_at(P, at_P, C, at_C, real):
+            kind = NONE
         for i in range(m):
             real[LIMIT, i] = d[k, i]
         for j in range(n):
             real[LIMIT, m + j], real[LIMIT, m + n + j], real[CENTER, j] = -lower[k, j], upper[k, j], 0.0
-        steps[k], has_converged[k] = 0, False
-        for _center in range(CENTERS if kind == SEMIDEFINITE else 1 if kind == DEFINITE else 0):
-            size = -1
-            if is_usual:
-                size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse)
+        steps[k], has_converged[k], contradicts[k] = 0, False, False
+        for _center in range(0 if kind == NONE else 1 if kind == DEFINITE else CENTERS):
+            size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse)
             if size >= 0:
                 size, made = _proceed(C, at_C, is_equality, real, whole, room, size)
                 steps[k] += made
+            contradicts[k] = size == CONTRADICTION
             if size < 0:
+                for i in range(m):
+                    y[k, i] = real[Y, i]
+                for j in range(n):
+                    reduced[k, j] = real[Y, m + j] - real[Y, m + n + j]
                 break
             for j in range(n):
                 real[CENTER, j] = real[X, j]
@@ -347,9 +389,7 @@ def run(  # type: ignore[no-untyped-def]
                     x[k, j] = min(max(real[X, j], lower[k, j]), upper[k, j])
                 for i in range(m):
                     y[k, i] = real[Y, i]
-                measure(
-                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
-                )
+                measure(P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures)
                 largest = 0.0
                 for i in range(MEASURES):
                     largest = max(largest, measures[k, i])

@@ -118,7 +118,8 @@ def solve_batch(
     BatchResult, or ProgramBatchResult for programs
         Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
         solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
-        Each program is judged by its own residuals, those of a QPSolution to 1e-6.
+        Each program is judged by its own residuals, those of a QPSolution to 1e-6. Where the compiled loop meets a
+        contradiction that proves it infeasible, this is said with refute=False, too.
 
     Raises
     ------

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms
+from ..checks import FloatVector
 from ..communicator.alone import ALONE
+from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
+from ..conversions.qp_certificates import with_bounds
 from ..conversions.qp_forms import program_goal
 from ..conversions.qp_solution import QPSolution
 from ..crossovers import COMPILED_UP_TO
@@ -50,6 +54,7 @@ class ProgramBatchRun:
         self.small, count = SmallPrograms(*programs.arrays), len(programs)
         self.answers = self.small.answers()
         self.status, self.is_open = np.full(count, None), np.ones(count, np.bool_)
+        self.contradicts = np.zeros(count, np.bool_)  # where multipliers should prove that
         self.residual, self.at_bounds = np.full(count, np.nan), np.full((2, count, programs.n), np.nan)
         self.solutions: dict[int, QPSolution] = {}  # of those that were solved one by one
         self.errors: dict[int, LCPError] = {}
@@ -68,6 +73,7 @@ class ProgramBatchRun:
         except KeyboardInterrupt:
             pass
         left = self.is_open
+        self._forget(left)
         self.answers.x[left] = np.clip(0.0, self.small.lower[left], self.small.upper[left])
         self.status[left] = "unknown"
         self.seconds = self.clock.read()
@@ -78,7 +84,7 @@ class ProgramBatchRun:
 
         def solve_chunk(first: int, end: int) -> None:
             if self.clock.read() < self.limit:
-                self.small.search(tolerance, first, end, answers)
+                self.small.search(tolerance, first, end, answers, self.contradicts)
 
         try:
             in_chunks(solve_chunk, len(self.status), self.threads)
@@ -87,17 +93,19 @@ class ProgramBatchRun:
             self.is_open, self.status[is_solved] = ~is_solved, "optimal"
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
-            for table in (answers.x, answers.y, *self.at_bounds):
-                table[self.is_open] = np.nan
 
     def _solve(self, k: int) -> bool:
         """Solve program k by itself; return whether nobody has interrupted that."""
         wishes = dict(self.wishes)
         if self.limit < np.inf:
             wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
-        self.is_open[k] = False
+        y, self.is_open[k] = self.answers.y[k].copy(), False
+        self._forget(k)
         try:
             program = self.programs[k]
+            if self.contradicts[k] and (proved := self._proved(program, y)) is not None:
+                self.solutions[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
+                return True
             result, found = solve_quadratic_program(program, self.algorithm, **wishes)
         except (InvalidOption, UnknownAlgorithm):
             raise
@@ -112,6 +120,23 @@ class ProgramBatchRun:
         if result.status is not Status.INTERRUPTED:
             return True
         return may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None
+
+    def _forget(self, items: Any) -> None:
+        """Leave no numbers of what the loop has not solved."""
+        for table in (self.answers.x, self.answers.y, *self.at_bounds):
+            table[items] = np.nan
+
+    def _proved(self, program: QuadraticProgram, y: FloatVector) -> QPSolution | None:
+        """Return the answer to an infeasible program, where these multipliers of its rows prove that; checked exactly.
+
+        Those of bounds are what they leave.
+        """
+        proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
+        if not proof.verify() or not proof.excludes(program_goal(self.settings.tolerance)):
+            return None
+        program.__dict__["proof_of_no_minimum"] = proof
+        nothing = (np.full(size, np.nan) for size in self.programs.sizes)
+        return QPSolution(program, np.clip(0.0, program.lower, program.upper), *nothing)
 
     def solution_of(self, k: int) -> QPSolution:
         """Return the solution of program k, which has no error."""

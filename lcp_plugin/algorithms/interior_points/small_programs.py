@@ -111,11 +111,14 @@ class SmallPrograms(NamedTuple):
             np.full((count, MEASURES), np.inf), np.zeros(count, np.int64), np.zeros(count, np.bool_),
         )
 
-    def search(self, tolerance: float, first: int, end: int, answers: SmallAnswers) -> None:
-        """Write what the dual active-set method finds of programs first ≤ k < end; d may be ∞, variables fixed."""
+    def search(self, tolerance: float, first: int, end: int, answers: SmallAnswers, contradicts: BoolVector) -> None:
+        """Write what the dual active-set method finds of programs first ≤ k < end; d may be ∞, variables fixed.
+
+        Where constraints contradict each other, y and reduced should be multipliers that prove it.
+        """
         from ...kernels.dual_active_set import run
 
-        run(*self[:7], tolerance, first, end, *answers)
+        run(*self[:7], tolerance, first, end, *answers, contradicts)
 
 
 def may_be_small(n: int, m: int) -> bool:

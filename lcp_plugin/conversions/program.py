@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import (
     FloatVector,
+    assembled,
     check_order,
     checked_bound,
     checked_vector,
@@ -25,7 +26,7 @@ from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.matrix import largest_in_rows
 from ..matrix.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
-from .program_matrices import ProgramMatrices
+from .program_matrices import ProgramMatrices, as_csr
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 
@@ -59,8 +60,9 @@ class QuadraticProgram:
         max |p_ij − p_ji| of the P that was given.
     matrices : ProgramMatrices
         P, G and A with what they alone say.
-    ranges : CSR array or None
-        Of a program made by `from_ranges`: what the multipliers of G and A are times to be those of the given rows.
+    ranges : tuple or None
+        Of a program made by `from_ranges`: which given row each row of G and A is, with which sign, and how many these
+        are.
 
     Raises
     ------
@@ -128,8 +130,9 @@ class QuadraticProgram:
         >>> program
         QuadraticProgram(n=2, 2 inequalities, 1 equality)
         """
-        n = checked_vector(c, "c", None).size
-        rows = sp.csr_array(rectangular_matrix(A, "A", None, n))
+        vector = checked_vector(c, "c", None)
+        n = vector.size
+        rows = as_csr(rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
         low, high = (
             _with_infinities(checked_bound(limit, name, m))
@@ -138,13 +141,25 @@ class QuadraticProgram:
         check_order(low, high)
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
-        equal, identity, sides = np.flatnonzero(is_equality), sp.eye_array(m, format="csr"), above.size + below.size
-        picked = sp.vstack([identity[above], -identity[below], identity[equal]], format="csr")
-        program = cls(
-            P, c, picked[:sides] @ rows, np.concatenate([high[above], -low[below]]), picked[sides:] @ rows, low[equal],
-            _with_infinities(checked_bound(lower, "lower", n)), _with_infinities(checked_bound(upper, "upper", n)),
+        equal, sides = np.flatnonzero(is_equality), above.size + below.size
+        order, signs = np.concatenate([above, below, equal]), np.ones(sides + equal.size)
+        signs[above.size : sides] = -1.0
+        picked = rows[order]
+        ends, data = picked.indptr, picked.data * np.repeat(signs, np.diff(picked.indptr))
+        G, equations = (
+            assembled(data[ends[first] : ends[last]], picked.indices[ends[first] : ends[last]],
+                      ends[first : last + 1] - ends[first], (last - first, n))
+            for first, last in ((0, sides), (sides, order.size))
         )
-        program.__dict__["ranges"] = picked.T
+        bounds = [
+            read_only(_with_infinities(checked_bound(bound, name, n)))
+            for bound, name in ((lower, "lower"), (upper, "upper"))
+        ]
+        check_order(*bounds)
+        symmetric_P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
+        h, b = read_only(np.append(high[above], -low[below])), read_only(low[equal])
+        program = cls.with_matrices(ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds)
+        program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
         return program
 
     @property

@@ -153,7 +153,9 @@ class QPSolution:
         """
         if self.program.ranges is None:
             raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
-        y: FloatVector = self.program.ranges @ np.concatenate([self.inequality, self.equality])
+        order, signs, count = self.program.ranges
+        y: FloatVector = np.zeros(count)
+        np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
         return y
 
     def is_optimal(self, tolerance: float = 1e-6) -> bool:

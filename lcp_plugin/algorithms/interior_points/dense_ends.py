@@ -29,6 +29,7 @@ FULL = (1.0, 0.9, 0.75, 0.6)  # shares of the entries of the last columns from w
 LEAP, CLASSES = 1.2, 4  # rows with so many times as many entries as the next ones may be dense; so often at the most
 NARROW = 2.0 * (BLOCKED_ENTRY + BLOCKED_FROM) * BLOCKED_RATE / (BLOCKED_RATE - 1.0)  # rows: fewer gain nothing
 TALL = 3.0  # times as many dense rows as columns that share them are not looked at
+SOLVES = 20.0  # times that an entry of L is used after each factorisation
 SHARED_BY = 3.0  # times the work of the dense block that an order with dense rows last may take in all
 
 
@@ -158,13 +159,12 @@ def dense_part(symbolic: Symbolic, expected: int = 0) -> DensePart | None:
     for first in (n - expected, *(n - 1 - int(columns[-1]) for columns in full if columns.size)):
         reach = np.bincount(of_rows[row_starts[first] :], minlength=n)[:first]  # how many of the last rows each has
         is_blocked = is_almost(reach, n - first)
-        taken = 0.5 * float(reach[is_blocked] @ reach[is_blocked] + counts[first:] @ counts[first:])
-        by_lapack = lapack_work(n - first, float(np.count_nonzero(is_blocked)))
-        if symbolic.work - taken + by_lapack < least:
-            least = symbolic.work - taken + by_lapack
-            entries = float(reach[is_blocked].sum() + counts[first:].sum())
-            fill = (np.count_nonzero(is_blocked) + 0.5 * (n - first - 1)) * (n - first) - entries
-            best = DensePart(first, is_blocked, fill, least, by_lapack)
+        among, entries = reach[is_blocked], counts[first:]
+        by_lapack = lapack_work(n - first, float(among.size))
+        fill = (among.size + 0.5 * (n - first - 1)) * (n - first) - float(among.sum() + entries.sum())
+        work = symbolic.work - 0.5 * float(among @ among + entries @ entries) + by_lapack + SOLVES * fill
+        if work < least:
+            least, best = work, DensePart(first, is_blocked, fill, work, by_lapack)
     return best
 
 

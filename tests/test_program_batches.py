@@ -249,12 +249,13 @@ def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
 
 
 def test_what_is_too_large_for_the_loop_is_solved_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than 256 variables and rows, and whatever the algorithm is, if not auto."""
+    """More than 80 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
     by_themselves = alone(monkeypatch)
     P, c, G, h = dense(1, 90, 180)
     assert solve_batch(QuadraticProgramBatch(P, c, G, h)).all_solved
     P, c, G, h = dense(3)
     assert solve_batch(QuadraticProgramBatch(P, c, G, h), algorithm="interior_point").all_solved
+    assert solve_batch(QuadraticProgramBatch(*dense(2, 5, 1000))).all_solved
     assert by_themselves == [0, 0, 1, 2]
 
 
@@ -365,6 +366,12 @@ WRONG = {
     r"G must have shape \(B, rows, 2\)": lambda: QuadraticProgramBatch(*ONE, G=np.ones((2, 3)), h=[1.0, 1.0]),
     r"h must have shape \(B, m\) or \(m,\), m = 1, got shape \(2,\)":
         lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]], h=[1.0, 2.0]),
+    r"c must have shape \(B, n\) or \(n,\), got None": lambda: QuadraticProgramBatch(np.eye(2), None),
+    r"c must have .*, got the number 3.0": lambda: QuadraticProgramBatch([[1.0]], 3.0),
+    r"c must have .*, got no rectangular array": lambda: QuadraticProgramBatch(np.eye(2), [[1.0, 2.0], [1.0]]),
+    r"P must have shape \(B, 2, 2\).*, got None": lambda: QuadraticProgramBatch(None, [1.0, 2.0]),
+    r"G must have shape .* as c has 2 entries, got": lambda: QuadraticProgramBatch(*ONE, G=[["a", "b"]], h=[1.0]),
+    r"programs are given as stacked data": lambda: solve_batch([QuadraticProgram(*ONE)] * 2),
     r"must be equally long, got P 3, c 4":
         lambda: QuadraticProgramBatch(np.stack([np.eye(2)] * 3), np.ones((4, 2))),
     r"P must be symmetric": lambda: QuadraticProgramBatch([[1.0, 2.0], [0.0, 1.0]], [[1.0, 2.0]]),
@@ -393,3 +400,13 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
         ask(algorithm="interior_pont")
     with pytest.raises(UnsupportedModel, match="the smallest eigenvalue of P is -1"):
         solve_batch(QuadraticProgramBatch([[1.0, 2.0], [2.0, 1.0]], np.zeros((5, 2))))
+
+
+def test_large_sparse_programs_stay_sparse() -> None:
+    """Matrices for all are not made dense where no loop wants them."""
+    n = 30_000
+    programs = QuadraticProgramBatch(sp.eye_array(n), np.ones((2, n)), sp.eye_array(1, n), [1.0], lower=0.0)
+    assert sp.issparse(programs[1].P)
+    answers = solve_batch(programs)
+    assert answers.all_solved
+    assert answers.objective.tolist() == [0.0, 0.0]

@@ -44,7 +44,10 @@ class QuadraticProgramBatch:
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
         b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
     ) -> None:
-        n = np.shape(c)[-1] if np.ndim(c) else 0
+        c = real_array(c, "c must have shape (B, n) or (n,)")
+        if not c.ndim:
+            raise InvalidProblem(f"c must have shape (B, n) or (n,), got the number {c}; write [{c}]")
+        n = c.shape[-1]
         check_pair(G, h, "G", "h")
         check_pair(A, b, "A", "b")
         given = {"P": P, "G": np.zeros((0, n)) if G is None else G, "A": np.zeros((0, n)) if A is None else A}
@@ -56,14 +59,14 @@ class QuadraticProgramBatch:
         stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
         stacks |= {name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2}
         self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})
-        self.sizes = m, p, n, n
+        self.sizes: tuple[int, int, int, int] = m, p, n, n
         self._shared = None
         if not stacks.keys() & matrices.keys():
             self._shared = QuadraticProgram(
                 matrices["P"], np.zeros(n), matrices["G"], np.zeros(m), matrices["A"], np.zeros(p)
             )
             matrices = {name: getattr(self._shared, name) for name in matrices}
-        self.P, self.G, self.A = (_stack(values) for values in matrices.values())
+        self.P, self.G, self.A = matrices.values() if self._shared is not None else map(_stack, matrices.values())
         self._is_symmetric: Any = True
         if self._shared is None:
             self.P, self._is_symmetric = _symmetric(self.P)
@@ -81,7 +84,8 @@ class QuadraticProgramBatch:
         """
         c, h, b, lower, upper = (np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
         is_equality = np.repeat([False, True], self.sizes[:2])
-        data = self.P, c, _beside(self.G, self.A), _beside(h, b), is_equality, lower, upper
+        P, G, A = map(_stack, (self.P, self.G, self.A))
+        data = P, c, _beside(G, A), _beside(h, b), is_equality, lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
 
     @property
@@ -104,17 +108,19 @@ class QuadraticProgramBatch:
     def __getitem__(self, k: int) -> QuadraticProgram:
         if not -len(self) <= k < len(self):
             raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
-        matrices, vectors = (
-            [rows[k % len(self) if len(rows) > 1 else 0] for rows in kinds]
-            for kinds in ((self.P, self.G, self.A), self.vectors.values())
-        )
+        c, h, b, lower, upper = (_of(rows, k % len(self)) for rows in self.vectors.values())
         if self._shared is not None:
-            return self._shared.with_vectors(*vectors)
-        (P, G, A), (c, h, b, lower, upper) = matrices, vectors
+            return self._shared.with_vectors(c, h, b, lower, upper)
+        P, G, A = (_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
         return QuadraticProgram(P, c, G, h, A, b, lower, upper)
 
     def __repr__(self) -> str:
         return f"QuadraticProgramBatch({len(self)} program{'' if len(self) == 1 else 's'}, n={self.n})"
+
+
+def _of(rows: Any, k: int) -> Any:
+    """Return what belongs to program k; one row stands for all."""
+    return rows[k if len(rows) > 1 else 0]
 
 
 def _checked_matrices(values: Any, name: str, n: int) -> Any:

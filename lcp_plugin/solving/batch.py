@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
+from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
 from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..kernels.threads import threads_for
@@ -150,6 +151,8 @@ def solve_batch(
         of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
         return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
+    if any(isinstance(one, QuadraticProgram) for one in (M, *(M[:1] if isinstance(M, Sequence) else ()))):
+        raise InvalidProblem("programs are given as stacked data; write solve_batch(QuadraticProgramBatch(P, c, …))")
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:

@@ -8,8 +8,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms
+from ..algorithms.interior_points.small_programs import (
+    MOST_STEPS,
+    SEARCHED_UP_TO,
+    SmallAnswers,
+    SmallPrograms,
+    may_be_small,
+)
 from ..checks import FloatVector
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram
@@ -17,7 +24,6 @@ from ..conversions.program_batch import QuadraticProgramBatch
 from ..conversions.qp_certificates import with_bounds
 from ..conversions.qp_forms import program_goal
 from ..conversions.qp_solution import QPSolution
-from ..crossovers import COMPILED_UP_TO
 from ..deadline import Clock
 from ..errors import InvalidOption, LCPError, UnknownAlgorithm
 from ..kernels.threads import in_chunks
@@ -51,11 +57,11 @@ class ProgramBatchRun:
         )
         self.settings = asked_of_solve(algorithm, wishes)[1]
         programs.refuse_nonconvex()
-        self.small, count = SmallPrograms(*programs.arrays), len(programs)
-        self.answers = self.small.answers()
+        count, (m, p, n, _) = len(programs), programs.sizes
+        self.answers = SmallAnswers.empty(count, n, m + p)
         self.status, self.is_open = np.full(count, None), np.ones(count, np.bool_)
         self.contradicts = np.zeros(count, np.bool_)  # where multipliers should prove that
-        self.residual, self.at_bounds = np.full(count, np.nan), np.full((2, count, programs.n), np.nan)
+        self.residual, self.at_bounds = np.full(count, np.nan), np.full((2, count, n), np.nan)
         self.solutions: dict[int, QPSolution] = {}  # of those that were solved one by one
         self.errors: dict[int, LCPError] = {}
         self.seconds, self.clock = 0.0, Clock(ALONE)
@@ -63,9 +69,9 @@ class ProgramBatchRun:
     def run(self) -> ProgramBatchResult:
         """Solve all, and gather what was found."""
         m, p, n, _ = self.programs.sizes
-        is_small, may_run = 0 < n <= COMPILED_UP_TO - m - p, self.settings.max_iterations >= MOST_STEPS
+        is_small, may_run = 0 < n <= SEARCHED_UP_TO, self.settings.max_iterations >= MOST_STEPS
         try:
-            if self.algorithm == "auto" and is_small and may_run:
+            if self.algorithm == "auto" and may_run and is_small and may_be_small(n, m + p):
                 self._solve_small()
             for k in np.flatnonzero(self.is_open).tolist():
                 if self.clock.read() >= self.limit or not self._solve(k):
@@ -74,17 +80,19 @@ class ProgramBatchRun:
             pass
         left = self.is_open
         self._forget(left)
-        self.answers.x[left] = np.clip(0.0, self.small.lower[left], self.small.upper[left])
+        lower, upper = (np.broadcast_to(self.programs.vectors[name], (left.size, n)) for name in ("lower", "upper"))
+        self.answers.x[left] = np.clip(0.0, lower[left], upper[left])
         self.status[left] = "unknown"
         self.seconds = self.clock.read()
         return ProgramBatchResult(self)
 
     def _solve_small(self) -> None:
-        answers, tolerance = self.answers, min(self.settings.tolerance, STRICT)
+        small, answers = SmallPrograms(*self.programs.arrays), self.answers
+        tolerance = min(self.settings.tolerance, STRICT)
 
         def solve_chunk(first: int, end: int) -> None:
             if self.clock.read() < self.limit:
-                self.small.search(tolerance, first, end, answers, self.contradicts)
+                small.search(tolerance, first, end, answers, self.contradicts)
 
         try:
             in_chunks(solve_chunk, len(self.status), self.threads)
@@ -190,8 +198,9 @@ class ProgramBatchResult(Results[QPSolution]):
     @cached_property
     def objective(self) -> Any:
         """½ xᵀP x + cᵀx of each, shape (B,); computed when it is looked at."""
-        P, c = self.programs.P, self.programs.vectors["c"]
-        return ((0.5 * np.matmul(P, self.x[:, :, np.newaxis])[:, :, 0] + c) * self.x).sum(axis=1)
+        P, x = self.programs.P, self.x
+        Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
+        return ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
 
     @property
     def all_solved(self) -> bool:

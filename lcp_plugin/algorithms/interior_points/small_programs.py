@@ -12,6 +12,7 @@ from ...problem.lcp import LCP
 from .quasidefinite import signs_of
 
 UP_TO, ROWS_UP_TO, WORK_UP_TO = 250, 1500, 5e6  # unknowns, rows, multiplications of a step
+SEARCHED_UP_TO = 80  # unknowns of a program whose active set is found before interior points, called alone, are there
 MEASURES = 5  # of an answer
 MOST_STEPS = 100  # with a smaller limit they are taken one by one
 SPARSE, SPARSE_UP_TO = 0.3, 1.5e6  # share of entries; multiplications of a step that sparse factors take more quickly
@@ -98,18 +99,11 @@ class SmallPrograms(NamedTuple):
         """Return the answers, as far as all measures of a program come below the tolerance."""
         from ...kernels import small_programs as kernels
 
-        (count, n), m, answers = self.c.shape, self.d.shape[1], self.answers()
+        (count, n), m = self.c.shape, self.d.shape[1]
+        answers = SmallAnswers.empty(count, n, m)
         room = np.empty((kernels.WIDTH, n + m)), np.empty((n + m, n + m)), np.empty((n, n)), np.empty((m, n))
         kernels.run(*self[:7], tolerance, 0, count, *room, *answers)
         return answers
-
-    def answers(self) -> SmallAnswers:
-        """Return tables for the answers."""
-        (count, n), m = self.c.shape, self.d.shape[1]
-        return SmallAnswers(
-            np.full((count, n), np.nan), np.full((count, m), np.nan), np.full((count, n), np.nan),
-            np.full((count, MEASURES), np.inf), np.zeros(count, np.int64), np.zeros(count, np.bool_),
-        )
 
     def search(self, tolerance: float, first: int, end: int, answers: SmallAnswers, contradicts: BoolVector) -> None:
         """Write what the dual active-set method finds of programs first ≤ k < end; d may be ∞, variables fixed.
@@ -156,3 +150,11 @@ class SmallAnswers(NamedTuple):
     measures: FloatVector
     steps: Any
     has_converged: BoolVector
+
+    @classmethod
+    def empty(cls, count: int, n: int, m: int) -> SmallAnswers:
+        """Return tables for so many answers, all open."""
+        return cls(
+            np.full((count, n), np.nan), np.full((count, m), np.nan), np.full((count, n), np.nan),
+            np.full((count, MEASURES), np.inf), np.zeros(count, np.int64), np.zeros(count, np.bool_),
+        )

@@ -107,6 +107,8 @@ class QPOrigin:
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
         folded = self.rows.folded
+        if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
+            return self._whole(x, np.append(y, np.zeros(2 * x.size)))
         # What the bounds have to balance, μ_lower − μ_upper.
         of_rows, sizes = sums_and_terms(folded.matrices.rows, y)
         reduced_cost = folded.P @ x + folded.c + of_rows
@@ -114,7 +116,11 @@ class QPOrigin:
         reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
-        every = self.rows.unfold(np.concatenate([y, at_lower, at_upper]))
+        return self._whole(x, np.concatenate([y, at_lower, at_upper]))
+
+    def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+        """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
+        every = self.rows.unfold(multipliers)
         if self.substitution is not None:
             x, every = self.substitution.restored(x, every)
         return QPSolution(self.program, x, *self.program.constraints.split(every))

@@ -33,6 +33,7 @@ with compiling():  # loading the compiler takes most of a second
     from numba.core import event
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
+    from numba.core.runtime.nrt import rtsys
     from numba.core.sigutils import normalize_signature
 
 FEW = 2**12  # numbers in the arrays of a call
@@ -329,8 +330,13 @@ class _ForgivingCache:
             return False
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return the code that is kept, or None; no rules of compilation are loaded for it, which takes a tenth of 1 s.
+
+        numba loads those of all that it knows to compile before it looks; whatever it compiles, it loads them then.
+        """
         try:
-            return self._cache.load_overload(signature, target_context)
+            rtsys.initialize(target_context)  # what compiled code may call
+            return self._cache._load_overload(signature, target_context)
         except Exception:  # a damaged file raises whatever its decoders raise
             return None
 

@@ -80,24 +80,25 @@ class StatedTerms:
         nodes: dict[int, Any] = {}
         for root in self._roots:
             nodes |= {id(node): node for node in postorder(root, nodes)}
-        self._variables = [node for node in nodes.values() if isinstance(node, cp.Variable)]
-        self._parameters = [node for node in nodes.values() if isinstance(node, cp.Parameter)]
-        is_small = sum(node.size for node in nodes.values()) * 2 * len(STEPS) <= MOST_KEPT
-        #: Points around an earlier base may lie outside other bounds.
-        self._is_kept = is_small and all(attribute_expressions(variable) is None for variable in self._variables)
-        moving, steered = (set(map(id, leaves)) for leaves in (self._variables, self._parameters))
-        self._moving, self._fixed, self._values = list[_Node](), list[_Node](), Values()
+        leaves = [node for node in nodes.values() if not node.args]
+        self._variables = [leaf for leaf in leaves if isinstance(leaf, cp.Variable)]
+        self._parameters = [leaf for leaf in leaves if isinstance(leaf, cp.Parameter)]
+        moving, steered = (set(map(id, some)) for some in (self._variables, self._parameters))
+        self._values: Values = {id(leaf): leaf.value for leaf in leaves if id(leaf) not in moving}
+        self._moving, self._fixed = list[_Node](), list[_Node]()
         for key, atom in nodes.items():
+            if not atom.args:
+                continue
             node = _Node.of(atom)
             if not steered.isdisjoint(node.arguments):
                 steered.add(key)
-            if not moving.isdisjoint(node.arguments):
+            if moving.isdisjoint(node.arguments):
+                self._fixed.append(node)
+            else:
                 moving.add(key)
                 self._moving.append(node)
-            elif atom.args:
-                self._fixed.append(node)
-            elif key not in moving:
-                self._values[key] = atom.value
+        #: Points around an earlier base may lie outside other bounds.
+        self._is_kept = all(attribute_expressions(variable) is None for variable in self._variables)
         for node in self._fixed:
             node.put_into(self._values)
         self._steered = [[node for node in some if node.key in steered] for some in (self._fixed, self._moving)]
@@ -125,6 +126,8 @@ class StatedTerms:
     def at(self, values: Values) -> Terms:
         """Return the objective and the slacks at the dense values of the variables, by their ids."""
         results = self._results(values)
+        if self._is_kept and sum(map(np.size, results.values())) * 2 * len(STEPS) > MOST_KEPT:
+            self._is_kept = False
         if self._is_kept:
             self._latest = {variable.id: values[variable.id].copy() for variable in self._variables}, results
         goal, *slacks = (self._term(k, results) for k in range(len(self._roots)))

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from .solving.least_squares import bounded_least_squares as bounded_least_squares
     from .solving.march import march as march
     from .solving.nonlinear import solve_nonlinear as solve_nonlinear
+    from .solving.program_batch import ProgramBatchResult as ProgramBatchResult
     from .solving.program_proofs import Certification as Certification
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
@@ -94,6 +95,7 @@ _HOME = {
     "prepare": "solving.batch",
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_run",
+    "ProgramBatchResult": "solving.program_batch",
     "solve_many": "solving.batch",
     "march": "solving.march",
     "bounded_least_squares": "solving.least_squares",

@@ -93,7 +93,10 @@ def _solved_at_once(
     if algorithm not in TAKE_SMALL_PROGRAMS or any(options.get(name) for name in SEEN) or not 0.0 < tolerance < 1.0:
         return None
     is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
-    if is_limited or not may_be_small(program.n, program.h.size + program.b.size):
+    matrices = program.matrices
+    defined = min(int(np.count_nonzero(matrices.is_definable)), program.b.size)
+    simple = defined + matrices.singletons[0].size
+    if is_limited or not may_be_small(program.n - defined, max(program.constraints.rows - simple, 0)):  # at the least
         return None
     clock, substitution = Clock(ALONE), substitute_definitions(program)
     origin = KKTForm(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)

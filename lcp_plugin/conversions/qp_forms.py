@@ -29,6 +29,7 @@ ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
 ACTIVE = 1e-7  # of the unit of a row
 LARGEST = 5000  # variables and rows of a program that is worth a linear program
+LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
 LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s
 RANK = 1e-12  # beside the largest singular value: what should depend on each other is independent by rounding
 
@@ -98,7 +99,8 @@ class QPOrigin:
         folded = self.rows.folded
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         found = self._with_bounds(x, y)
-        smaller = least_multipliers(folded, x, y)
+        is_worth_it = folded.n + y.size <= LARGEST_IN_PASSING or _error(found) > WORTH
+        smaller = least_multipliers(folded, x, y) if is_worth_it else None
         if smaller is None:
             return found
         other = self._with_bounds(x, smaller)

@@ -118,15 +118,15 @@ class Standstill:
 
     def __init__(self, is_convex: bool) -> None:
         self._count, self._patience = (3, LONG_PATIENCE) if is_convex else (1, PATIENCE)
-        self._least = np.full(self._count, np.inf)
+        self._least = [np.inf] * self._count
         self._since = 0
 
     def is_reached(self, *measures: float) -> bool:
         """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
-        present = np.array(measures[: self._count])
-        falls = present < 0.9 * self._least
-        self._least = np.where(falls, present, self._least)
-        self._since = 0 if falls.any() else self._since + 1
+        self._since += 1
+        for k, present in enumerate(measures[: self._count]):
+            if present < 0.9 * self._least[k]:
+                self._least[k], self._since = present, 0
         return self._since >= self._patience
 
 
@@ -269,7 +269,7 @@ class _Search:
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
-        polishes, settled_for, last, steps, held = 0, 0, point.active(1.0)[0], 0, 0
+        polishes, settled_for, last, steps, held = 0, 0, point.is_active(), 0, 0
         for _ in range(MOST_ITERATIONS):
             if not point.step():
                 break
@@ -288,7 +288,7 @@ class _Search:
                 continue
             if standstill.is_reached(self.best, point.gap, point.infeasibility):
                 break
-            present = point.active(1.0)[0]
+            present = point.is_active()
             changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
                 if steps >= EARLIEST_GUESS and changes <= self._limit(LATER_GUESS):

@@ -168,6 +168,11 @@ class PredictorCorrector:
             matrix.sharpen()
         return bool(kernels.move(vectors, facts))
 
+    def is_active(self) -> BoolVector:
+        """Return the rows with a distance to a bound that is less than its multiplier."""
+        distances, multipliers = self._vectors[self._kernels.BELOW : self._kernels.LEFT].reshape(2, 2, -1)
+        return np.asarray((distances < multipliers).any(axis=0))
+
     def active(self, threshold: float) -> tuple[BoolVector, FloatVector]:
         """Return the rows whose distance to a bound is less than threshold × its multiplier, and that bound, else 0."""
         vectors, kernels = self._vectors, self._kernels

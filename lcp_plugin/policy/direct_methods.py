@@ -14,10 +14,11 @@ other method takes; some ten milliseconds at the most. They run on the presolved
 no theorem promises an end, a method that has cost as much as the next one is predicted to cost waits until all others
 have had their turn: so none costs more than twice what the right one would have (:class:`Turns`). What they leave open,
 newton and lemke try once more from the start: the best point may have led astray (:class:`Retries`). Where a factor
-would fill in too much (n > 5000), newton and interior_point are left out. A row that contradicts its bounds by itself
-brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000
-(beyond, psor comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a
-counted number of operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
+would fill in too much (n > 5000), newton and interior_point are left out, but not of programs. A row that contradicts
+its bounds by itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke
+takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` looks at the cases of problems with
+n ≤ 60 until a counted number of operations; what doubles leave open goes to exact arithmetic where at most 24 rows
+leave a choice.
 """
 
 from __future__ import annotations
@@ -139,7 +140,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from ..matrix.factors import factor_fits
 
     # A program has been folded already, and what could be decided of its multipliers is not worth the look.
-    reduced = None if getattr(problem.origin, "form", "") == "kkt" else presolve(problem)
+    is_kkt = getattr(problem.origin, "form", "") == "kkt"
+    reduced = None if is_kkt else presolve(problem)
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
@@ -148,7 +150,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
     left_out += [] if has_parts_that_fit(left) else [lemke.algorithm]
-    if not (left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
+    # A program has no other method that would be quicker, whatever its factor fills.
+    if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         left_out += [newton.algorithm, interior.algorithm]
     row = contradictory_row(problem) if refutes else None
     if row is not None and row.excludes(EPSILON, "relative", "residual"):

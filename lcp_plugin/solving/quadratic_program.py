@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of
+from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of, work_of_search
 from ..algorithms.search.stages import FeasibilityCheck
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only
@@ -28,6 +28,7 @@ from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
 
 TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
+ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
@@ -105,15 +106,18 @@ def _solved_at_once(
     small = SmallPrograms.of_one(rows.P, rows.c, rows.matrices.rows, limits, is_equality, rows.lower, rows.upper)
     if small is None:
         return None
-    answers = small.solved(min(tolerance, PROGRAM_TOLERANCE))
+    sharp, name, work_of_steps = min(tolerance, PROGRAM_TOLERANCE), ACTIVE_SET, work_of_search
+    answers = small.searched(sharp) if algorithm == "auto" else None
+    if answers is None:
+        answers, name, work_of_steps = small.solved(sharp), "interior_point", work_of
     if not answers.has_converged[0]:
         return None
     z = small.point(answers, 0)
     solution = origin.recover(z)
     if not solution.is_stationary(program_goal(tolerance)):
         return None
-    steps, name = int(answers.steps[0]), "interior_point"
-    work = work_of(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
+    steps = int(answers.steps[0])
+    work = work_of_steps(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
     stage = StageRecord(name, AT_ONCE, steps, work)
     return ProgramResult(origin, z, stage, clock.read(), tolerance, algorithm), solution
 

@@ -105,6 +105,15 @@ class SmallPrograms(NamedTuple):
         kernels.run(*self[:7], tolerance, 0, count, *room, *answers)
         return answers
 
+    def searched(self, tolerance: float) -> SmallAnswers | None:
+        """Return the answer to one program by its active set, where that is sooner found, and found at all."""
+        n, m = self.c.shape[1], self.d.shape[1]
+        if n > SEARCHED_UP_TO:
+            return None
+        answers = SmallAnswers.empty(1, n, m)
+        self.search(tolerance, 0, 1, answers, np.zeros(1, np.bool_))
+        return answers if answers.has_converged[0] else None
+
     def search(self, tolerance: float, first: int, end: int, answers: SmallAnswers, contradicts: BoolVector) -> None:
         """Write what the dual active-set method finds of programs first ≤ k < end; d may be ∞, variables fixed.
 
@@ -123,6 +132,11 @@ def may_be_small(n: int, m: int) -> bool:
 def work_of(n: int, m: int, steps: int) -> float:
     """Return how many multiplications such steps take, about: a factorisation and its assembly, four solves."""
     return steps * (n**3 / 6.0 + n * n * m / 2.0 + 8.0 * (n * n + 2.0 * n * m))
+
+
+def work_of_search(n: int, m: int, steps: int) -> float:
+    """Return the same of the steps of an active-set method: a look at all rows, a direction, an update."""
+    return n**3 + (steps + 1.0) * (n * m + 6.0 * n * n)
 
 
 class SmallAnswers(NamedTuple):

@@ -329,11 +329,12 @@ def test_pinned_rows_stay_and_free_ones_are_solved_for() -> None:
     for _ in range(20):
         M, _ = random_program(15, rng)
         search = _Search(LCP(M, rng.standard_normal(30), lower=-1.0, upper=1.0))
-        free = np.flatnonzero((rng.random(30) < 0.5) | (np.arange(30) < 15))
-        before = rng.standard_normal(30)
+        n = search.q.size  # but for an unknown that meets no other
+        free = np.flatnonzero((rng.random(n) < 0.5) | (search.signs > 0.0))
+        before = rng.standard_normal(n)
         y = before.copy()
         assert search._solve_for(y, free) > 0.0
-        pinned = np.setdiff1d(np.arange(30), free)
+        pinned = np.setdiff1d(np.arange(n), free)
         assert np.array_equal(y[pinned], before[pinned])
         block, right = search.M[free][:, free].toarray(), (search.M[:, pinned] @ before[pinned] + search.q)[free]
         expected = np.linalg.lstsq(block, -right, rcond=None)[0]

@@ -194,8 +194,8 @@ class QPSolution:
     def duality_gap(self) -> float:
         """By how much the errors of all conditions together may change the objective, beside 1 + its size.
 
-        |xᵀ left| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far out
-        along a direction in which the objective hardly changes, each error is small beside its own terms, and yet not
+        Σ |x_j left_j| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far
+        out along a direction in which the objective hardly changes each error is small beside its own terms, and not
         all of them beside the objective.
         """
         return self._errors.gap

@@ -121,6 +121,6 @@ def program_residuals(  # type: ignore[no-untyped-def]
         left, error = _rounded(total, errors, lost, terms)
         worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / dual_units[j])
         worst[ROW] = _larger(worst[ROW], abs(left) / (1.0 + largest))
-        moved += left * x[j]
+        moved += abs(left * x[j])
         worst[OBJECTIVE] += (c[j] + 0.5 * product) * x[j]
-    worst[GAP] += abs(moved)
+    worst[GAP] += moved

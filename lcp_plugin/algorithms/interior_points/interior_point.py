@@ -23,7 +23,7 @@ from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
 from .small_programs import MOST_STEPS, SmallPrograms, work_of
-from .suited_matrix import suited
+from .suited_matrix import known_before, sizes_of_parts, suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
@@ -155,18 +155,19 @@ class _Search:
 
     def __init__(self, problem: LCP) -> None:
         self.problem = problem
-        kept = np.flatnonzero(problem.lower != problem.upper)
+        q, lower, upper, self.known = problem.q, problem.lower, problem.upper, known_before(problem)
+        kept = np.flatnonzero(np.isnan(self.known))
         self.kept = None if kept.size == problem.n else kept
-        q, lower, upper = problem.q, problem.lower, problem.upper
         if self.kept is not None:
-            fixed = np.where(lower == upper, lower, 0.0)
-            q, lower, upper = (q + problem.M @ fixed)[kept], lower[kept], upper[kept]
+            q = (q + problem.M @ np.nan_to_num(self.known))[kept]
+            lower, upper = lower[kept], upper[kept]
         self.suited = suited(problem.matrix, self.kept)
         self.M, self.signs, c = self.suited.M, self.suited.signs, self.suited.unit
         q = (q if self.suited.row_factors is None else self.suited.row_factors * q) * c
         size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
-        self.unit = c * size
-        self.q, self.lower, self.upper = q / size, lower / c / size, upper / c / size
+        of_z, of_w = sizes_of_parts(self.suited, q, lower / c, upper / c)
+        self.unit = c * size * of_z
+        self.q, self.lower, self.upper = q / size / of_w, lower / self.unit, upper / self.unit
         self.entries = max(float(problem.M.nnz if sp.issparse(problem.M) else problem.M.size), 1.0)
         self.counted = 0.0  # of the primal active set's work
         self.best, self.best_z = np.inf, np.array(problem.nearest_to_zero)
@@ -183,7 +184,7 @@ class _Search:
         if self.kept is None:
             z = self.unit * y
         else:
-            z = problem.lower.copy()
+            z = self.known.copy()
             z[self.kept] = self.unit * y
         np.minimum(np.maximum(z, problem.lower, out=z), problem.upper, out=z)
         w = problem.slack(z)

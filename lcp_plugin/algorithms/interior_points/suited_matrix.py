@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from ...checks import FloatVector, read_only
 from ...crossovers import DENSE_NEWTON_UP_TO
+from ...kernels.floats import EPSILON
 from ...matrix.equilibration import Exponents, scaled, unit_diagonal
 from ...matrix.matrix import Matrix, fact
-from ...matrix.structure import IntVector, compressed_rows
+from ...matrix.structure import IntVector, compressed_rows, row_numbers
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
+from ...problem.lcp import LCP
 from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 
@@ -25,6 +27,7 @@ SWEEPS, RUIZ_PASSES = 6, 8
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_SEARCH = 20_000  # rows up to which a tree through the pattern is followed row by row
 LARGEST_EXPONENT = 1000
+FIXED = 16.0 * EPSILON  # bounds that differ by less, beside their size, are the same but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,3 +188,66 @@ def _symmetrising(M: sp.csr_array) -> IntVector:
         for i in order[1:].tolist():
             exponents[i] = exponents[before[i]] - ratio[i, before[i]]
     return np.rint(exponents).astype(np.int64)
+
+
+def known_before(problem: LCP) -> FloatVector:
+    """Return z where it is fixed, to rounding, or meets no other unknown that is not, else NaN.
+
+    Beside unknowns in units of their own all others would have to wait for them.
+    """
+    lower, upper = problem.lower, problem.upper
+    known, size = np.full(problem.n, np.nan), np.maximum(np.abs(lower), np.abs(upper))
+    is_fixed = (lower == upper) | ((upper - lower <= FIXED * size) & np.isfinite(size))
+    known[is_fixed] = lower[is_fixed]
+    if problem.is_dense:
+        return known
+    rows, columns = row_numbers(problem.csr), problem.csr.indices
+    meets = ~(is_fixed[rows] | is_fixed[columns]) & (rows != columns)
+    alone = np.ones(problem.n, dtype=bool)
+    alone[rows[meets]] = alone[columns[meets]] = False
+    alone = np.flatnonzero(alone & ~is_fixed)
+    if alone.size:
+        q, d = problem.q[alone], problem.diagonal[alone]
+        if is_fixed.any():
+            q = q + problem.csr[alone] @ np.where(is_fixed, lower, 0.0)
+        inner = np.where(d > 0.0, -q / np.where(d > 0.0, d, 1.0), np.where(q == 0.0, 0.0, np.copysign(np.inf, -q)))
+        z = np.clip(inner, lower[alone], upper[alone])
+        known[alone] = np.where(np.isfinite(z) & (d >= 0.0), z, np.nan)
+    return known
+
+
+def sizes_of_parts(
+    suited: SuitedMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return powers of two to measure z and w in, shape (n,) each, that bring limits and costs of each part near 1.
+
+    The units of parts of a program that do not meet are not those of M: in common ones the large would hide the small.
+    M stays as it is. Where nothing in a part bends, its unknowns may have another unit than its multipliers.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    ones = np.ones(q.size)
+    if not suited.is_program or not sp.issparse(suited.M):
+        return ones, ones
+    count, part = connected_components(suited.M, directed=False)
+    if count == 1:
+        return ones, ones
+    is_dual = np.asarray(suited.signs) < 0.0
+    limits = np.abs(np.where(is_dual, q, np.clip(0.0, lower, upper)))
+    limits, costs = (_means(part, count, values) for values in (limits, np.where(is_dual, 0.0, np.abs(q))))
+    rows, bends = row_numbers(suited.M), np.zeros(count, dtype=bool)
+    bends[part[rows[is_dual[rows] == is_dual[suited.M.indices]]]] = True
+    known = np.isfinite(limits) & np.isfinite(costs)
+    mean = np.where(known, 0.5 * (limits + costs), np.where(np.isfinite(limits), limits, costs))
+    size, ratio = (
+        np.ldexp(1.0, np.rint(np.clip(np.where(np.isfinite(values), values, 0.0), -300, 300)).astype(int))[part]
+        for values in (mean, np.where(known & ~bends, 0.5 * (limits - costs), 0.0))
+    )
+    return np.where(is_dual, size / ratio, size * ratio), np.where(is_dual, size * ratio, size / ratio)
+
+
+def _means(part: Any, count: int, values: FloatVector) -> FloatVector:
+    """Return the mean log₂ of the positive values in each part, NaN where there are none."""
+    is_positive = values > 0.0
+    sums = np.bincount(part[is_positive], np.log2(values[is_positive]), count)
+    return np.asarray(sums / np.bincount(part[is_positive], minlength=count))

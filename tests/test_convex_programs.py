@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
@@ -15,6 +16,7 @@ import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
+from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
@@ -808,3 +810,27 @@ def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
     proof = program.refutation()
     assert isinstance(proof, QPInfeasibility)
     assert proof.margin > 1e-4
+
+
+class _Points(Algorithm):
+    """Yields given points, each with the residual that it has."""
+
+    name = "points"
+
+    def __init__(self, *points: Any) -> None:
+        object.__setattr__(self, "points", points)
+
+    def iterates(self, problem: LCP, z0: Any) -> Any:
+        yield Step(z0)
+        for point in self.points:
+            yield Step(np.array(point))
+
+
+def test_the_point_that_answers_the_program_is_returned() -> None:
+    """Not one before it of a smaller residual that did not: the status speaks of what is handed back."""
+    problem, better, right = LCP(np.eye(2), [-1.0, -1.0]), [1.0 - 1e-13, 1.0], [1.0 - 1e-10, 1.0]
+    problem.origin = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
+    assert not solve(problem, _Points(better)).is_solved
+    result = solve(problem, _Points(better, *[right] * 3))
+    assert result.is_solved
+    assert result.z.tolist() == right

@@ -20,6 +20,7 @@ from .error_watch import BoundOrReason, ErrorWatch
 
 FAR_OUT = 1e-2
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
+ASKED_AGAIN = 5  # after a fifth of the steps up to now
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
 
 
@@ -55,6 +56,8 @@ class Judge:
     """
 
     words: ClassVar[Mapping[Status, str]] = {}
+    _answer: FloatVector | None = None  # to the program, as the caller has it
+    _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
         self.units, self.problem, self.settings = units, units.callers, settings
@@ -115,10 +118,21 @@ class Judge:
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
         if self.errors is None or not self.settings.is_on_error:
-            return bool(residual <= self.settings.goal) and self.is_answered(self.units.outward(z)) is not False
+            return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
         if self.settings.measure == "euclidean":  # another norm, in another unit
             residual = self.certificate_of(z).relative_residual
         return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
+
+    def _answers(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z answers the program, if there is one; that takes long, and is not asked at every step."""
+        if not residual <= 0.5 * self._asked_at and iteration < self._ask_again:
+            return False
+        answers = self.is_answered(z)
+        if answers is None:
+            return True
+        self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
+        self._answer = z.copy() if answers else None
+        return answers
 
     def is_answered(self, z: FloatVector) -> bool | None:
         """Return whether z, the caller's, answers the program that the problem was made from; None where there is none.
@@ -184,9 +198,10 @@ class Judge:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
         everywhere, certificate = self.problem.communicator.everywhere, self._certificate
         answer = self.units.outward(z)
-        if self.errors is not None and self.errors.proof is not None:  # in another measure it need not be the best
-            answer = self.errors.proof[0]
-            z = self.units.inward(answer)
+        proof = None if self.errors is None else self.errors.proof
+        passed = self._answer if proof is None else proof[0]
+        if passed is not None:  # in another measure it need not be the best
+            answer, z = passed, self.units.inward(passed)
         if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
             certificate = self.certificate_of(z)
         may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
@@ -195,7 +210,8 @@ class Judge:
         finished = last.finish(self.units.problem, z)
         cleaned = certificate if finished is z else self.certificate_of(finished)
         residual = self._relative_in_open_parts(certificate)
-        return cleaned if self._relative_in_open_parts(cleaned) <= residual < math.inf else certificate
+        is_better = self._relative_in_open_parts(cleaned) <= residual < math.inf
+        return cleaned if is_better and self.is_answered(cleaned.z) is not False else certificate
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""

@@ -156,3 +156,23 @@ def test_interpreted_and_compiled_are_the_same_bits(n: int) -> None:
     assert compiled.has_converged.all()
     for one, other in zip(compiled, interpreted, strict=True):
         assert np.array_equal(one, other)
+
+
+def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interpreted, too, where whole rows are taken at once, the loop reads nothing that was not written."""
+    from lcp_plugin.kernels import small_programs
+
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
+    empty = np.empty
+
+    def filled(*arguments: Any, **named: Any) -> Any:
+        array = empty(*arguments, **named)
+        if array.dtype == np.float64:
+            array.fill(np.nan)
+        return array
+
+    monkeypatch.setattr(small_programs, "run", np.errstate(all="ignore")(small_programs.run.py_func))
+    monkeypatch.setattr(np, "empty", filled)
+    result, solution = solve_quadratic_program(program, "interior_point")
+    assert isinstance(result, ProgramResult)
+    assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)

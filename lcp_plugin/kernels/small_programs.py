@@ -75,7 +75,7 @@ def run(  # type: ignore[no-untyped-def]
     P and C, shapes (1 or count, n, n) and (1 or count, m, n), may be shared. `vectors`, shape (WIDTH, n + m), `matrix`,
     shape (n + m, n + m), and the two scaled matrices are room to work in.
     """
-    facts, room = np.zeros(SYSTEM_FACTS), np.empty((4, vectors.shape[1]))
+    facts, room = np.zeros(SYSTEM_FACTS), np.zeros((4, vectors.shape[1]))
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
         equilibrate(P, C, at_P, at_C, vectors, P_scaled, C_scaled)

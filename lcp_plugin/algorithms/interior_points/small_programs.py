@@ -101,7 +101,7 @@ class SmallPrograms(NamedTuple):
 
         (count, n), m = self.c.shape, self.d.shape[1]
         answers = SmallAnswers.empty(count, n, m)
-        room = np.empty((kernels.WIDTH, n + m)), np.empty((n + m, n + m)), np.empty((n, n)), np.empty((m, n))
+        room = np.zeros((kernels.WIDTH, n + m)), np.zeros((n + m, n + m)), np.zeros((n, n)), np.zeros((m, n))
         kernels.run(*self[:7], tolerance, 0, count, *room, *answers)
         return answers
 

@@ -212,7 +212,9 @@ def known_before(problem: LCP) -> FloatVector:
             q = q + problem.csr[alone] @ np.where(is_fixed, lower, 0.0)
         inner = np.where(d > 0.0, -q / np.where(d > 0.0, d, 1.0), np.where(q == 0.0, 0.0, np.copysign(np.inf, -q)))
         z = np.clip(inner, lower[alone], upper[alone])
-        known[alone] = np.where(np.isfinite(z) & (d >= 0.0), z, np.nan)
+        # An equation of fixed unknowns alone holds but for rounding, or nothing helps.
+        z = np.where(np.isfinite(z), z, np.clip(0.0, lower[alone], upper[alone]))
+        known[alone] = np.where(d >= 0.0, z, np.nan)
     return known
 
 

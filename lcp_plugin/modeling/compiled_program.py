@@ -132,7 +132,8 @@ class CompiledProgram:
         tensors = problem.q, problem.A, *([] if problem.P is None else [problem.P])
         dims = problem.cone_dims
         is_known = dims.zero + dims.nonneg == rows and n > 0 and ONES in problem.param_id_to_col
-        is_known = is_known and problem.lb_tensor is None and problem.ub_tensor is None
+        has_bounds = any(getattr(problem, name, None) is not None for name in ("lb_tensor", "ub_tensor"))  # since 1.9
+        is_known = is_known and not has_bounds
         is_known = is_known and all(map(sp.issparse, tensors)) and max(n, rows, problem.A.nnz) < 2**31
         return cls(problem) if is_known and shapes[: len(tensors)] == tuple(one.shape for one in tensors) else None
 

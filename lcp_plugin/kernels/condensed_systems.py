@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from .compilation import compiled_for_rows, compiled_into_others, compiled_part
-from .enclosures import unsigned
 from .interior_steps import DIAGONAL, FOUND, RIGHT, ROWS
+from .row_operations import add_row, copy_row, row_times, subtract_four
 
 # What is left to be solved for, what a solve adds, scale factors.
 SPARE, MORE, UNIT, SYSTEM_ROWS = ROWS, ROWS + 1, ROWS + 2, ROWS + 3
@@ -27,77 +27,15 @@ PASSES = 5  # solves with one factor
 LARGEST = 1e300
 
 
-def _row_times_at_once(matrix: Any, i: int, begin: int, end: int, vectors: Any, row: int) -> Any:
-    products, a, b, c, d = matrix[i, begin:end] * vectors[row, begin:end], *np.zeros(4)
-    fours = end - begin - (end - begin) % 4
-    if fours:  # sums of numbers in a row, one after the other
-        a, b, c, d = np.cumsum(products[:fours].reshape(-1, 4), axis=0)[-1]
-    for product_of_rest in products[fours:]:
-        a += product_of_rest
-    return (a + b) + (c + d)
-
-
-def _add_row_at_once(matrix: Any, i: int, begin: int, end: int, times: Any, vectors: Any, row: int) -> None:
-    vectors[row, begin:end] += matrix[i, begin:end] * times
-
-
-def _subtract_four_at_once(matrix: Any, i: int, end: int, room: Any, e: Any, f: Any, g: Any, h: Any) -> None:
-    a, b, c, d = room[:, i:end]
-    matrix[i, i:end] -= (e * a + f * b) + (g * c + h * d)
-
-
-@compiled_for_rows(_row_times_at_once)
-def _row_times(matrix, i, begin, end, vectors, row):  # type: ignore[no-untyped-def]
-    """Return Σ matrix[i, j] v_j over begin ≤ j < end, v that row of `vectors`: four sums side by side."""
-    a = b = c = d = 0.0
-    i, row, fours, end = unsigned(i), unsigned(row), unsigned(end - (end - begin) % 4), unsigned(end)
-    one, two, three = unsigned(1), unsigned(2), unsigned(3)
-    for j in range(unsigned(begin), fours, unsigned(4)):
-        a += matrix[i, j] * vectors[row, j]
-        b += matrix[i, j + one] * vectors[row, j + one]
-        c += matrix[i, j + two] * vectors[row, j + two]
-        d += matrix[i, j + three] * vectors[row, j + three]
-    for j in range(fours, end):
-        a += matrix[i, j] * vectors[row, j]
-    return (a + b) + (c + d)
-
-
-@compiled_for_rows(_add_row_at_once)
-def _add_row(matrix, i, begin, end, times, vectors, row):  # type: ignore[no-untyped-def]
-    """Add so many times matrix[i, j] to that row of `vectors`, begin ≤ j < end."""
-    i, row = unsigned(i), unsigned(row)
-    for j in range(unsigned(begin), unsigned(end)):
-        vectors[row, j] += matrix[i, j] * times
-
-
-@compiled_for_rows(_subtract_four_at_once)
-def _subtract_four(matrix, i, end, room, e, f, g, h):  # type: ignore[no-untyped-def]
-    """Subtract so many times the four rows of `room` from row i, from the diagonal on: it is read and written once."""
-    i = unsigned(i)
-    for j in range(i, unsigned(end)):
-        matrix[i, j] -= (e * room[0, j] + f * room[1, j]) + (g * room[2, j] + h * room[3, j])
-
-
-def _copy_row_at_once(matrix: Any, i: int, begin: int, end: int, target: Any, row: int) -> None:
-    target[row, begin:end] = matrix[i, begin:end]
-
-
-@compiled_for_rows(_copy_row_at_once)
-def _copy_row(matrix, i, begin, end, target, row):  # type: ignore[no-untyped-def]
-    """Copy matrix[i, j], begin ≤ j < end, to the same places of a row of another."""
-    for j in range(begin, end):
-        target[row, j] = matrix[i, j]
-
-
 @compiled_part
 def product(P, C, vectors, source, target):  # type: ignore[no-untyped-def]
     """Write M times one row of `vectors` into another, M = [[P, Cᵀ], [−C, 0]]."""
     m, n = C.shape
     for i in range(n):
-        vectors[target, i] = _row_times(P, i, 0, n, vectors, source)
+        vectors[target, i] = row_times(P, i, 0, n, vectors, source)
     for i in range(m):
-        vectors[target, n + i] = -_row_times(C, i, 0, n, vectors, source)
-        _add_row(C, i, 0, n, vectors[source, n + i], vectors, target)
+        vectors[target, n + i] = -row_times(C, i, 0, n, vectors, source)
+        add_row(C, i, 0, n, vectors[source, n + i], vectors, target)
 
 
 @compiled_part
@@ -176,7 +114,7 @@ def _assemble(P, C, vectors, facts, matrix, room):  # type: ignore[no-untyped-de
     m, n = C.shape
     kept, going, regularisation = 0, 0, facts[REGULARISED]
     for i in range(n):
-        _copy_row(P, i, i, n, matrix, i)
+        copy_row(P, i, i, n, matrix, i)
         matrix[i, i] += vectors[DIAGONAL, i] + regularisation
     for i in range(m):
         pivot = vectors[DIAGONAL, n + i] + regularisation
@@ -187,7 +125,7 @@ def _assemble(P, C, vectors, facts, matrix, room):  # type: ignore[no-untyped-de
             kept += 1
         elif pivot < PINNED:
             facts[WEIGHTS + going] = 1.0 / pivot
-            _copy_row(C, i, 0, n, room, going)
+            copy_row(C, i, 0, n, room, going)
             going += 1
             if going == 4:
                 _add(n, facts, room, matrix)
@@ -206,7 +144,7 @@ def _add(n, facts, room, matrix):  # type: ignore[no-untyped-def]
         e, f = facts[WEIGHTS] * room[0, i], facts[WEIGHTS + 1] * room[1, i]
         g, h = facts[WEIGHTS + 2] * room[2, i], facts[WEIGHTS + 3] * room[3, i]
         if e != 0.0 or f != 0.0 or g != 0.0 or h != 0.0:
-            _subtract_four(matrix, i, n, room, -e, -f, -g, -h)
+            subtract_four(matrix, i, n, room, -e, -f, -g, -h)
 
 
 @compiled_part
@@ -219,14 +157,14 @@ def _eliminate(matrix, room, positive, size):  # type: ignore[no-untyped-def]
             if not (pivot > 0.0 if p < positive else pivot < 0.0) or not abs(pivot) < LARGEST:
                 return False
             for i in range(p + 1, end):
-                _add_row(matrix, p, i, size, -matrix[p, i] / pivot, matrix, i)
+                add_row(matrix, p, i, size, -matrix[p, i] / pivot, matrix, i)
         if end < size:
             for k in range(4):
-                _copy_row(matrix, start + k, end, size, room, k)
+                copy_row(matrix, start + k, end, size, room, k)
             a, b = 1.0 / matrix[start, start], 1.0 / matrix[start + 1, start + 1]
             c, d = 1.0 / matrix[start + 2, start + 2], 1.0 / matrix[start + 3, start + 3]
             for i in range(end, size):
-                _subtract_four(matrix, i, size, room, a * room[0, i], b * room[1, i], c * room[2, i], d * room[3, i])
+                subtract_four(matrix, i, size, room, a * room[0, i], b * room[1, i], c * room[2, i], d * room[3, i])
     return True
 
 
@@ -269,20 +207,20 @@ def _apply(C, vectors, regularisation, matrix, n, m, size):  # type: ignore[no-u
             kept += 1
         elif pivot < PINNED:
             share = vectors[SPARE, n + i] / pivot
-            _add_row(C, i, 0, n, -share, vectors, MORE)
+            add_row(C, i, 0, n, -share, vectors, MORE)
     for p in range(size):
         share = vectors[MORE, p] / matrix[p, p]
         if share != 0.0:
-            _add_row(matrix, p, p + 1, size, -share, vectors, MORE)
+            add_row(matrix, p, p + 1, size, -share, vectors, MORE)
     for p in range(size - 1, -1, -1):
-        vectors[MORE, p] = (vectors[MORE, p] - _row_times(matrix, p, p + 1, size, vectors, MORE)) / matrix[p, p]
+        vectors[MORE, p] = (vectors[MORE, p] - row_times(matrix, p, p + 1, size, vectors, MORE)) / matrix[p, p]
     for i in range(m - 1, -1, -1):
         pivot = vectors[DIAGONAL, n + i] + regularisation
         if pivot < KEPT_BELOW:
             kept -= 1
             vectors[MORE, n + i] = vectors[MORE, n + kept]
         elif pivot < PINNED:
-            vectors[MORE, n + i] = (vectors[SPARE, n + i] + _row_times(C, i, 0, n, vectors, MORE)) / pivot
+            vectors[MORE, n + i] = (vectors[SPARE, n + i] + row_times(C, i, 0, n, vectors, MORE)) / pivot
         else:
             vectors[MORE, n + i] = 0.0
     for i in range(n + m):

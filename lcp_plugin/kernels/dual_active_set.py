@@ -17,12 +17,15 @@ Programming 27 (1983), doi:10.1007/BF02591962.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import LONGEST_IN_ORDER, compiled_into_others, compiled_part, interpreted_while_small
 from .floats import EPSILON
+from .row_operations import add_row, add_row_of_batch, copy_row
 from .small_problems import USUAL, row_times
-from .small_programs import MEASURES, WIDTH, measure
+from .small_programs import MEASURES, NUMBERS, WIDTH, measure
 
 # Rows of `real`: the point, its multipliers and limits; a step, what is left of the conditions; units.
 X, Y, LIMIT, STEP, LEFT, SIZE, ROOT, SPREAD, CENTER, ROWS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -58,11 +61,9 @@ def _sweep(P, k, shift, least, real, room):  # type: ignore[no-untyped-def]
         for i in range(n):
             factor = room[i, p]
             if i != p and factor != 0.0:
-                for j in range(n):
-                    room[i, j] -= factor * real[STEP, j]
+                add_row(real, STEP, 0, n, -factor, room, i)
                 room[i, p] = -factor / pivot
-        for j in range(n):
-            room[p, j] = real[STEP, j]
+        copy_row(real, STEP, 0, n, room, p)
         room[p, p] = 1.0 / pivot
     return True
 
@@ -128,8 +129,7 @@ def _direction(C, k, i, real, room, size):  # type: ignore[no-untyped-def]
             g = C[k, i, j]
             scale += g * g * real[SPREAD, j]
             if g != 0.0:
-                for a in range(size):
-                    real[STEP, a] += g * room[j, a]
+                add_row(room, j, 0, size, g, real, STEP)
         steepness = row_times(C, k, i, n, real, STEP)
     return steepness if steepness > DEPENDENT * scale and size < 2 * n else 0.0
 
@@ -139,8 +139,7 @@ def _join(real, whole, room, i, size, steepness):  # type: ignore[no-untyped-def
     """Let constraint i join the active ones, STEP being its direction."""
     for a in range(size):
         factor = real[STEP, a] / steepness
-        for b in range(size):
-            room[a, b] -= factor * real[STEP, b]
+        add_row(real, STEP, 0, size, -factor, room, a)
         room[a, size] = room[size, a] = factor
     room[size, size] = -1.0 / steepness
     whole[ROW, size], whole[ACTIVE, i] = i, 1
@@ -150,14 +149,10 @@ def _join(real, whole, room, i, size, steepness):  # type: ignore[no-untyped-def
 def _leave(real, whole, room, at, last):  # type: ignore[no-untyped-def]
     """Let the constraint in row `at` of W leave the active ones; the last one takes its place."""
     pivot = room[at, at]
+    copy_row(room, at, 0, last + 1, real, STEP)
     for a in range(last + 1):
-        real[STEP, a] = room[at, a]
-    for a in range(last + 1):
-        factor = real[STEP, a] / pivot
-        for b in range(last + 1):
-            room[a, b] -= factor * real[STEP, b]
-    for a in range(last + 1):
-        room[at, a] = room[last, a]
+        add_row(real, STEP, 0, last + 1, -real[STEP, a] / pivot, room, a)
+    copy_row(room, last, 0, last + 1, room, at)
     for a in range(last):
         room[a, at] = room[a, last]
     whole[ACTIVE, whole[ROW, at]] = 0
@@ -180,8 +175,7 @@ def _gradient(P, at_P, c, k, real, n):  # type: ignore[no-untyped-def]
     for j in range(n):
         real[LEFT, j] = c[k, j]
     for i in range(n):
-        for j in range(n):
-            real[LEFT, j] += P[at_P, i, j] * real[X, i]
+        add_row_of_batch(P, at_P, i, n, real[X, i], real, LEFT)
 
 
 @compiled_part
@@ -190,9 +184,9 @@ def _add_normals(C, at_C, real, whole, n, size):  # type: ignore[no-untyped-def]
     m = C.shape[1]
     for a in range(n, size):
         i = whole[ROW, a]
-        for j in range(n if i < m else 0):
-            real[LEFT, j] += C[at_C, i, j] * real[Y, i]
-        if i >= m:
+        if i < m:
+            add_row_of_batch(C, at_C, i, n, real[Y, i], real, LEFT)
+        else:
             real[LEFT, (i - m) % n] += real[Y, i] if i >= m + n else -real[Y, i]
 
 
@@ -202,8 +196,7 @@ def _multiply(real, room, count, size):  # type: ignore[no-untyped-def]
     for a in range(size):
         real[STEP, a] = 0.0
     for a in range(count):
-        for b in range(size):
-            real[STEP, b] += real[LEFT, a] * room[a, b]
+        add_row(room, a, 0, size, real[LEFT, a], real, STEP)
 
 
 @compiled_part
@@ -236,9 +229,8 @@ def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # 
         real[X, j] = real[CENTER, j]
     _gradient(P, at_P, c, k, real, n)
     for i in range(n):
-        for j in range(n):
-            room[i, j] = inverse[i, j]
-            real[X, j] -= real[LEFT, i] * inverse[i, j]
+        copy_row(inverse, i, 0, n, room, i)
+        add_row(inverse, i, 0, n, -real[LEFT, i], real, X)
     size = n
     for i in range(m + 2 * n):
         if _is_equation(i, is_equality, n, real):
@@ -344,7 +336,7 @@ def _look_at(P, at_P, C, at_C, real):  # type: ignore[no-untyped-def]
     return is_usual
 
 
-@interpreted_while_small
+@partial(interpreted_while_small, longest=LONGEST_IN_ORDER, numbers=NUMBERS)
 def run(  # type: ignore[no-untyped-def]
     P, c, C, d, is_equality, lower, upper, tolerance, first, end, x, y, reduced, measures, steps, has_converged,
     contradicts,

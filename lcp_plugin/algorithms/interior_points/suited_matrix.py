@@ -199,7 +199,7 @@ def known_before(problem: LCP) -> FloatVector:
     known, size = np.full(problem.n, np.nan), np.maximum(np.abs(lower), np.abs(upper))
     is_fixed = (lower == upper) | ((upper - lower <= FIXED * size) & np.isfinite(size))
     known[is_fixed] = lower[is_fixed]
-    if problem.is_dense:
+    if problem.is_dense or not (is_fixed.any() or np.diff(problem.csr.indptr).min(initial=2) < 2):
         return known
     rows, columns = row_numbers(problem.csr), problem.csr.indices
     meets = ~(is_fixed[rows] | is_fixed[columns]) & (rows != columns)

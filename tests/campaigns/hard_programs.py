@@ -90,10 +90,10 @@ FAMILIES: dict[str, Recipe] = {
         structures=STRUCTURES, rows=3.0, columns=3.0, redundant=0.3, digits=11, tight=0.8, strict=0.5, far=0.2,
         objective=3.0, wide=2.0,
     ),
-    "infeasible": Recipe(spoilt="infeasible", structures=STRUCTURES, largest=300),
-    "infeasible, graded": Recipe(spoilt="infeasible", rows=4.0, columns=3.0, largest=300),
-    "unbounded": Recipe(spoilt="unbounded", structures=STRUCTURES, largest=300),
-    "unbounded, graded": Recipe(spoilt="unbounded", rows=4.0, columns=3.0, largest=300),
+    "infeasible": Recipe(spoilt="infeasible", integers=True, structures=STRUCTURES, largest=300),
+    "infeasible, graded": Recipe(spoilt="infeasible", integers=True, rows=4.0, columns=3.0, largest=300),
+    "unbounded": Recipe(spoilt="unbounded", integers=True, structures=STRUCTURES, largest=300),
+    "unbounded, graded": Recipe(spoilt="unbounded", integers=True, rows=4.0, columns=3.0, largest=300),
 }
 
 
@@ -274,6 +274,8 @@ def finished(
         10.0 ** rng.uniform(-size, size, count)
         for size, count in ((recipe.rows, G.shape[0]), (recipe.rows, A.shape[0]), (recipe.columns, n))
     )
+    if recipe.spoilt:  # sums of rows that rounding has bent may be met far out
+        rows, equations, columns = (np.exp2(np.rint(np.log2(sizes))) for sizes in (rows, equations, columns))
     C, objective = sp.diags_array(columns), 10.0 ** rng.uniform(-recipe.objective, recipe.objective)
     P, c = sp.csr_array(C @ P @ C) * objective, columns * c * objective
     G, h = sp.diags_array(rows) @ G @ C, rows * h

@@ -22,8 +22,7 @@ import scipy.sparse as sp
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.program_files import load_program
 from lcp_plugin.conversions.qp_solution import QPSolution
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 
 from .rivals import SEED
 from .timing import medians, rounds, timed
@@ -151,10 +150,8 @@ def from_file(path: str | Path) -> Case:
 
 
 def ours(case: Case) -> QPSolution:
-    """Return our answer, by way of a complementarity problem."""
-    problem = LCP.from_qp(*case.data)
-    solution: QPSolution = problem.origin.recover(solve(problem))
-    return solution
+    """Return our answer, in the way that QPSolver goes."""
+    return solve_quadratic_program(case.program())[1]
 
 
 def run(*, quick: bool = False, files: Sequence[str | Path] = ()) -> Iterator[str]:

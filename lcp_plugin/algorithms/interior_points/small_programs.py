@@ -11,7 +11,7 @@ from ...checks import BoolVector, FloatVector
 from ...problem.lcp import LCP
 from .quasidefinite import signs_of
 
-UP_TO, ROWS_UP_TO, WORK_UP_TO = 250, 1500, 5e6  # unknowns, rows, multiplications of a step
+UP_TO, ROWS_UP_TO, WORK_UP_TO = 400, 1500, 2.5e7  # unknowns, rows, multiplications of a step
 SEARCHED_UP_TO = 80  # unknowns of a program whose active set is found before interior points, called alone, are there
 MEASURES = 5  # of an answer
 MOST_STEPS = 100  # with a smaller limit they are taken one by one

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import lcp_from_qp, solve
+from lcp_plugin import LCPError, lcp_from_qp, solve
 from lcp_plugin.algorithms.interior_points.small_programs import SmallPrograms
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.qp_solution import QPSolution
@@ -176,3 +176,21 @@ def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPat
     result, solution = solve_quadratic_program(program, "interior_point")
     assert isinstance(result, ProgramResult)
     assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [
+        ({"tolerance": "tight"}, "tolerance"),
+        ({"tolerance": -1.0}, "tolerance"),
+        ({"algoritm": "newton"}, "algorithm"),
+        ({"max_iterations": "x"}, "max_iterations"),
+        ({"max_seconds": -1.0}, "max_seconds"),
+        ({"threads": 0}, "threads"),
+        ({"algorithm": "neton"}, "newton"),
+    ],
+)
+def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any], words: str) -> None:
+    """A wrong option is no less wrong for a small program."""
+    with pytest.raises(LCPError, match=words):
+        solve_quadratic_program(planted(5, 3, 1, 5, 2)[0], **wish)

@@ -23,7 +23,7 @@ from ..conversions.reductions import fold_simple_rows, substitute_definitions
 from ..deadline import Clock, is_over, seconds_left
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status
-from .driver import solve
+from .driver import asked_of_solve, solve
 from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
 
@@ -73,9 +73,12 @@ def solve_quadratic_program(
     ------
     UnsupportedModel
         Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    UnknownAlgorithm, InvalidOption
+        As `solve`.
     """
-    refuse_nonconvex(program)
     options = {name: wish for name, wish in options.items() if wish is not None}
+    asked_of_solve(algorithm, {"tolerance": tolerance, **options})  # what is wrong is refused whichever way is taken
+    refuse_nonconvex(program)
     if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
         return found
     goal, refutes = program_goal(tolerance), options.get("refute", True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import pickle
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCPError, lcp_from_qp, solve
+from lcp_plugin import LCPError, QuadraticProgramBatch, lcp_from_qp, solve, solve_batch
 from lcp_plugin.algorithms.interior_points.small_programs import SmallPrograms
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.qp_solution import QPSolution
@@ -194,3 +196,54 @@ def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any]
     """A wrong option is no less wrong for a small program."""
     with pytest.raises(LCPError, match=words):
         solve_quadratic_program(planted(5, 3, 1, 5, 2)[0], **wish)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
+@pytest.mark.parametrize(("cost", "far"), [(1e-8, 1e3), (1e-9, 1e6), (1e-9, 1e11), (1e-10, 1e9)])
+def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, far: float) -> None:
+    """The minimum is −1/2 − cost · far, at that bound: what is called optimal is there, in a batch, too."""
+    program = QuadraticProgram(
+        np.diag([1.0, 0.0]), [-1.0, cost], G=[[1.0, 1.0]], h=[50.0], lower=[-1.0, -far], upper=1.0
+    )
+    value = -0.5 - cost * far
+    _, solution = solve_quadratic_program(program, algorithm)
+    assert solution.status != "optimal" or solution.objective == pytest.approx(value, rel=2e-6)
+    batch = solve_batch(QuadraticProgramBatch(program.P, [program.c] * 2, program.G, program.h, lower=program.lower,
+                                              upper=program.upper))
+    for one, status in zip(batch, batch.status, strict=True):
+        assert status != "optimal" or one.objective == pytest.approx(value, rel=2e-6)
+
+
+def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small program that is interrupted in its compiled call comes back INTERRUPTED, as larger ones do."""
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SmallPrograms, "searched", interrupted)
+    result, _ = solve_quadratic_program(planted(5, 3, 1, 5, 2)[0])
+    assert result.status.name == "INTERRUPTED"
+
+
+def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
+    """As any other result; z0 is a start, of which the compiled call knows nothing."""
+    program, _, value = planted(5, 3, 1, 5, 2)
+    result, solution = solve_quadratic_program(program)
+    assert isinstance(result, ProgramResult)
+    other = dataclasses.replace(result, algorithm="mine")
+    assert other.algorithm == "mine"
+    assert other.z.tolist() == pickle.loads(pickle.dumps(result)).z.tolist() == result.z.tolist()
+    again, found = solve_quadratic_program(program, z0=result.z)
+    assert found.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
+    assert not isinstance(again, ProgramResult)
+    assert solution.is_optimal()
+
+
+def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
+    """What the compiled call finds is kept where it is within the tolerance as a complementarity problem."""
+    program, _, _ = planted(40, 30, 3, 40, 8)
+    for tolerance in (1e-9, 1e-11, 1e-13):
+        result, solution = solve_quadratic_program(program, tolerance=tolerance)
+        assert isinstance(result, ProgramResult)
+        assert result.residual <= tolerance
+        assert solution.residual <= 1e-12

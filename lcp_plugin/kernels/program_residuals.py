@@ -13,6 +13,7 @@ from .enclosures import MAY_UNDERFLOW, fused, outward, split_sum
 from .floats import EPSILON, TINY
 
 TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
+ROUNDED = 16.0 * EPSILON
 PRIMAL, DUAL, PRODUCT, PRODUCT_SIZE, ROW, GAP, OBJECTIVE = range(7)  # of `worst`
 
 
@@ -66,6 +67,18 @@ def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type:
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], abs(y * slack))
 
 
+@compiled_into_others
+def far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-def]
+    """Return what the objective may gain on the way to a bound where `left` of the gradient has no multiplier.
+
+    0 where that is the rounding of the largest term; never more than the curvature allows.
+    """
+    if not abs(bound) < np.inf or abs(left) <= ROUNDED * largest:
+        return 0.0
+    gain = abs(left) * abs(x - bound)
+    return min(gain, 0.5 * left * left / curvature) if curvature > 0.0 else gain
+
+
 @interpreted_while_small
 def program_residuals(  # type: ignore[no-untyped-def]
     of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
@@ -112,15 +125,18 @@ def program_residuals(  # type: ignore[no-untyped-def]
             largest = _larger(largest, abs(of_bound))
         total, errors, lost = _added(total, errors, lost, 1.0, c[j])
         largest = _larger(largest, abs(c[j]))
-        begin, product = of_P[j], 0.0
+        begin, product, curvature = of_P[j], 0.0, 0.0
         for k in range(begin, of_P[j + 1]):
-            a, b = P[k], x[indices_of_P[k - begin if is_full else k]]
+            of = indices_of_P[k - begin if is_full else k]
+            a, b = P[k], x[of]
+            curvature += a if of == j else 0.0
             total, errors, lost = _added(total, errors, lost, a, b)
             product += a * b
             largest = max(largest, abs(a * b))
         left, error = _rounded(total, errors, lost, terms)
         worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / dual_units[j])
         worst[ROW] = _larger(worst[ROW], abs(left) / (1.0 + largest))
-        moved += abs(left * x[j])
+        bound = -limits[rows + j] if left > 0.0 else limits[rows + n + j]
+        moved += max(abs(left * x[j]), far_gain(left, x[j], bound, curvature, largest))
         worst[OBJECTIVE] += (c[j] + 0.5 * product) * x[j]
     worst[GAP] += moved

@@ -52,6 +52,7 @@ from .interior_steps import (
     begin,
     move,
 )
+from .program_residuals import far_gain
 
 SIDE, WIDTH = SYSTEM_ROWS, SYSTEM_ROWS + 1  # a row of `vectors`: the active side
 AT_LOWER, BETWEEN, AT_UPPER = -1.0, 0.0, 1.0
@@ -356,6 +357,7 @@ def measure(  # type: ignore[no-untyped-def]
             reduced[k, j], term, left = left, max(term, abs(left * x[k, j])), 0.0
         dual = _larger(dual, (abs(left) + margin * size) / (vectors[SPARE, j] * unit))
         row = _larger(row, (abs(left) + margin * size) / (1.0 + largest))
-        along += left * x[k, j]
+        gain = far_gain(left, x[k, j], lower[k, j] if left > 0.0 else upper[k, j], P[at_P, j, j], largest)
+        along += max(abs(left * x[k, j]), gain)
     measures[k, 0], measures[k, 1], measures[k, 2] = primal, dual, product / (1.0 + term)
     measures[k, 3], measures[k, 4] = row, abs(along) / (1.0 + scale)

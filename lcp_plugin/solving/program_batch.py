@@ -107,24 +107,26 @@ class ProgramBatchRun:
         wishes = dict(self.wishes)
         if self.limit < np.inf:
             wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
-        y, self.is_open[k] = self.answers.y[k].copy(), False
+        y = self.answers.y[k].copy()
         self._forget(k)
         try:
             program = self.programs[k]
             if self.contradicts[k] and (proved := self._proved(program, y)) is not None:
                 self.solutions[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
+                self.is_open[k] = False
                 return True
             result, found = solve_quadratic_program(program, self.algorithm, **wishes)
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
-            self.errors[k] = error
+            self.errors[k], self.is_open[k] = error, False
             return True
         may_refute = self.settings.refute
         self.solutions[k], self.answers.x[k], self.answers.steps[k] = found, found.x, result.iterations
         self.answers.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), max(found.residual, found.row_residual)
         self.status[k] = found.status if may_refute or found.is_stationary() else "unknown"
+        self.is_open[k] = False
         if result.status is not Status.INTERRUPTED:
             return True
         return may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None

@@ -31,6 +31,7 @@ TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
+REACHED = 1e-9  # the tolerance that the compiled call is asked for at the least
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
@@ -79,8 +80,11 @@ def solve_quadratic_program(
     options = {name: wish for name, wish in options.items() if wish is not None}
     asked_of_solve(algorithm, {"tolerance": tolerance, **options})  # what is wrong is refused whichever way is taken
     refuse_nonconvex(program)
-    if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
-        return found
+    try:
+        if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
+            return found
+    except KeyboardInterrupt:  # a run that ends at its start hands back what there is
+        options["callback"] = lambda *_: True
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
@@ -94,7 +98,8 @@ def _solved_at_once(
     program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
 ) -> tuple[Result, QPSolution] | None:
     """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""
-    if algorithm not in TAKE_SMALL_PROGRAMS or any(options.get(name) for name in SEEN) or not 0.0 < tolerance < 1.0:
+    is_seen = any(name in options and options[name] is not False for name in SEEN)
+    if not isinstance(algorithm, str) or algorithm not in TAKE_SMALL_PROGRAMS or is_seen or not 0.0 < tolerance < 1.0:
         return None
     is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
     matrices = program.matrices
@@ -109,7 +114,8 @@ def _solved_at_once(
     small = SmallPrograms.of_one(rows.P, rows.c, rows.matrices.rows, limits, is_equality, rows.lower, rows.upper)
     if small is None:
         return None
-    sharp, name, work_of_steps = min(tolerance, PROGRAM_TOLERANCE), ACTIVE_SET, work_of_search
+    sharp = min(max(tolerance, REACHED), PROGRAM_TOLERANCE)
+    name, work_of_steps = ACTIVE_SET, work_of_search
     answers = small.searched(sharp) if algorithm == "auto" else None
     if answers is None:
         answers, name, work_of_steps = small.solved(sharp), "interior_point", work_of
@@ -122,7 +128,10 @@ def _solved_at_once(
     steps = int(answers.steps[0])
     work = work_of_steps(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
     stage = StageRecord(name, AT_ONCE, steps, work)
-    return ProgramResult(origin, z, stage, clock.read(), tolerance, algorithm), solution
+    result = ProgramResult.of(origin, z, stage, clock.read(), tolerance, algorithm)
+    if tolerance < REACHED and not result.residual <= tolerance:  # that is asked of the complementarity problem, too
+        return None
+    return result, solution
 
 
 class ProgramResult(Result):
@@ -139,16 +148,20 @@ class ProgramResult(Result):
 
     origin: QPOrigin
 
-    def __init__(
-        self, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
-    ) -> None:
-        self.__dict__.update(
+    @classmethod
+    def of(
+        cls, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
+    ) -> ProgramResult:
+        """Return the result of z, found in one stage."""
+        made = object.__new__(cls)
+        made.__dict__.update(
             origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
             algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
             setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
             infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
             _bound=BoundOrReason(), _advice={},
         )
+        return made
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -157,7 +170,7 @@ class ProgramResult(Result):
         problem.origin = self.origin
         return Certificate.of(problem, self.z)
 
-    @property
+    @cached_property
     def w(self) -> FloatVector:
         """The certificate's w."""
         return self.certificate.w

@@ -84,6 +84,8 @@ class SmallPrograms(NamedTuple):
         """
         if problem.is_distributed or not 0 < problem.n <= UP_TO + ROWS_UP_TO:
             return None
+        if problem.diagonal[-1] != 0.0:  # a multiplier has none
+            return None
         signs = signs_of(problem.M)
         if signs is None or not signs[-1] < 0.0 or bool((signs[:-1] < signs[1:]).any()):
             return None

@@ -302,7 +302,7 @@ def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
     none, x = np.zeros(2), np.full(2, 1e8)
     wrong = QPSolution(program, x, [], [-1.0], none, none)
     assert max(wrong.residual, wrong.row_residual) < 1e-9
-    assert wrong.duality_gap == pytest.approx(1e-2, rel=0.1)
+    assert wrong.duality_gap == pytest.approx(2e-2, rel=0.1)
     assert not wrong.is_optimal()
     right = QPSolution(program, -x, [], [-1.0], np.array([0.0, program.c[1] + 1.0]), none)
     assert right.objective == pytest.approx(-1e-2)

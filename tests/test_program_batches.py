@@ -410,3 +410,14 @@ def test_large_sparse_programs_stay_sparse() -> None:
     answers = solve_batch(programs)
     assert answers.all_solved
     assert answers.objective.tolist() == [0.0, 0.0]
+
+
+def test_terms_that_cancel_excuse_no_error_of_the_objective() -> None:
+    """−x₁ + (1 − 10⁻¹⁰) x₂ over x₁ = x₂, 10⁶ ≤ x ≤ 10⁸: terms of 10⁶ cancel, and the minimum is −10⁻² at 10⁸."""
+    batch = QuadraticProgramBatch(
+        np.zeros((2, 2)), [[-1.0, 1.0 - 1e-10]] * 2, A=[[1.0, -1.0]], b=[0.0], lower=1e6, upper=1e8
+    )
+    answers = solve_batch(batch)
+    for one, status in zip(answers, answers.status, strict=True):
+        assert status == one.status
+        assert status != "optimal" or one.objective == pytest.approx(-1e-2, abs=1e-6)

@@ -306,12 +306,6 @@ def _kept_as_suits(M: sp.csr_array) -> Any:
     return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
 
 
-def cancels(program: QuadraticProgram, y: FloatVector, size: float) -> bool:
-    """Return whether multipliers y of rows have terms that are far larger than the gradient that they balance."""
-    terms = program.matrices.row_sizes[: y.size] * np.abs(y)
-    return bool(terms.max(initial=0.0) > CANCELS * size and 0.0 < size < np.inf)
-
-
 def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> FloatVector | None:
     """Return multipliers of G and A of the least Σ|y_i| + Σ|μ_j|, μ those of bounds; None where these cancel nothing.
 
@@ -341,7 +335,8 @@ def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector)
     rows, count = program.matrices.rows, y.size
     gradient = np.asarray(program.P @ x + program.c)
     size = float(np.abs(gradient).max(initial=0.0))
-    if not cancels(program, y, size) or program.n + count > LARGEST:
+    terms = program.matrices.row_sizes[:count] * np.abs(y)
+    if not terms.max(initial=0.0) > CANCELS * size or not 0.0 < size < np.inf or program.n + count > LARGEST:
         return None
     limits, is_equality = program.constraints.limit[:count], program.constraints.is_equality[:count]
     unit = program.constraints.unit[:count]

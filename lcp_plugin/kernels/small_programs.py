@@ -63,7 +63,7 @@ SETTLED_GAP, CLOSED_GAP = 1e-3, 1e-18  # of the first gap: an active set is trie
 ROUNDS = 5  # corrections of an active set
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
 NUMBERS = 2**17  # in the arrays of a call that may be interpreted: its loops are on rows
-MEASURES = 5  # primal and dual residual, complementarity, the largest error of a row, the slope along x
+MEASURES = 5  # primal and dual residual, complementarity, the largest error of a row, the duality gap
 
 
 @partial(interpreted_while_small, numbers=NUMBERS)
@@ -306,7 +306,7 @@ def measure(  # type: ignore[no-untyped-def]
             vectors[SPARE, j] = max(vectors[SPARE, j], abs(P[at_P, i, j]))
         has_P |= vectors[SPARE, j] > 0.0
         vectors[TRIAL, j], vectors[TRIAL + 1, j], vectors[TRIAL + 2, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
-    primal, product, term, row = 0.0, 0.0, 0.0, 0.0
+    primal, product, term, row, lost = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(m):
         value, size, largest, coefficient = 0.0, 0.0, 0.0, 0.0
         multiplier, limit = y[k, i], d[k, i]
@@ -330,6 +330,7 @@ def measure(  # type: ignore[no-untyped-def]
         primal = _larger(primal, over / (coefficient * (1.0 + abs(limit) / coefficient)))
         largest = max(largest, abs(limit))
         row = _larger(row, max(over, 0.0) / (1.0 + largest))
+        lost += abs(multiplier * gap)
         if is_equality[i]:
             right = max(right, abs(limit) / coefficient)
         else:
@@ -342,7 +343,7 @@ def measure(  # type: ignore[no-untyped-def]
         vectors[SPARE, j] = column
         slope = max(slope, abs(c[k, j]) / column)
     unit = 1.0 + (max(slope, right, violated) if has_P else slope)
-    dual, along, scale = 0.0, 0.0, 0.0
+    dual, objective = 0.0, 0.0
     for j in range(n):
         value, size, largest = 0.0, 0.0, vectors[TRIAL + 2, j]
         for i in range(n):
@@ -350,7 +351,7 @@ def measure(  # type: ignore[no-untyped-def]
             value += summand
             size += abs(summand)
             largest = max(largest, abs(summand))
-        scale = max(scale, abs(value * x[k, j]), abs(c[k, j] * x[k, j]))
+        objective += (c[k, j] + 0.5 * value) * x[k, j]
         left, size = vectors[TRIAL, j] + value, size + vectors[TRIAL + 1, j]
         reduced[k, j] = 0.0
         if x[k, j] == (lower[k, j] if left > 0.0 else upper[k, j]):  # what is left is the multiplier of that bound
@@ -358,6 +359,6 @@ def measure(  # type: ignore[no-untyped-def]
         dual = _larger(dual, (abs(left) + margin * size) / (vectors[SPARE, j] * unit))
         row = _larger(row, (abs(left) + margin * size) / (1.0 + largest))
         gain = far_gain(left, x[k, j], lower[k, j] if left > 0.0 else upper[k, j], P[at_P, j, j], largest)
-        along += max(abs(left * x[k, j]), gain)
+        lost += max(abs(left * x[k, j]), gain)
     measures[k, 0], measures[k, 1], measures[k, 2] = primal, dual, product / (1.0 + term)
-    measures[k, 3], measures[k, 4] = row, abs(along) / (1.0 + scale)
+    measures[k, 3], measures[k, 4] = row, lost / (1.0 + abs(objective))

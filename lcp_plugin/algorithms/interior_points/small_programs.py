@@ -154,7 +154,7 @@ class SmallAnswers(NamedTuple):
         Multipliers of lower bounds less those of upper ones; 0 where x is at neither.
     measures : ndarray, shape (count, 5)
         Proved upper bounds of the primal and the dual residual, then complementarity, the largest error of a row and
-        the slope along x, as :class:`~lcp_plugin.conversions.qp_solution.QPSolution` has them.
+        the duality gap, as :class:`~lcp_plugin.conversions.qp_solution.QPSolution` has them.
     steps : ndarray of int, shape (count,)
     has_converged : ndarray of bool, shape (count,)
         Where all measures are within the tolerance.

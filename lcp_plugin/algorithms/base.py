@@ -124,9 +124,8 @@ class Algorithm(ABC):
     def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
         """Return where the steps of `iterates`, taken without Python between them, converge within the tolerance.
 
-        z, iterations and work are those of single steps, bit for bit, but for interior points, which have another
-        loop for small programs. None where they do not converge, or where there is no such loop for this problem: then
-        the steps are taken one by one.
+        z, iterations and work are those that single steps give, bit for bit. None where they do not converge, or where
+        there is no such loop for this problem: then the steps are taken one by one.
 
         Parameters
         ----------

@@ -11,18 +11,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...certificates.references import reference_residual
-from ...certificates.residuals import Certificate
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
 from ...crossovers import SWEEPS_FIRST_UP_TO
 from ...deadline import is_over
 from ...problem.lcp import LCP
-from ..base import Algorithm, FusedSolve, Step, without_warnings
+from ..base import Algorithm, Step, without_warnings
 from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector
 from .primal_active_set import PrimalActiveSet
-from .small_programs import MOST_STEPS, SmallPrograms, work_of
 from .suited_matrix import known_before, sizes_of_parts, suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
@@ -86,19 +84,6 @@ class InteriorPoint(Algorithm):
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
         yield from without_warnings(self._steps(problem, z))
-
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
-        """Return the answer of a small program by one compiled call, which solves for its active set at the end."""
-        if max_iterations < MOST_STEPS or not np.array_equal(z0, problem.nearest_to_zero):
-            return None
-        small = SmallPrograms.of_conditions(problem)
-        answers = None if small is None else small.solved(tolerance)
-        if small is None or answers is None or not answers.has_converged[0]:
-            return None
-        steps, z = int(answers.steps[0]), small.point(answers, 0)
-        residual = Certificate.of(problem, z).relative_residual
-        work = work_of(small.c.size, small.d.size, steps) / max(problem.nonzeros, 1)
-        return FusedSolve(z, residual, work, ((self.name, steps, work),)) if residual <= tolerance else None
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z, or the solution of the linear system of the active set that z shows, where that is better."""

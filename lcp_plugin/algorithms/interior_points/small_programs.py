@@ -8,8 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...checks import BoolVector, FloatVector
-from ...problem.lcp import LCP
-from .quasidefinite import signs_of
 
 UP_TO, ROWS_UP_TO, WORK_UP_TO = 400, 1500, 2.5e7  # unknowns, rows, multiplications of a step
 SEARCHED_UP_TO = 80  # unknowns of a program whose active set is found before interior points, called alone, are there
@@ -75,27 +73,6 @@ class SmallPrograms(NamedTuple):
             x, own = self.fixed.copy(), x
             x[np.isnan(x)] = own
         return np.append(x, answers.y[k])
-
-    @classmethod
-    def of_conditions(cls, problem: LCP) -> SmallPrograms | None:
-        """Return the program whose optimality conditions a problem states, multipliers last; None where it states none.
-
-        That is M = [[P, Cᵀ], [−C, 0]] with P symmetric and multipliers that are free or not negative.
-        """
-        if problem.is_distributed or not 0 < problem.n <= UP_TO + ROWS_UP_TO:
-            return None
-        if problem.diagonal[-1] != 0.0:  # a multiplier has none
-            return None
-        signs = signs_of(problem.M)
-        if signs is None or not signs[-1] < 0.0 or bool((signs[:-1] < signs[1:]).any()):
-            return None
-        n, M, lower = int((signs > 0.0).sum()), problem.M, problem.lower
-        is_free, above, beside = np.isneginf(lower[n:]), M[:n], M[n:, n:]
-        is_empty = not (beside.nnz if sp.issparse(M) else beside.any())
-        if not is_empty or bool((problem.upper[n:] < np.inf).any()) or bool((lower[n:][~is_free] != 0.0).any()):
-            return None
-        return cls.of_one(above[:, :n], problem.q[:n], above[:, n:].T, problem.q[n:], is_free, lower[:n],
-                          problem.upper[:n])
 
     def solved(self, tolerance: float) -> SmallAnswers:
         """Return the answers, as far as all measures of a program come below the tolerance."""

@@ -1,7 +1,8 @@
-"""What a wheel and a source archive hold, asked of the build backend itself where it is installed."""
+"""What a wheel, a source archive and the conda recipe hold; ``tests/install_offline.py`` installs them."""
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import tarfile
@@ -15,7 +16,8 @@ import pytest
 import lcp_plugin
 
 ROOT = Path(__file__).parent.parent
-PROJECT = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))["project"]
+TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
+BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
 SMALL = 1_000_000  # bytes
 
 
@@ -29,6 +31,15 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         build.build_wheel(str(folder))
         build.build_sdist(str(folder))
     return folder
+
+
+@pytest.fixture(scope="module")
+def recipe() -> str:
+    """The conda recipe without its comments."""
+    file = ROOT / ".ci" / "conda" / "recipe.yaml"
+    if not file.exists():
+        pytest.skip("a source archive has no .ci")
+    return re.sub(r"^ *#.*\n", "", file.read_text(encoding="utf-8"), flags=re.M)
 
 
 def sources(folder: str) -> set[str]:
@@ -61,7 +72,8 @@ def test_the_metadata_say_what_the_project_says(built: Path) -> None:
     assert told["License-Expression"] == "Apache-2.0"
     assert told["Requires-Python"] == PROJECT["requires-python"] == ">=3.11"
     assert told["Description-Content-Type"] == "text/markdown"
-    assert "lcp-plugin = lcp_plugin.commands.cli:run" in entries
+    for command, function in PROJECT["scripts"].items():
+        assert f"{command} = {function}" in entries
     needed = {re.match(r"[\w.-]+", line)[0] for line in told.get_all("Requires-Dist") if "extra ==" not in line}  # type: ignore[index]
     assert needed == {re.match(r"[\w.-]+", line)[0] for line in PROJECT["dependencies"]}  # type: ignore[index]
 
@@ -74,6 +86,44 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
     needed = sources("lcp_plugin") | sources("tests") | sources("examples")
     needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/obstacle_problem.png"}
     assert needed <= names
+
+
+def test_the_source_archive_builds_the_same_wheel(built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Byte for byte, from an unpacked archive and an hour later: what is uploaded can be built again by anybody."""
+    import hatchling.build
+
+    (wheel,) = built.glob("*.whl")
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        opened.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    for file in source.rglob("*"):
+        os.utime(file, (1e9, 1e9))
+    monkeypatch.chdir(source)
+    again = tmp_path / hatchling.build.build_wheel(str(tmp_path))
+    assert again.name == wheel.name
+    assert again.read_bytes() == wheel.read_bytes()
+
+
+def listed(recipe: str, key: str) -> list[str]:
+    """The entries of a list in the recipe."""
+    found = re.search(rf"^( *){key}:\n((?:\1 +- .*\n)+)", recipe, re.M)
+    assert found is not None
+    return [line.strip().removeprefix("- ") for line in found[2].splitlines()]
+
+
+def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
+    """The same version, Python, dependencies, commands, licence and summary; qdldl has another name there."""
+    floor = PROJECT["requires-python"].removeprefix(">=")
+    assert f'version: "{lcp_plugin.__version__}"' in recipe
+    assert f'python_min: "{floor}"' in recipe
+    run, host = ({line.replace(" ", "") for line in listed(recipe, key)} for key in ("run", "host"))
+    run = {line.replace("qdldl-python", "qdldl") for line in run}
+    assert run == {"python>=${{python_min}}", *PROJECT["dependencies"]}
+    assert host == {"python${{python_min}}.*", "pip", *BUILD["requires"]}
+    assert listed(recipe, "entry_points") == [f"{name} = {function}" for name, function in PROJECT["scripts"].items()]
+    assert f"license: {PROJECT['license']}\n" in recipe
+    assert f'summary: "{PROJECT["description"]}"' in recipe
 
 
 def test_the_version_is_written_once() -> None:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
-from ..expressions.program import Program
-from ..expressions.rows import Rows, as_matrix, assembled, is_definition
-from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
+from ..expressions.rows import as_matrix, is_definition
 from ._compat import attribute_bounds, attribute_expressions, dense
-from .equations import Affine, eliminate_definitions, known_ranges, matched_for_monotony
-from .model import BoundSource, Elimination, Model, Report, Sources
+from .assembly import Assembly, Function
+from .equations import Elimination
+from .model import BoundSource, Model, Report, Sources
 from .reading import Reader
 
 if TYPE_CHECKING:
@@ -28,49 +24,25 @@ if TYPE_CHECKING:
 Single = tuple[NDArray[np.int64], FloatVector]
 
 PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
-UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 
 
-@dataclass(frozen=True, eq=False)
-class Function:
-    """The rows of an expression, and the equality that states them, None for a side of a pair.
-
-    Attributes
-    ----------
-    expression : cvxpy expression
-    rows : Rows
-    constraint : cvxpy constraint or None
-    slacks : ndarray of int or None
-        The unknowns that the rows are less than the expression, one a row; None for none.
-    """
-
-    expression: Any
-    rows: Rows
-    constraint: Any = None
-    slacks: NDArray[np.int64] | None = None
-
-
-class Builder:
+class Builder(Assembly):
     """Collects unknowns, bounds and rows of one list of constraints."""
 
     def __init__(self, constraints: list[Any], memo: dict[Any, Any]) -> None:
         self.reader = Reader(memo)
         self.variables = list({v.id: v for constraint in constraints for v in constraint.variables()}.values())
         ends = np.cumsum([0, *(variable.size for variable in self.variables)]).tolist()
-        self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends[:-1], strict=True)}
-        self.first = dict(self.offsets)  # of slacks, too
-        self.count: int = ends[-1]
+        self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends, strict=False)}
         bounds = [
             [np.ravel(np.broadcast_to(bound, variable.shape), order="F") for bound in attribute_bounds(variable)]
             for variable in self.variables
         ]
-        self.lower, self.upper = (
+        lower, upper = (
             np.concatenate([*(pair[k] for pair in bounds), np.zeros(0)]).astype(np.float64) for k in (0, 1)
         )
-        self.is_paired, self.is_defined = np.zeros(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
-        #: Of each pair: the unknowns, the function that belongs to them, and its sign.
-        self.pairs: list[tuple[NDArray[np.int64], Function, FloatVector]] = []
-        self.equations: list[Function] = []
+        super().__init__(self.reader.compiler, dict(self.offsets), lower, upper)  # of slacks, too, later
+        self.is_defined = np.zeros(self.count, dtype=bool)
         self.reports: list[Report] = []
         self.bounds: list[BoundSource] = []
         for variable in self.variables:
@@ -114,7 +86,7 @@ class Builder:
         rows = function.rows
         if rows.level or rows.terms != rows.size:
             return None
-        matrix = self._affine([function]).matrix
+        matrix = self.affine([function]).matrix
         is_single = is_definition(matrix) and bool((matrix.data != 0.0).all())
         return (matrix.indices.astype(np.int64), matrix.data) if is_single else None
 
@@ -208,79 +180,25 @@ class Builder:
         self.first[key] = self.count
         rows = replace(first.rows, blocks={**first.rows.blocks, key: -1.0})
         self.equations.append(replace(first, rows=rows, slacks=columns))
-        self.count += size
         self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
         self._keep_pair(pair, (pair.first, pair.second), columns, second, np.ones(size))
 
     def finished(self) -> Model:
-        """Put definitions in, match the equations left with the unknowns left, and put everything in its place.
-
-        Notes
-        -----
-        Of a nonlinear model nothing is eliminated: an unknown that an equation defines stays, and with it the sparsity
-        of everything that it would be put in.
-        """
-        functions, of_pairs = [*(one for _, one, _ in self.pairs), *self.equations], len(self.pairs)
-        columns = np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])
-        signs = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
-        free, sizes = np.flatnonzero(~self.is_paired), (columns.size, sum(one.rows.size for one in self.equations))
-        self._check_square(free, sizes[1])
-        self._drop_implied_bounds(free)
-        elimination, stored = Elimination.of_nothing(self.count), [sp.csr_array((size, self.count)) for size in sizes]
-        program = None
-        if any(one.rows.level for one in functions):
-            results = [one.rows for one in functions]
-            program = Program.of(self.reader.compiler, results, self.first, self.count)
-        else:
-            pairs, equations = self._affine(functions[:of_pairs]), self._affine(self.equations)
-            stored = [pairs.matrix, equations.matrix]
-            if self.equations:
-                elimination, equations, pairs = eliminate_definitions(
-                    equations, pairs, ~self.is_paired, self._variable_of()
-                )
-        kept = elimination.kept
-        place = np.zeros(self.count, dtype=np.int64)
-        place[kept] = np.arange(kept.size)
-        columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
-        if free.size:
-            matrices = (pairs.matrix, equations.matrix) if program is None else self._derivatives(program, sizes[0])
-            signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
-            order, turned = matched_for_monotony(matrices[1], signed, columns, free)
-            free = free[order]
-            columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
-        self._report_equations(elimination, kept[free])
-        places = np.argsort(columns, kind="stable")
-        signs = signs[places]
-        bounds = {"lower": self.lower[kept], "upper": self.upper[kept]}
-        problem: LCP | NonlinearProblem
-        if program is None:
-            problem = LCP(*_arranged(pairs, equations, places, signs), **bounds)
-        else:
-            program = program.rearranged(places, signs)
-            problem = NonlinearProblem(program.value, program.jacobian, **bounds, enclosure=program)
+        """Return the problem with the way back: see :meth:`Assembly.arranged`."""
+        found = self.arranged()
+        self._report_equations(found.elimination, found.matched)
+        functions = [*(one for _, one, _ in self.pairs), *self.equations]
         slacks = {k: one.slacks for k, one in enumerate(functions) if one.slacks is not None}
         expressions = [one.expression for one in functions]
-        sources = Sources(expressions, (stored[0], stored[1]), places, signs, self.bounds, slacks)
-        return Model(problem, self.variables, self.offsets, self.reports, elimination, sources)
+        sources = Sources(expressions, found.stored, found.places, found.signs, self.bounds, slacks)
+        return Model(found.problem, self.variables, self.offsets, self.reports, found.elimination, sources)
 
-    def _derivatives(self, program: Program, pairs: int) -> tuple[sp.csr_array, sp.csr_array]:
-        """Return what the derivatives of pairs and equations are like inside the bounds."""
-        derivative = program.jacobian(np.clip(1.0, self.lower, self.upper))
-        sizes = np.where(np.isfinite(derivative.data), derivative.data, 0.0)
-        derivative.data = np.where(sizes == 0.0, UNCERTAIN, sizes)
-        return derivative[:pairs], derivative[pairs:]
-
-    def _variable_of(self) -> NDArray[np.int64]:
+    def variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
         sizes = [variable.size for variable in self.variables]
         sizes.append(self.count - sum(sizes))
         return np.repeat(np.arange(len(sizes)), sizes).astype(np.int64)
-
-    def _affine(self, functions: Sequence[Function]) -> Affine:
-        """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
-        matrix, offset = assembled([one.rows for one in functions], self.first, self.count)
-        return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.rows.size for one in functions]))
 
     def _report_equations(self, elimination: Elimination, matched: NDArray[np.int64]) -> None:
         """Report for each equation the unknown that it defined or was matched with."""
@@ -293,70 +211,17 @@ class Builder:
                 part = columns[end - function.rows.size : end]
                 self.reports.append(Report(function.constraint, part, function.rows.shape, False))
 
-    def _drop_implied_bounds(self, free: NDArray[np.int64]) -> None:
-        """Forget the bounds of unknowns that go with an equation where the model implies them; raise where not."""
-        bounded = free[np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])]
-        if not bounded.size:
-            return
-        affine = [pair for pair in self.pairs if not pair[1].rows.level]
-        columns = np.concatenate([*(columns for columns, _, _ in affine), np.zeros(0, dtype=np.int64)])
-        has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
-        # What has both bounds, or none, leaves the sign of its function open.
-        signs = np.concatenate([*(sign for _, _, sign in affine), np.zeros(0)])
-        signs = np.where(has_low == has_high, np.nan, signs * np.where(has_low, 1.0, -1.0))
-        equations = [function for function in self.equations if not function.rows.level]
-        rows = self._affine([*(function for _, function, _ in affine), *equations])
-        signs = np.append(signs, np.zeros(rows.offset.size - signs.size))
-        low, high, rounding = known_ranges(rows, signs, self.lower, self.upper, self.is_paired)
-        wrong = bounded[((low > self.upper + rounding) | (high < self.lower - rounding))[bounded]]
-        if wrong.size:
-            raise UnsupportedModel(
-                f"equations and pairs keep {self._entry(wrong[0])} outside its bounds, {self.lower[wrong[0]]:g} and "
-                f"{self.upper[wrong[0]]:g}: no point satisfies the model; correct one of them"
-            )
-        is_implied = (low >= self.lower - rounding) & (high <= self.upper + rounding)
-        left = bounded[~is_implied[bounded]]
-        if left.size:
-            entry = self._entry(left[0])
-            raise UnsupportedModel(
-                f"{entry} has bounds that the rest of the model does not imply, and no pair says what gives way at "
-                f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"
-            )
-        self.lower[bounded], self.upper[bounded] = -np.inf, np.inf
+    def names_of(self, columns: NDArray[np.int64]) -> list[str]:
+        """Return the names of the variables that these unknowns are entries of."""
+        is_asked = np.zeros(self.count, dtype=bool)
+        is_asked[columns] = True
+        return [v.name() for v in self.variables if is_asked[self.offsets[v.id] : self.offsets[v.id] + v.size].any()]
 
-    def _entry(self, column: np.int64) -> str:
+    def entry(self, column: np.int64) -> str:
         """Return how the unknown is written: h[2]."""
         variable = next(one for one in reversed(self.variables) if self.offsets[one.id] <= column)
         place = np.unravel_index(column - self.offsets[variable.id], variable.shape, order="F")
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
-
-    def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
-        """Raise where there are not as many equations as unknowns without a pair."""
-        if free.size == equations:
-            return
-        names = [
-            variable.name()
-            for variable in self.variables
-            if not self.is_paired[self.offsets[variable.id] : self.offsets[variable.id] + variable.size].all()
-        ]
-        of_pairs = sum(function.slacks.size for function in self.equations if function.slacks is not None)
-        counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
-        raise UnsupportedModel(
-            f"the model has {free.size} unknowns without a complementarity ({', '.join(names) or 'none'}) and "
-            f"{equations} equations{counted}; it needs as many equations as such unknowns"
-        )
-
-
-def _arranged(
-    pairs: Affine, equations: Affine, places: NDArray[np.int64], signs: FloatVector
-) -> tuple[sp.csr_array, FloatVector]:
-    """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
-    M, q = pairs.matrix, pairs.offset
-    if equations.offset.size:
-        M, q = sp.csr_array(sp.vstack([M, equations.matrix], format="csr")), np.append(q, equations.offset)
-    if not np.array_equal(places, np.arange(q.size)):
-        M, q = sp.csr_array(M[places]), q[places]
-    return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
 def _states_bounds(side: Side) -> bool:

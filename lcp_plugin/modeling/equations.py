@@ -22,7 +22,6 @@ from ..kernels.floats import EPSILON
 from ..matrix.matrix import largest_in_rows
 from ..matrix.structure import row_numbers
 from ..problem.linear_constraints import activity
-from .model import Elimination
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -32,6 +31,44 @@ MOST_FILL = 4  # times the entries there were
 MOST_DEFINITIONS = 500
 ROUNDING = 4.0 * EPSILON
 SAME = 1e-9
+
+
+@dataclass(eq=False)
+class Elimination:
+    """z = expansion · (unknowns left) + offset; every unknown, the defined ones included.
+
+    Attributes
+    ----------
+    kept : ndarray of int
+        The unknowns that are left.
+    expansion : CSR array, shape (all unknowns, unknowns left), or None
+        None where nothing is defined: all unknowns are left.
+    offset : ndarray, shape (all unknowns,)
+    rows, columns : ndarray of int
+        Rows of the equations, and the unknown that each of them defined.
+    """
+
+    kept: NDArray[np.int64]
+    expansion: sp.csr_array | None
+    offset: FloatVector
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+
+    @classmethod
+    def of_nothing(cls, count: int) -> Elimination:
+        """Return the elimination that leaves that many unknowns as they are."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(np.arange(count), None, np.zeros(count), nothing, nothing)
+
+    def expand(self, z: FloatVector) -> FloatVector:
+        """Return all unknowns."""
+        return z if self.expansion is None else self.expansion @ z + self.offset
+
+    def expand_slack(self, w: FloatVector) -> FloatVector:
+        """Return w with 0 for the unknowns that belong to an equation."""
+        whole = np.zeros(self.offset.size)
+        whole[self.kept] = w
+        return whole
 
 
 @dataclass(eq=False)

@@ -18,47 +18,10 @@ from ..problem.nonlinear import NonlinearProblem
 from ..solving.batch import solve_batch
 from ..solving.batch_run import BatchResult
 from ._compat import dense, name_of
+from .equations import Elimination
 
 DISAGREEMENT = 1e-9  # of 1 + |F|
 ROUNDINGS = 100.0
-
-
-@dataclass(eq=False)
-class Elimination:
-    """z = expansion · (unknowns left) + offset; every unknown, the defined ones included.
-
-    Attributes
-    ----------
-    kept : ndarray of int
-        The unknowns that are left.
-    expansion : CSR array, shape (all unknowns, unknowns left), or None
-        None where nothing is defined: all unknowns are left.
-    offset : ndarray, shape (all unknowns,)
-    rows, columns : ndarray of int
-        Rows of the equations, and the unknown that each of them defined.
-    """
-
-    kept: NDArray[np.int64]
-    expansion: sp.csr_array | None
-    offset: FloatVector
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
-
-    @classmethod
-    def of_nothing(cls, count: int) -> Elimination:
-        """Return the elimination that leaves that many unknowns as they are."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return cls(np.arange(count), None, np.zeros(count), nothing, nothing)
-
-    def expand(self, z: FloatVector) -> FloatVector:
-        """Return all unknowns."""
-        return z if self.expansion is None else self.expansion @ z + self.offset
-
-    def expand_slack(self, w: FloatVector) -> FloatVector:
-        """Return w with 0 for the unknowns that belong to an equation."""
-        whole = np.zeros(self.offset.size)
-        whole[self.kept] = w
-        return whole
 
 
 @dataclass(eq=False)
@@ -245,31 +208,6 @@ def solve_for(
         for parameter, value in before.items():
             parameter.value = value
     return ModelBatch(solve_batch([model.lcp("solve_batch") for model in models], **options), models)
-
-
-def start_of(problem: NonlinearProblem, values: FloatVector | None) -> FloatVector:
-    """Return where to begin: the values, or the points within the bounds nearest to 0 and to 1, where F is smooth.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    values : array, shape (n,), or None
-        The present values of the variables, where all have one.
-    """
-    given = [] if values is None or not np.isfinite(values).all() else [values]
-    zero, one = np.zeros_like(problem.lower), np.ones_like(problem.lower)
-    points: list[FloatVector] = [np.clip(point, problem.lower, problem.upper) for point in (*given, zero, one)]
-    return next((point for point in points if _is_smooth_at(problem, point)), points[0])
-
-
-def _is_smooth_at(problem: NonlinearProblem, point: FloatVector) -> bool:
-    if not np.isfinite(problem.value(point)).all():
-        return False
-    try:
-        problem.derivative(point)
-    except InvalidProblem:  # it is not finite
-        return False
-    return True
 
 
 def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w: FloatVector) -> str | None:

@@ -32,9 +32,10 @@ from ._compat import (
     set_answering,
     statistics,
 )
+from .assembly import start_of
 from .builder import Builder
 from .constraint import Complements, box, complements
-from .model import Model, ModelBatch, contradiction, solve_for, start_of
+from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
     from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
+    from .doors.qpsolvers import register_with_qpsolvers as register_with_qpsolvers
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
@@ -110,6 +111,7 @@ _HOME = {
     "complements": "modeling.constraint",
     "is_complementarity_problem": "modeling.registration",
     "register": "modeling.registration",
+    "register_with_qpsolvers": "doors.qpsolvers",
     "error_against_time": "evidence.error_against_time",
     "stability_atlas": "evidence.stability",
     "gallery": "evidence.gallery",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -19,13 +19,10 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector, checked_vector
 from ..conversions.program import QuadraticProgram
-from ..conversions.qp_forms import program_goal
 from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
-from ..settings import Status
-from ..solving.quadratic_program import ProgramResult, ended_by_caller, solve_quadratic_program
-from ..solving.result import Result
+from ..solving.quadratic_program import ProgramResult, judged_program
 from ._compat import statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import dense_value
@@ -33,7 +30,6 @@ from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
 
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
-NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
@@ -121,21 +117,13 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         compiled = _Compiled.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
-        result, solution = solve_quadratic_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
+        found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
+        result = found.result
         # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
         cache[self.name()] = compiled._replace(z=None if isinstance(result, ProgramResult) else result.z)
-        proof = None
-        goal = program_goal(options["tolerance"])
-        is_optimal = solution.is_stationary(goal)
-        is_proven = program.__dict__.get("proof_of_no_minimum") is not None
-        if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
-            proof = program.refutation(goal)
-        status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
-        if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
-            result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
         if verbose:
             settings.LOGGER.info(result.explain())
-        return Answer(result, solution, status, goal)
+        return Answer(result, found.solution, found.status, found.goal)
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
@@ -262,19 +250,6 @@ def _require_plain(data: Any) -> None:
             "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
             "bounds that it derived itself; state them as constraints"
         )
-
-
-def _status(
-    result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
-) -> str:
-    if proof is not None:
-        return str(settings.INFEASIBLE if isinstance(proof, QPInfeasibility) else settings.UNBOUNDED)
-    if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        inaccurate = settings.OPTIMAL_INACCURATE if is_nearly else settings.USER_LIMIT
-        return str(settings.OPTIMAL if is_optimal else inaccurate)
-    if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
-        return str(settings.OPTIMAL)
-    return str(settings.SOLVER_ERROR if result.status is Status.DIVERGED else settings.USER_LIMIT)
 
 
 class Entries(NamedTuple):

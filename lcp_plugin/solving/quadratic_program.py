@@ -17,12 +17,13 @@ from ..checks import FloatVector, read_only
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
+from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import attempts
 from ..conversions.reductions import fold_simple_rows, substitute_definitions
 from ..deadline import Clock, is_over, seconds_left
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ..settings import Status
+from ..settings import Status, checked_callback
 from .driver import asked_of_solve, solve
 from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
@@ -31,6 +32,7 @@ TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
+NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 REACHED = 1e-9  # the tolerance that the compiled call is asked for at the least
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
@@ -48,6 +50,56 @@ class ProgramRun(NamedTuple):
         """The largest residual of the program, ∞ where there is none."""
         error = max(self.solution.residual, self.solution.row_residual)
         return math.inf if math.isnan(error) else error
+
+
+class ProgramAnswer(NamedTuple):
+    """What was found of a program, and what that is called.
+
+    Attributes
+    ----------
+    result : Result
+    solution : QPSolution
+    status : str
+        "optimal" by the program's own residuals, "infeasible" or "unbounded" with a proof, "optimal_inaccurate",
+        "user_limit" where something ended the run before, or "solver_error".
+    goal : float
+        The size of the residuals that is called optimal.
+    proof : QPInfeasibility or QPUnboundedness or None
+    """
+
+    result: Result
+    solution: QPSolution
+    status: str
+    goal: float
+    proof: QPInfeasibility | QPUnboundedness | None
+
+
+def judged_program(
+    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
+) -> ProgramAnswer:
+    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments."""
+    result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
+    goal, proof = program_goal(tolerance), None
+    is_optimal = solution.is_stationary(goal)
+    is_proven = program.__dict__.get("proof_of_no_minimum") is not None
+    if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
+        proof = program.refutation(goal)
+    status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
+    if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
+        result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
+    return ProgramAnswer(result, solution, status, goal, proof)
+
+
+def _status(
+    result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
+) -> str:
+    if proof is not None:
+        return proof.verdict
+    if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
+        return "optimal" if is_optimal else "optimal_inaccurate" if is_nearly else "user_limit"
+    if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
+        return "optimal"
+    return "solver_error" if result.status is Status.DIVERGED else "user_limit"
 
 
 def solve_quadratic_program(
@@ -79,6 +131,7 @@ def solve_quadratic_program(
     """
     options = {name: wish for name, wish in options.items() if wish is not None}
     asked_of_solve(algorithm, {"tolerance": tolerance, **options})  # what is wrong is refused whichever way is taken
+    checked_callback(options.get("callback"))
     refuse_nonconvex(program)
     try:
         if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:

@@ -1,0 +1,1 @@
+"""Doors: how the solver is reached from other packages."""

@@ -1,0 +1,145 @@
+"""qpsolvers: ``solve_qp(…, solver="lcp_plugin")`` after ``lcp_plugin.register_with_qpsolvers()``.
+
+Nothing of qpsolvers is changed but its tables: ``solve_function``, from a name to a function of a problem, and the
+lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the same objects wherever it shows them.
+
+A backend inside qpsolvers 4.13 stands in 13 places: ``solvers/lcp_plugin_.py`` with ``lcp_plugin_solve_problem`` and
+``lcp_plugin_solve_qp`` (1); in ``solvers/__init__.py`` a declaration of each (2, 3), the guarded import with the
+entries in ``solve_function`` and the lists (4), ``__all__`` (5); in ``__init__.py`` the import and ``__all__`` (6, 7);
+its extra in ``pyproject.toml`` (8); ``doc/supported-solvers.rst`` (9); README's table (10); CHANGELOG (11); the
+tolerances in ``tests/test_solve_qp.py`` and ``tests/test_solve_problem.py`` (12); a test of its options (13).
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..checks import checked_bound, checked_vector
+from ..conversions.program import QuadraticProgram
+from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
+from ..solving.quadratic_program import judged_program
+
+if TYPE_CHECKING:
+    from qpsolvers import Problem, Solution
+
+NAME = "lcp_plugin"
+ELSEWHERE = ("eps_abs", "eps_rel", "feastol", "reltol", "abstol", "max_iter", "maxiter", "time_limit")
+
+
+def register_with_qpsolvers() -> None:
+    """Let qpsolvers know the solver "lcp_plugin"; to say it twice changes nothing.
+
+    Raises
+    ------
+    ImportError
+        Where qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from qpsolvers import solve_qp
+    >>> register_with_qpsolvers()
+    >>> solve_qp(2 * np.eye(2), np.array([-2.0, -4.0]), np.array([[1.0, 1.0]]), np.array([2.0]), solver="lcp_plugin")
+    array([0.5, 1.5])
+    """
+    try:
+        from qpsolvers import available_solvers, dense_solvers, sparse_solvers
+        from qpsolvers.solvers import solve_function
+    except ImportError as error:
+        raise ImportError(
+            "register_with_qpsolvers needs qpsolvers; install it with: pip install 'lcp_plugin[qpsolvers]'"
+        ) from error
+    solve_function[NAME] = solve_problem
+    for names in (available_solvers, dense_solvers, sparse_solvers):
+        if NAME not in names:
+            names.append(NAME)
+
+
+def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False, **options: Any) -> Solution:
+    """Return what qpsolvers calls a solution, found where the program's own residuals are optimal.
+
+    Parameters
+    ----------
+    problem : qpsolvers.Problem
+        Dense or sparse; P positive semidefinite, zero for a linear program.
+    initvals : array, shape (n,), optional
+        An x to start from, which a program with bounds alone can use; of any other only the length is checked.
+    verbose : bool
+        Prints the run.
+    **options
+        Of :func:`lcp_plugin.solve`: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``, ``threads``, …
+
+    Returns
+    -------
+    qpsolvers.Solution
+        ``extras["status"]`` is "optimal", "infeasible", "optimal_inaccurate", "user_limit" or "solver_error",
+        ``extras["answer"]`` the :class:`~lcp_plugin.conversions.qp_solution.QPSolution` with its residuals,
+        ``extras["result"]`` the run, whose ``certificate`` is that of the complementarity problem, and
+        ``extras["proof"]`` that of infeasibility. Not found: x is None, and the best x is in the answer.
+
+    Raises
+    ------
+    qpsolvers.ParamError
+        For an option that does not exist or cannot be used.
+    qpsolvers.ProblemError
+        Where the data state no convex program, the named algorithm cannot run on it, or it is proved to be unbounded.
+    qpsolvers.SolverError
+        For whatever else is refused.
+    """
+    from qpsolvers import ParamError, ProblemError, Solution, SolverError
+
+    started = time.perf_counter()
+    try:
+        program = _program(problem)
+        built, guess = time.perf_counter(), _start(initvals, program)
+        found = judged_program(program, guess=guess, verbose=verbose, **_known(options))
+    except (InvalidOption, UnknownAlgorithm) as error:
+        raise ParamError(str(error)) from error
+    except (InvalidProblem, UnsupportedModel) as error:
+        raise ProblemError(str(error)) from error
+    except LCPError as error:
+        raise SolverError(str(error)) from error
+    if found.status == "unbounded":
+        raise ProblemError(f"the program is {found.proof}; bound x where the objective falls")
+    answer, solution = found.solution, Solution(problem)
+    solution.extras = {"status": found.status, "answer": answer, "result": found.result, "proof": found.proof}
+    solution.build_time, solution.solve_time = built - started, time.perf_counter() - built
+    solution.found = found.status == "optimal"
+    if solution.found:
+        is_bounded = problem.lb is not None or problem.ub is not None
+        solution.x, solution.obj = answer.x.copy(), answer.objective
+        solution.z, solution.y = answer.inequality.copy(), answer.equality.copy()
+        solution.z_box = answer.upper - answer.lower if is_bounded else np.empty(0)
+    return solution
+
+
+def _program(problem: Problem) -> QuadraticProgram:
+    """Return the program, with the names that vectors have there in what is said of them."""
+    P, q, G, h, A, b, lower, upper = problem.unpack()
+    q = checked_vector(q, "q", None)
+    below, above = (
+        default if bound is None else checked_bound(bound, name, q.size)
+        for bound, name, default in ((lower, "lb", -np.inf), (upper, "ub", np.inf))
+    )
+    return QuadraticProgram(P, q, G, h, A, b, below, above)
+
+
+def _start(initvals: Any, program: QuadraticProgram) -> Any:
+    """Return the x to start from where bounds are all there is: without multipliers it costs more steps than none."""
+    try:
+        start = None if initvals is None else checked_vector(initvals, "initvals", program.n)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+    return None if program.constraints.rows else start
+
+
+def _known(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options, or raise where one is what other solvers of qpsolvers call a tolerance or a limit."""
+    if foreign := [name for name in options if name in ELSEWHERE]:
+        raise InvalidOption(
+            f"{foreign[0]!r} is an option of other solvers; here write tolerance=1e-9, max_iterations= or max_seconds="
+        )
+    return options

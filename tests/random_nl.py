@@ -1,0 +1,131 @@
+"""Contents of ``.nl`` files by chance, how two of them differ, and damage done to files."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin.modeling.nl.content import NLContent, Suffix, Token, Trees
+from lcp_plugin.modeling.nl.segments import (
+    BINARY_OPERATORS,
+    NARY_OPERATORS,
+    PIECEWISE_OPERATOR,
+    TERNARY_OPERATORS,
+    UNARY_OPERATORS,
+)
+
+FUNCTIONS = ("gsl_sf", "quantile")
+STRINGS = (b"plain", b"two\nlines, a # and\nh3:abc", b"", b"\xff\x00")
+
+
+def random_content(rng: Any, most: int = 6) -> NLContent:
+    """Return a content with some of everything that the format knows."""
+    n, m, o, d = int(rng.integers(1, most + 1)), *(int(k) for k in rng.integers(0, [most + 1, 3, 4]))
+    lower, upper = _bounds(rng, n)
+    row_lower, row_upper = _bounds(rng, m)
+    partners, partner_bounds = np.full(m, -1), np.zeros(m, dtype=np.int64)
+    chosen = rng.permutation(m)[: rng.integers(0, min(m, n) + 1)]
+    partners[chosen] = rng.permutation(n)[: chosen.size]
+    partner_bounds[chosen] = rng.integers(0, 4, chosen.size)
+    row_lower[chosen], row_upper[chosen] = -np.inf, np.inf
+    has_start = rng.random(n) < 0.5
+    is_integer = np.arange(n) >= n - (rng.integers(0, n + 1) if rng.random() < 0.3 else 0)
+    return NLContent(
+        lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
+        partner_bounds=partner_bounds, linear=_matrix(rng, m, [n] * m, n), trees=_trees(rng, [n + d] * m),
+        is_maximized=rng.random(o) < 0.5, objective_linear=_matrix(rng, o, [n] * o, n),
+        objective_trees=_trees(rng, [n + d] * o), defined_linear=_matrix(rng, d, range(n, n + d), n + d),
+        defined_trees=_trees(rng, range(n, n + d)), is_integer=is_integer, logical_rows=0, functions=FUNCTIONS,
+        start=np.where(has_start, _numbers(rng, n), 0.0),
+        dual_start=np.where(rng.random(m) < 0.3, rng.standard_normal(m), 0.0), has_start=has_start,
+        suffixes=_suffixes(rng, [n, m, o, 1]), options=((3, 1, 1, 0), (5, 0, 1, 0, 7, 2021))[m % 2],
+    )  # fmt: skip
+
+
+def _numbers(rng: Any, count: int) -> Any:
+    """Return integers, decimals, and numbers of 17 digits at any scale."""
+    kind = rng.integers(0, 3, count)
+    scale = 10.0 ** rng.integers(-300, 300, count)
+    drawn = np.where(kind == 0, rng.integers(-9, 10, count), rng.standard_normal(count))
+    return np.where(kind == 2, drawn * scale, drawn)
+
+
+def _bounds(rng: Any, count: int) -> tuple[Any, Any]:
+    first = rng.standard_normal(count).round(rng.integers(0, 17))
+    lower = np.where(rng.random(count) < 0.3, -np.inf, first)
+    upper = np.where(rng.random(count) < 0.3, np.inf, first + rng.integers(0, 3, count))
+    return lower, upper
+
+
+def _matrix(rng: Any, count: int, reach: Any, width: int) -> sp.csr_array:
+    """Return rows with any entries among their first `reach` columns, zeros among them."""
+    rows = [np.flatnonzero(rng.random(k) < 0.5) for k in reach]
+    starts = np.concatenate([[0], np.cumsum([row.size for row in rows])]).astype(np.int32)
+    columns = np.concatenate([*rows, np.zeros(0, dtype=np.int64)]).astype(np.int32)
+    return sp.csr_array((_numbers(rng, columns.size) * (rng.random(columns.size) < 0.8), columns, starts),
+                        shape=(count, width))  # fmt: skip
+
+
+def _trees(rng: Any, reach: Any) -> Trees:
+    tokens: list[tuple[int, float, int]] = []
+    starts = [0]
+    for k in reach:
+        wanted, room = 1, int(rng.integers(1, 20))
+        while wanted:
+            kind = rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05]) if len(tokens) - starts[-1] < room else 0
+            value, count = float(_numbers(rng, 1)[0]), 0
+            if kind == Token.VARIABLE:
+                value = float(rng.integers(0, k))
+            elif kind == Token.OPERATOR:
+                value, count = _operator(rng)
+            elif kind == Token.CALL:
+                value, count = float(rng.integers(0, len(FUNCTIONS))), int(rng.integers(0, 3))
+            elif kind == Token.STRING:
+                value = float(rng.integers(0, len(STRINGS)))
+            tokens.append((int(kind), value, count))
+            wanted += count - 1
+        starts.append(len(tokens))
+    kinds, values, counts = np.array(tokens, dtype=np.float64).reshape(-1, 3).T
+    return Trees(kinds.astype(np.uint8), values, counts.astype(np.int64), np.array(starts), STRINGS)
+
+
+def _operator(rng: Any) -> tuple[float, int]:
+    operators, count = [
+        (UNARY_OPERATORS, 1), (BINARY_OPERATORS, 2), (TERNARY_OPERATORS, 3), (NARY_OPERATORS, int(rng.integers(1, 5))),
+        ((PIECEWISE_OPERATOR,), 2 * int(rng.integers(2, 4))),
+    ][rng.choice(5, p=[0.3, 0.4, 0.1, 0.15, 0.05])]  # fmt: skip
+    return float(rng.choice(operators)), count
+
+
+def _suffixes(rng: Any, counts: list[int]) -> list[Suffix]:
+    suffixes = []
+    for kind, count in enumerate(counts):
+        indices = np.flatnonzero(rng.random(count) < 0.5)
+        if indices.size:
+            values = _numbers(rng, indices.size) if kind % 2 else rng.integers(-9, 10, indices.size)
+            suffixes.append(Suffix(f"priority{kind}", kind, indices, values))
+    return suffixes
+
+
+def difference(one: NLContent, other: NLContent) -> str:
+    """Return what is not the same bit for bit, with types; nothing where all is."""
+    return ", ".join(field.name for field in fields(NLContent)
+                     if _bits(getattr(one, field.name), one) != _bits(getattr(other, field.name), other))  # fmt: skip
+
+
+def _bits(part: Any, whole: NLContent) -> Any:
+    if isinstance(part, np.ndarray):
+        return part.dtype.str, part.shape, part.tobytes()
+    if sp.issparse(part):
+        return part.shape, *(_bits(numbers, whole) for numbers in (part.data, part.indices * 1, part.indptr * 1))
+    if isinstance(part, Trees):  # a file keeps each string where it is used
+        is_string = part.kinds == Token.STRING
+        texts = [part.strings[int(k)] for k in part.values[is_string]]
+        arrays = (part.kinds, np.where(is_string, 0.0, part.values), part.counts, part.starts)
+        return texts, *(_bits(numbers, whole) for numbers in arrays)
+    if isinstance(part, list) and part and isinstance(part[0], Suffix):
+        return [(one.name, one.kind, _bits(one.indices, whole), _bits(one.values, whole)) for one in part]
+    return part

@@ -23,8 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import typer
 
-from lcp_plugin import all_solutions
-from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin import LCP, all_solutions
 from lcp_plugin.evidence.drawing import STYLE
 
 A = np.array([[6, 0, 1], [2, 5, 0], [0, 1, 3]])
@@ -54,7 +53,7 @@ def indifferent(payoffs: np.ndarray) -> np.ndarray:
 
 def main(out: Path = Path()) -> None:
     """Find all equilibria, compare with a search over supports, and save a picture into the folder OUT."""
-    problem = lcp_from_bimatrix_game(A, B)
+    problem = LCP.from_game(A, B)
     equilibria = [problem.origin.recover(solution.z) for solution in all_solutions(problem)]
     for k, found in enumerate(equilibria, start=1):
         payoffs = ", ".join(f"{payoff:.3f}" for payoff in found.payoffs)

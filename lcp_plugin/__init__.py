@@ -27,11 +27,13 @@ if TYPE_CHECKING:
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
     from .certificates.theorems import Guarantee as Guarantee
+    from .conversions.bimatrix_game import lcp_from_bimatrix_game as lcp_from_bimatrix_game
     from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
     from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
     from .doors.qpsolvers import register_with_qpsolvers as register_with_qpsolvers
+    from .doors.quantecon import lemke as lemke
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
@@ -112,6 +114,7 @@ _HOME = {
     "is_complementarity_problem": "modeling.registration",
     "register": "modeling.registration",
     "register_with_qpsolvers": "doors.qpsolvers",
+    "lemke": "doors.quantecon",
     "error_against_time": "evidence.error_against_time",
     "stability_atlas": "evidence.stability",
     "gallery": "evidence.gallery",
@@ -129,6 +132,7 @@ _HOME = {
 _FROM_ABOVE = {  # what a room further up does for one below, which imports it from here when it is asked for
     "lcp_from_qp": "conversions.quadratic_program",
     "qp_from_lcp": "conversions.quadratic_program",
+    "lcp_from_bimatrix_game": "conversions.bimatrix_game",
     "lcp_stated_by": "modeling.registration",
     "stated_in_cvxpy": "modeling.registration",
     "certify_problem": "modeling.certified_problem",

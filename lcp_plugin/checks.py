@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidProblem
+from .errors import InvalidOption, InvalidProblem
 
 FloatVector = NDArray[np.float64]
 BoolVector = NDArray[np.bool_]
@@ -349,3 +349,17 @@ def length_of_all(counts: dict[str, int]) -> int:
         found = ", ".join(f"{name} {count}" for name, count in counts.items())
         raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {found}")
     return next(iter(counts.values()), 1)
+
+
+def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
+    """Return the start within the bounds, shape (n,); InvalidOption where z0 is no finite real vector of length n."""
+    if z0 is None:
+        nearest: FloatVector = problem.nearest_to_zero
+        return nearest
+    try:
+        start = real_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+    if not np.isfinite(start).all():
+        raise InvalidOption(f"z0 must be a finite vector of length {problem.own}, got NaN or infinite entries")
+    return np.clip(start, problem.lower, problem.upper)

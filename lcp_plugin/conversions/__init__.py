@@ -10,7 +10,7 @@ was asked, together with a measure of how wrong it is there.
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``quadratic_program.lcp_from_lp`` |
 | least squares within bounds | ``least_squares.lcp_from_least_squares`` |
-| bimatrix game | ``bimatrix_game.lcp_from_bimatrix_game`` |
+| bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | absolute value equation | ``absolute_value.lcp_from_absolute_value`` |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 

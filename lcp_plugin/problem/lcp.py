@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from ..communicator.alone import Communicator
-from ..errors import InvalidOption, InvalidProblem
 from ..matrix.matrix import Matrix
 
 
@@ -306,6 +305,20 @@ class LCP:
 
         return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
 
+    @classmethod
+    def from_game(cls, A: Any, B: Any = None) -> LCP:
+        """Return the LCP whose solutions are a two-player game's Nash equilibria; see ``conversions.bimatrix_game``.
+
+        Parameters
+        ----------
+        A, B : array, shape (m, k)
+            Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
+            ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
+        """
+        from .. import lcp_from_bimatrix_game
+
+        return lcp_from_bimatrix_game(A, B)
+
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
         from .. import qp_from_lcp
@@ -362,38 +375,19 @@ class LCP:
     def __repr__(self) -> str:
         if self.is_distributed:
             return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.communicator.size})"
-        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {_describe_bounds(self.lower, self.upper)})"
+        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {self._bounds})"
+
+    @property
+    def _bounds(self) -> str:
+        if self.is_plain:
+            return "0 ≤ z"
+        is_below, is_above = np.isfinite(self.lower), np.isfinite(self.upper)
+        boxed, free = int((is_below & is_above).sum()), int((~is_below & ~is_above).sum())
+        parts = [(self.n - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
+        return ", ".join(f"{count} {kind}" for count, kind in parts if count)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
         return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
 
     __setstate__ = restored
-
-
-def checked_start(problem: LCP, z0: ArrayLike | None) -> FloatVector:
-    """Return the start within the bounds, shape (n,).
-
-    Raises
-    ------
-    InvalidOption
-        Where z0 is no finite real vector of length n, nor a number for n = 1.
-    """
-    if z0 is None:
-        return problem.nearest_to_zero
-    try:
-        start = real_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
-    if not np.isfinite(start).all():
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.own}, got NaN or infinite entries")
-    return np.clip(start, problem.lower, problem.upper)
-
-
-def _describe_bounds(lower: FloatVector, upper: FloatVector) -> str:
-    if not lower.any() and np.all(upper == np.inf):
-        return "0 ≤ z"
-    free = int(np.count_nonzero((lower == -np.inf) & (upper == np.inf)))
-    boxed = int(np.count_nonzero(np.isfinite(lower) & np.isfinite(upper)))
-    parts = [(lower.size - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
-    return ", ".join(f"{count} {kind}" for count, kind in parts if count)

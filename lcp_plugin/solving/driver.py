@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm, FusedSolve
 from ..certificates.references import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector
+from ..checks import FloatVector, checked_start
 from ..crossovers import INTERIOR_STEPS
 from ..deadline import Clock, seconds_left
 from ..errors import InvalidOption
@@ -20,7 +20,7 @@ from ..kernels.threads import threads_for
 from ..matrix.structure import parts
 from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
 from ..policy.stages import Choice
-from ..problem.lcp import LCP, checked_start
+from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered

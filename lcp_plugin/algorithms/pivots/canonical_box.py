@@ -108,6 +108,20 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
 
 
+@np.errstate(all="ignore")
+def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, FloatVector]:
+    """Return a problem with z ≥ 0 in canonical form, row by row as it is, and its covering vector; M is made dense."""
+    M = problem.M if isinstance(problem.M, np.ndarray) else problem.csr.toarray()
+    row_scale, column_scale = equilibrated(M)
+    q, r = np.ldexp(problem.q, row_scale), np.ldexp(covering, row_scale)
+    size, none = power_of_two(np.abs(q).max(initial=0.0)), np.empty(0, dtype=np.intp)
+    box = CanonicalBox(
+        np.ldexp(M, row_scale[:, None] + column_scale), q / size, problem.upper, np.zeros(problem.n),
+        np.arange(problem.n), np.ldexp(1.0, column_scale) * size, none, np.empty((0, problem.n)),
+    )
+    return box, r / power_of_two(r.max(initial=0.0))
+
+
 def _without_free_rows(
     M: FloatMatrix, q: FloatVector, upper: FloatVector, unit: FloatVector, base: FloatVector,
     keep: IndexVector, is_free: NDArray[np.bool_],

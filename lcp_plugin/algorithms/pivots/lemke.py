@@ -21,7 +21,7 @@ from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
 from ..base import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ..small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
-from .canonical_box import CanonicalBox, canonical_box
+from .canonical_box import CanonicalBox, canonical_box, covered_box
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
 ARBITRARY_STARTS = (10, 200)  # at least and at most
@@ -222,6 +222,43 @@ class Lemke(Algorithm):
             yield z, 0.0, None
             return True
         return False
+
+
+def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[FloatVector, str, int]:
+    """Follow w = M z + q + t r from z = 0 and the least t to t = 0, and return z, where it ended, and its pivots.
+
+    Parameters
+    ----------
+    problem : LCP
+        z ≥ 0, some q_i negative.
+    covering : ndarray, shape (n,)
+        r > 0.
+    max_pivots : int
+
+    Returns
+    -------
+    z : ndarray, shape (n,)
+        Certified where the end is "solved", else where the path was last.
+    end : {"solved", "limit", "ray", "rounding"}
+    pivots : int
+    """
+    from .pivoting_path import Path
+
+    _parts_that_fit(problem)
+    box, covering = covered_box(problem, covering)
+    if not (box.is_finite and np.isfinite(covering).all() and covering.min(initial=1.0) > 0.0):
+        return np.zeros(problem.n), "rounding", 0
+    path, z, ray = Path(box.M, box.q, box.upper), np.zeros(problem.n), None
+    following = Lemke()._follow(problem, box, path, lambda one: one.start_along(covering), max_pivots)
+    while True:
+        try:
+            z, _, ray = next(following)
+        except StopIteration as end:
+            is_solved = end.value
+            break
+    if is_solved:
+        return z, "solved", path.pivots
+    return z, "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding", path.pivots
 
 
 def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:

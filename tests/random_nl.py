@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields
 from typing import Any
 
@@ -17,6 +18,7 @@ from lcp_plugin.modeling.nl.segments import (
     UNARY_OPERATORS,
 )
 
+WRONG_NUMBERS = (b"-1", b"0", b"1", b"3", b"1000000", b"999999999999", b"1e300", b"nan", b"9" * 400, b"x", b"")
 FUNCTIONS = ("gsl_sf", "quantile")
 STRINGS = (b"plain", b"two\nlines, a # and\nh3:abc", b"", b"\xff\x00")
 
@@ -129,3 +131,31 @@ def _bits(part: Any, whole: NLContent) -> Any:
     if isinstance(part, list) and part and isinstance(part[0], Suffix):
         return [(one.name, one.kind, _bits(one.indices, whole), _bits(one.values, whole)) for one in part]
     return part
+
+
+def mutilated(data: bytes, rng: Any) -> bytes:
+    """Return the file cut, with bits turned, bytes or lines out of place, or another number in it."""
+    at, other = sorted(int(k) for k in rng.integers(0, len(data) + 1, 2))
+    kind = int(rng.integers(0, 7))
+    if kind == 0:
+        return data[:at]
+    if kind == 1:
+        return data[:at] + data[other:]
+    if kind == 2:
+        return data[:other] + data[at:]
+    if kind == 3:
+        turned = bytearray(data)
+        for k in rng.integers(0, len(data), rng.integers(1, 5)):
+            turned[k] ^= 1 << int(rng.integers(0, 8))
+        return bytes(turned)
+    if kind == 4:  # a number becomes another one, in text
+        numbers = list(re.finditer(rb"-?\d+", data))
+        found = numbers[int(rng.integers(0, len(numbers)))]
+        return data[: found.start()] + WRONG_NUMBERS[rng.integers(0, len(WRONG_NUMBERS))] + data[found.end() :]
+    if kind == 5:  # four bytes become another number
+        number = int(rng.choice([-1, 0, 1, 2**31 - 1, 10**6]))
+        return data[:at] + number.to_bytes(4, "little", signed=True) + data[at + 4 :]
+    lines = data.split(b"\n")
+    i, k = rng.integers(0, len(lines), 2)
+    lines[i], lines[k] = lines[k], lines[i]
+    return b"\n".join(lines)

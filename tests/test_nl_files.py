@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import struct
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from random_nl import difference, random_content
+from random_nl import difference, mutilated, random_content
 
 from lcp_plugin import errors
 from lcp_plugin.modeling.nl import read_nl, write_nl
+from lcp_plugin.modeling.nl.content import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
 SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1
@@ -112,5 +117,69 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
 def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int, words: str) -> None:
     """What contradicts the format or itself is refused with its line."""
     assert SMALL.count(old) == 1
-    with pytest.raises(errors.UnreadableFile, match=f"line {line}: .*{words}"):
+    with pytest.raises(errors.UnreadableFile, match=rf"line {line} \(.*\): .*{words}"):
         read(tmp_path, SMALL.replace(old, new))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("seed", range(20))
+def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
+    """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
+    rng = np.random.default_rng([seed, len(form)])
+    write_nl(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
+    require_refused_or_valid(tmp_path, mutilated((tmp_path / "m.nl").read_bytes(), rng))
+
+
+def require_refused_or_valid(folder: Path, data: bytes) -> None:
+    """Read it within ten times its size and what an empty file needs."""
+    said = ""
+    tracemalloc.start()
+    try:
+        read(folder, data)
+    except errors.UnreadableFile as error:
+        said = str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert not said or re.search(r"(line \d+ \(.*\)|byte \d+): ", said)
+    assert peak <= 10 * len(data) + 300_000
+
+
+@pytest.mark.parametrize("is_whole", [False, True], ids=["cut", "whole"])
+@pytest.mark.parametrize("form", ["text", "little"])
+def test_depth_costs_nothing(tmp_path: Path, form: str, is_whole: bool) -> None:
+    """A tree of 10⁵ levels is read, and refused where its end is missing; nothing recurs."""
+    levels = 100_000
+    whole = read(tmp_path, SMALL)
+    kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
+    kinds[[0, -1]], values[[0, -1]] = 0, [0.0, 1.0]  # row 0 is a number, row 1 the chain of minus signs
+    counts = np.where(kinds == 2, 1, 0)
+    write_nl(replace(whole, trees=Trees(kinds, values, counts, np.array([0, 1, levels + 2]))), tmp_path / "m.nl",
+             **FORMS[form])  # fmt: skip
+    data = (tmp_path / "m.nl").read_bytes()
+    if is_whole:
+        assert read(tmp_path, data).trees.counts.sum() == levels
+    else:
+        end = b"n1.0\n" if form == "text" else b"n" + struct.pack("<d", 1.0)
+        with pytest.raises(errors.UnreadableFile, match=r"lacks 1 operands|part of an expression is needed"):
+            read(tmp_path, data.replace(end, b""))
+
+
+@pytest.mark.parametrize("old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"])
+def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
+    """A count that the file cannot hold is refused before anything of its size is made."""
+    for count in (b"999999999999", b"9" * 30, b"1e12"):
+        new = {b"V2 1": b"V2 " + count, b"J1 2": b"J1 " + count, b"o0\t#+\nv2": b"o54\n" + count + b"\nv2"}.get(
+            old, re.sub(rb"\d", count, old, count=1))
+        with pytest.raises(errors.UnreadableFile):
+            require_refused_or_valid(tmp_path, SMALL.replace(old, new)) or read(tmp_path, SMALL.replace(old, new))
+
+
+def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
+    """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
+    text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(
+        b"C1\no2\nv0\nv1\n", b"F0 1 -1 f\nC1\nf0 2\nh9:a\n#b\nh2:c\nv1\n")
+    content = read(tmp_path, text)
+    assert (content.trees.strings, content.functions) == ((b"a\n#b\nh2:c",), ("f",))
+    with pytest.raises(errors.UnreadableFile, match=r"line 29 \('5 1 7'\)"):
+        read(tmp_path, text.replace(b"5 1 1", b"5 1 7"))

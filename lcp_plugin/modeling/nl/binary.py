@@ -28,28 +28,24 @@ from .segments import (
 )
 
 
-def read_binary(data: bytes, begin: int, header: Header) -> Segments:
-    """Return the segments of a binary file that begin at that byte."""
-    return _Bytes(data, begin, header).read()
+def read_binary(data: bytes, begin: int, header: Header, found: Segments) -> None:
+    """Fill in the segments of a binary file that begin at that byte."""
+    _Bytes(data, begin, header, found).read()
 
 
 class _Pairs:
     """Linear segments of one letter in the making."""
 
-    def __init__(self, stride: int) -> None:
-        self.heads: tuple[list[int], ...] = ([], [], [], [])
-        self.parts: list[Any] = []
-        self.stride = stride
-
-    def add(self, owner: int, place: int, first: int, pairs: Any) -> None:
-        for numbers, number in zip(self.heads, (owner, pairs.size, place, first), strict=True):
-            numbers.append(number)
-        self.parts.append(pairs)
+    def __init__(self, dtype: Any) -> None:
+        self.dtype = dtype
+        self.heads = array("q")
+        self.pairs = bytearray()
 
     def whole(self) -> Linear:
-        pairs = np.concatenate(self.parts)
-        owners, counts, places, first_places = (np.array(numbers, dtype=np.int64) for numbers in self.heads)
-        return Linear(owners, counts, places, first_places, self.stride, pairs["index"].astype(np.float64),
+        """Return them."""
+        owners, counts, places, first_places = np.array(self.heads, dtype=np.int64).reshape(-1, 4).T.copy()
+        pairs = np.frombuffer(self.pairs, self.dtype)
+        return Linear(owners, counts, places, first_places, self.dtype.itemsize, pairs["index"].astype(np.float64),
                       pairs["value"].astype(np.float64))
 
 
@@ -70,17 +66,24 @@ class _Trees:
 class _Bytes:
     """A file and the place in it; every read checks that the file goes that far."""
 
-    def __init__(self, data: bytes, begin: int, header: Header) -> None:
+    def __init__(self, data: bytes, begin: int, header: Header, found: Segments) -> None:
         self.data, self.at, self.end, self.header = data, begin, len(data), header
         order = header.byteorder
         self.order = order
-        self.short_of, self.int_of, self.double_of = Struct(order + "h"), Struct(order + "i"), Struct(order + "d")
-        self.found = Segments("byte")
+        self.int_of = Struct(order + "i")
+        self.pair_of = {value: np.dtype([("index", order + "i4"), ("value", order + value)]) for value in ("f8", "i4")}
+        self.readers: dict[int, tuple[int, int, Callable[..., Any]]] = {
+            ord(letter): (kind, (form := Struct(order + code)).size, form.unpack_from) for letter, kind, code in (
+                ("n", Token.NUMBER, "d"), ("l", Token.NUMBER, "i"), ("s", Token.NUMBER, "h"),
+                ("v", Token.VARIABLE, "i"), ("o", Token.OPERATOR, "i"), ("f", Token.CALL, "i"),
+            )
+        }
+        self.found = found
         self.pairs: dict[str, _Pairs] = {}
         self.trees: dict[str, _Trees] = {}
 
-    def read(self) -> Segments:
-        """Return the segments."""
+    def read(self) -> None:
+        """Fill in the segments."""
         while self.at < self.end:
             letter = chr(self.data[self.at])
             if letter not in "CLOVJGxdbrkKFS":
@@ -89,7 +92,6 @@ class _Bytes:
             self._segment(letter, self.at - 1)
         self.found.linear |= {letter: pairs.whole() for letter, pairs in self.pairs.items()}
         self.found.trees |= {letter: trees.whole() for letter, trees in self.trees.items()}
-        return self.found
 
     def _segment(self, letter: str, place: int) -> None:
         if letter in "CLO":
@@ -121,7 +123,8 @@ class _Bytes:
         elif letter in "br":
             self._bounds(letter)
         else:
-            counts = self._array(np.dtype(self.order + "i4"), self._int(), "counts of columns")
+            dtype, count = np.dtype(self.order + "i4"), self._int()
+            counts = np.frombuffer(self.data, dtype, count, self._room(dtype, count, "counts of columns"))
             self.found.column_counts, self.found.column_place = counts.astype(np.float64), place
             self.found.is_cumulative = letter == "k"
 
@@ -143,18 +146,19 @@ class _Bytes:
         begin = self._take(length)
         return self.data[begin:begin + length]
 
-    def _array(self, dtype: Any, count: int, what: str) -> Any:
-        """Return so many numbers, after a look at whether they are there."""
+    def _room(self, dtype: Any, count: int, what: str) -> int:
+        """Return where so many numbers begin, after a look at whether they are there, and go behind them."""
         room = (self.end - self.at) // dtype.itemsize
         if not 0 <= count <= room:
             fail(self.at, f"{count} {what} are announced, and there is room for {room}")
-        return np.frombuffer(self.data, dtype, count, self._take(count * dtype.itemsize))
+        return self._take(count * dtype.itemsize)
 
     def _linear(self, letter: str, owner: int, count: int, place: int, value: str = "f8") -> None:
-        dtype = np.dtype([("index", self.order + "i4"), ("value", self.order + value)])
-        first = self.at
-        pairs = self._array(dtype, count, "pairs of an index and a value")
-        self.pairs.setdefault(letter, _Pairs(dtype.itemsize)).add(owner, place, first, pairs)
+        dtype = self.pair_of[value]
+        first = self._room(dtype, count, "pairs of an index and a value")
+        pairs = self.pairs.setdefault(letter, _Pairs(dtype))
+        pairs.heads.extend((owner, count, place, first))
+        pairs.pairs += self.data[first:self.at]
 
     def _suffix(self, place: int) -> None:
         bits, count = self._int(), self._int()
@@ -194,14 +198,7 @@ class _Bytes:
         trees.places.append(place)
         add_kind, add_value = trees.kinds.append, trees.values.append
         add_count, add_place = trees.counts.append, trees.token_places.append
-        data, wanted = self.data, 1
-        readers: dict[int, tuple[int, int, Callable[..., Any]]] = {
-            ord(letter): (kind, form.size, form.unpack_from) for letter, kind, form in (
-                ("n", Token.NUMBER, self.double_of), ("l", Token.NUMBER, self.int_of),
-                ("s", Token.NUMBER, self.short_of), ("v", Token.VARIABLE, self.int_of),
-                ("o", Token.OPERATOR, self.int_of), ("f", Token.CALL, self.int_of),
-            )
-        }
+        data, readers, wanted = self.data, self.readers, 1
         while wanted:
             at = self._take(1)
             reader = readers.get(data[at])

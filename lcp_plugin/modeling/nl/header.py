@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .segments import Fault
+from .segments import HeadFault
 
 LINES = 10
 MOST_OPTIONS = 9
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
 LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 is the writer's own
-MOST_WORD_BYTES = 4096  # a line of the header is never longer
+MOST_LINE_BYTES = 4096  # a line of the header is never longer
 
 NEEDED = {  # line: (numbers that must stand there, numbers that may)
     2: (3, 6), 3: (2, 6), 4: (2, 2), 5: (2, 3), 6: (2, 4), 7: (2, 5), 8: (2, 2), 9: (2, 2), 10: (5, 5),
@@ -53,14 +53,14 @@ def read_header(data: bytes) -> tuple[Header, int]:
     """Return the head and where the segments begin."""
     lines, position = [], 0
     for number in range(1, LINES + 1):
-        end = data.find(b"\n", position, position + MOST_WORD_BYTES)
+        end = data.find(b"\n", position, position + MOST_LINE_BYTES)
         if end < 0:
-            raise Fault(number, f"the file ends within its head of {LINES} lines" if position >= len(data) - 1 else
-                        "this is no line of the head of an .nl file")
+            raise HeadFault(number, f"the head of an .nl file has {LINES} lines, and the file ends here"
+                            if len(data) - position < MOST_LINE_BYTES else "this is no line of the head of an .nl file")
         lines.append(data[position:end])
         position = end + 1
         if number == 1 and lines[0][:1] not in (b"g", b"b"):
-            raise Fault(1, f"an .nl file begins with g (text) or b (binary), not with {_shown(lines[0][:12])}")
+            raise HeadFault(1, "an .nl file begins with g (text) or b (binary)")
     is_binary = lines[0][:1] == b"b"
     options, tolerance = _options(lines[0][1:])
     numbers = {k: _numbers(lines[k - 1], k) for k in NEEDED}
@@ -68,8 +68,8 @@ def read_header(data: bytes) -> tuple[Header, int]:
     size, complementarity, integers = numbers[2], numbers[3], numbers[7]
     arithmetic = numbers[6][2]
     if is_binary and arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
-        raise Fault(6, f"its numbers are of the arithmetic {arithmetic}; 1 (IEEE, little-endian) and 2 (big-endian) "
-                    "can be read; write the file as text: option -og of AMPL")
+        raise HeadFault(6, f"its numbers are of the arithmetic {arithmetic}, and 1 (IEEE, little-endian) "
+                        "or 2 (big-endian) is needed; write the file as text")
     return Header(
         is_binary=is_binary, options=options, tolerance=tolerance, variables=size[0], rows=size[1],
         objectives=size[2], logical_rows=size[5], complementarities=complementarity[2] + complementarity[3],
@@ -85,15 +85,15 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     try:
         count = int(words[0]) if words else 0
         if not 0 <= count <= MOST_OPTIONS:
-            raise Fault(1, f"it announces {count} options, and at most {MOST_OPTIONS} are possible")
+            raise HeadFault(1, f"it announces {count} options, and at most {MOST_OPTIONS} are possible")
         given = [int(word) for word in words[1:count + 1]]
         options = (count, *given, *[0] * (count - len(given)))
         has_tolerance = count >= 2 and options[2] == WITH_TOLERANCE and len(words) > count + 1
         return options, float(words[count + 1]) if has_tolerance else None
     except ValueError as error:
-        if isinstance(error, Fault):
+        if isinstance(error, HeadFault):
             raise
-        raise Fault(1, f"the options {_shown(text)} are no whole numbers") from None
+        raise HeadFault(1, "the options behind its letter are whole numbers") from None
 
 
 def _numbers(line: bytes, number: int) -> list[int]:
@@ -101,9 +101,10 @@ def _numbers(line: bytes, number: int) -> list[int]:
     needed, possible = NEEDED[number]
     words = line.split(b"#")[0].split()
     if len(words) < needed or not all(word.isdigit() for word in words[:possible]):
-        raise Fault(number, f"{needed} to {possible} whole numbers are needed ({MEANING[number]}), got {_shown(line)}")
+        count = needed if needed == possible else f"{needed} to {possible}"
+        raise HeadFault(number, f"{count} whole numbers are needed ({MEANING[number]})")
     if max(map(len, words[:possible])) > 18:
-        raise Fault(number, f"{_shown(line)} is more than any file can hold")
+        raise HeadFault(number, "that is more than any file can hold")
     return [int(word) for word in words[:possible]] + [0] * (possible - len(words))
 
 
@@ -112,8 +113,5 @@ def _refuse_what_cannot_follow(numbers: dict[int, list[int]], length: int) -> No
     for k, which in ((2, (0, 1, 2, 5)), (6, (1,)), (8, (0, 1)), (10, (0, 1, 2, 3, 4))):
         for position in which:
             if numbers[k][position] > length:
-                raise Fault(k, f"{numbers[k][position]} are announced ({MEANING[k]}), and {length} bytes follow")
+                raise HeadFault(k, f"{numbers[k][position]} are announced ({MEANING[k]}), and {length} bytes follow")
 
-
-def _shown(text: bytes) -> str:
-    return repr(text[:40].decode("ascii", errors="replace"))

@@ -15,10 +15,11 @@ from ...problem.files import INFINITE_BOUND, checked_path
 from .binary import read_binary
 from .content import Indices, NLContent, Suffix, Token, Trees
 from .header import Header, read_header
-from .segments import PARTNER, SUFFIX_IS_REAL, SUFFIX_KIND, Bounds, Fault, Forest, Linear, Segments, fail
+from .segments import PARTNER, SUFFIX_IS_REAL, SUFFIX_KIND, Bounds, Fault, Forest, HeadFault, Linear, Segments, fail
 from .text import read_text
 
 ENDING = ".nl"
+SHOWN = 40  # bytes of a line that a message quotes
 
 
 def source_of(path: str | PathLike[str]) -> Path:
@@ -48,17 +49,28 @@ def read_nl(path: str | PathLike[str]) -> NLContent:
         raise UnreadableFile(f"no such file: {source}") from error
     except OSError as error:
         raise UnreadableFile(f"cannot read {source}: {error.strerror or error}") from error
-    unit = "line"
+    found = Segments()
     try:
         header, begin = read_header(data)
-        unit = "byte" if header.is_binary else "line"
-        found = (read_binary if header.is_binary else read_text)(data, begin, header)
-        del data
+        (read_binary if header.is_binary else read_text)(data, begin, header, found)
         return _Content(source, header, found).content()
     except Fault as fault:
         raise UnreadableFile(
-            f"cannot read {source}, {unit} {fault.place}: {fault}; the file is damaged, or no .nl file: write it again"
+            f"cannot read {source}, {_place(data, found, fault)}: {fault}; the file is damaged, or no .nl file: "
+            "write it again"
         ) from fault
+
+
+def _place(data: bytes, found: Segments, fault: Fault) -> str:
+    """Return where a fault is: the line and what it says, or the byte."""
+    is_in_head = isinstance(fault, HeadFault)
+    if data[:1] == b"b" and not is_in_head:
+        return f"byte {fault.place}"
+    line, begin = fault.place if is_in_head else found.line(fault.place), 0
+    for _ in range(line - 1):
+        begin = data.find(b"\n", begin) + 1 or len(data)
+    said = data[begin:begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
+    return f"line {line} ({said!r})"
 
 
 class _Content:
@@ -102,7 +114,7 @@ class _Content:
         none = Bounds(empty, empty, empty, np.zeros(0, dtype=np.int64))
         raw = self.found.bounds.get(letter, none)
         if raw.kinds.size != count:
-            fail(2, f"the segment {letter} is missing: {count} bounds are needed")
+            raise HeadFault(2, f"the segment {letter} is missing: {count} bounds are needed")
         self._require(~(np.isnan(raw.first) | np.isnan(raw.second)), raw.places, "a bound is not a number")
         kinds, lower, upper = raw.kinds, raw.first.copy(), raw.first.copy()
         lower[(kinds == 1) | (kinds == 3) | (kinds == PARTNER)] = -np.inf
@@ -124,7 +136,8 @@ class _Content:
         self._require((partner == np.floor(partner)) & (partner >= 1) & (partner <= n), places,
                       f"a row is complementary to a variable from 1 to {n}")
         if places.size != self.header.complementarities:
-            fail(3, f"{self.header.complementarities} complementarity rows are announced, {places.size} are there")
+            raise HeadFault(3, f"{self.header.complementarities} complementarity rows are announced, "
+                            f"{places.size} are there")
         order = np.argsort(partner, kind="stable")
         again = order[1:][np.diff(partner[order]) == 0]
         if again.size:
@@ -164,7 +177,7 @@ class _Content:
         """Return the linear terms of segments, one row for each owner."""
         pairs = self.found.linear.get(letter)
         if nonzeros not in (None, 0 if pairs is None else pairs.columns.size):
-            fail(8, f"{nonzeros} nonzeros are announced for the segments {letter}, "
+            raise HeadFault(8, f"{nonzeros} nonzeros are announced for the segments {letter}, "
                  f"{0 if pairs is None else pairs.columns.size} are there")
         if pairs is None:
             return sp.csr_array((count, width))
@@ -206,7 +219,7 @@ class _Content:
         forest, pairs = self.found.trees.get("V"), self.found.linear.get("V")
         count = 0 if forest is None else forest.owners.size
         if count != d:
-            fail(10, f"{d} defined variables are announced, {count} are there")
+            raise HeadFault(10, f"{d} defined variables are announced, {count} are there")
         if forest is None or pairs is None:
             return
         owners = np.repeat(pairs.owners, pairs.counts)
@@ -263,7 +276,7 @@ class _Content:
         for end, count in ((n, binary + integer), (in_both, both), (in_rows, rows),
                            (max(in_rows, in_objectives), objectives)):
             if count > end or end > n:
-                fail(7, f"{count} integer variables are announced where there are {min(end, n)}")
+                raise HeadFault(7, f"{count} integer variables are announced where there are {min(end, n)}")
             is_integer[end - count:end] = True
         return is_integer
 
@@ -274,7 +287,7 @@ class _Content:
                 fail(place, f"there are {len(names)} functions, numbered from 0, each with one segment F")
             names[number] = name.decode(errors="replace") or "?"
         if not all(names):
-            fail(6, f"{len(names)} functions are announced, and number {names.index('')} has no segment F")
+            raise HeadFault(6, f"{len(names)} functions are announced, and number {names.index('')} has no segment F")
         return tuple(names)
 
     def _start(self, letter: str, count: int) -> tuple[FloatVector, Any]:
@@ -291,8 +304,10 @@ class _Content:
     def _suffix(self, one: Any) -> Suffix:
         header, kind = self.header, one.bits & SUFFIX_KIND
         counts = (header.variables, header.rows + header.logical_rows, header.objectives, 1)
-        indices = self._pairs(one.pairs, counts[kind], is_finite=not one.bits & SUFFIX_IS_REAL)
-        values = one.pairs.values if one.bits & SUFFIX_IS_REAL else one.pairs.values.astype(np.int64)
+        indices = self._pairs(one.pairs, counts[kind], is_finite=False)
+        values: Any = one.pairs.values
+        if not one.bits & SUFFIX_IS_REAL and (np.abs(values) < 2.0**53).all() and (values == np.floor(values)).all():
+            values = values.astype(np.int64)
         return Suffix(one.name.decode(errors="replace"), kind, indices, values)
 
     def _names(self, ending: str, count: int, longest: int) -> list[str] | None:

@@ -41,6 +41,10 @@ class Fault(ValueError):
         self.place = int(place)
 
 
+class HeadFault(Fault):
+    """What is wrong with a line of the head, which is text in binary files too."""
+
+
 def fail(place: Any, what: str) -> NoReturn:
     """Raise the Fault."""
     raise Fault(int(place), what)
@@ -113,9 +117,8 @@ class NamedValues:
 
 @dataclass
 class Segments:
-    """All segments of a file; `unit` says whether a place is a line or a byte."""
+    """All segments of a file."""
 
-    unit: str
     linear: dict[str, Linear] = field(default_factory=dict)  # J, G, V, x, d
     trees: dict[str, Forest] = field(default_factory=dict)  # C, O, V, L
     bounds: dict[str, Bounds] = field(default_factory=dict)  # b, r
@@ -126,6 +129,11 @@ class Segments:
     column_place: int = 0
     is_cumulative: bool = True
     strings: list[bytes] = field(default_factory=list)
+    hidden_lines: list[tuple[int, int]] = field(default_factory=list)  # a string's line, how many more it goes over
+
+    def line(self, place: int) -> int:
+        """Return the line of a text file that is the one of that number where no string goes over several."""
+        return place + sum(count for line, count in self.hidden_lines if line < place)
 
 
 def checked_count(value: float, most: int, place: Any, what: str) -> int:

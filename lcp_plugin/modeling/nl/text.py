@@ -20,7 +20,6 @@ from .segments import (
     PIECEWISE,
     SUFFIX_IS_REAL,
     Bounds,
-    Fault,
     Forest,
     Linear,
     NamedValues,
@@ -30,6 +29,7 @@ from .segments import (
 )
 
 FIRST_LINE = LINES + 1
+BYTES_AT_ONCE = 1 << 20  # of which numbers are read: what is needed beside them stays small
 NUMERIC, SEGMENT, TOKEN = 0, 1, 2
 CLASS = np.zeros(256, dtype=np.uint8)
 CLASS[list(b"CLVOFGJSbrkKxd")] = SEGMENT
@@ -46,52 +46,50 @@ NAMED = {  # how many numbers stand before the name
 STRING = re.compile(rb"\nh(\d{1,9}):")
 
 
-def read_text(data: bytes, begin: int, header: Header) -> Segments:
-    """Return the segments of a text file that begin at that byte."""
-    found = Segments("line")
-    body, added = _without_strings(data[begin:], found.strings)
-    try:
-        _Lines(body, header, found).read()
-    except Fault as fault:
-        strings_before = sum(count for line, count in added if line < fault.place)
-        raise Fault(fault.place + strings_before, str(fault)) from None
-    return found
+def read_text(data: bytes, begin: int, header: Header, found: Segments) -> None:
+    """Fill in the segments of a text file that begin at that byte."""
+    _Lines(_without_strings(data, begin, found), header, found).read()
 
 
-def _without_strings(body: bytes, strings: list[bytes]) -> tuple[bytes, list[tuple[int, int]]]:
-    """Return the lines with each string, which may hold any bytes, replaced by its number; and where lines went."""
-    pieces, added = [], []
-    done, position, line = 0, 0, FIRST_LINE
-    while match := STRING.search(body, position):
-        line += body.count(b"\n", done, match.start()) + 1
+def _without_strings(data: bytes, begin: int, found: Segments) -> list[Any]:
+    """Return the lines with each string, which may hold any bytes, replaced by its number."""
+    pieces: list[Any] = []
+    done, line = begin, FIRST_LINE
+    whole = memoryview(data)
+    while match := STRING.search(data, done):
+        line += data.count(b"\n", done, match.start()) + 1
         end = match.end() + int(match[1])
-        rest = body[end:end + 2]
+        rest = data[end:end + 2]
         if not (rest[:1] == b"\n" or rest == b"\r\n"):
             fail(line, f"a string of {int(match[1])} bytes does not end with its line")
-        strings.append(body[match.end():end])
-        pieces += [body[done:match.start()], b"\nh%d" % (len(strings) - 1)]
-        added.append((line, strings[-1].count(b"\n")))
-        done = position = end
-    return b"".join([*pieces, body[done:]]) if pieces else body, added
+        pieces += [whole[done:match.start()], b"\nh%d" % len(found.strings)]
+        found.strings.append(data[match.end():end])
+        found.hidden_lines.append((line, found.strings[-1].count(b"\n")))
+        done = end
+    end = len(data)
+    while end > done and data[end - 1] <= ord(" "):
+        end -= 1
+    return [*pieces, whole[done:end], b"\n"]
 
 
 class _Lines:
     """The lines behind the head: where each begins, its first letter, and all numbers one after the other."""
 
-    def __init__(self, body: bytes, header: Header, found: Segments) -> None:
+    def __init__(self, pieces: list[Any], header: Header, found: Segments) -> None:
         self.header, self.found = header, found
-        text = np.frombuffer(body.rstrip() + b"\n", dtype=np.uint8).copy()
-        ends = np.flatnonzero(text == ord("\n"))
-        self.begin = np.concatenate([[0], ends[:-1] + 1])
+        text = np.concatenate([np.frombuffer(piece, dtype=np.uint8) for piece in pieces])
+        kind = np.int32 if text.size < 2**31 else np.int64
+        ends: Any = np.flatnonzero(text == ord("\n")).astype(kind)
+        self.begin = np.append(ends[:1] * 0, ends[:-1] + 1)
         self.count = ends.size
         _blank_comments(text, ends)
         self.letters = text[self.begin]
         self.classes = CLASS[self.letters]
-        self.segments = np.flatnonzero(self.classes == SEGMENT)
+        self.segments: Any = np.flatnonzero(self.classes == SEGMENT).astype(kind)
         self.segment_ends = np.append(self.segments[1:], self.count)
         self.names = self._named(text, ends)
         text[self.begin[self.classes != NUMERIC]] = ord(" ")
-        self.words, self.first, self.numbers = self._parsed(text)
+        self.first, self.numbers = self._parsed(text)
 
     def _named(self, text: NDArray[np.uint8], ends: Indices) -> dict[int, Any]:
         """Return what the heads of the F and S segments say, and blank them: they hold names."""
@@ -107,29 +105,24 @@ class _Lines:
             text[begin:end] = ord(" ")
         return names
 
-    def _parsed(self, text: NDArray[np.uint8]) -> tuple[Indices, Indices, FloatVector]:
-        """Return how many words each line has, where its first one is, and the words as numbers."""
-        is_word = text > ord(" ")
-        is_word[1:] &= text[:-1] <= ord(" ")
-        words = np.add.reduceat(is_word, self.begin, dtype=np.int64)
-        total = int(words.sum())
-        del is_word
-        numbers = _numbers(text, total)
-        if numbers is None:
-            fail(self._first_bad_line(text, words) + FIRST_LINE, "this is neither a number nor the letter of a segment")
-        return words, np.cumsum(words) - words, numbers
-
-    def _first_bad_line(self, text: NDArray[np.uint8], words: Indices) -> int:
-        """Return the first line whose words are not all numbers, by bisection: all before it can be read."""
-        good, bad = 0, self.count
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            part = text[self.begin[good]:self.begin[middle]]
-            if _numbers(part, int(words[good:middle].sum())) is None:
-                bad = middle
-            else:
-                good = middle
-        return good
+    def _parsed(self, text: NDArray[np.uint8]) -> tuple[Indices, FloatVector]:
+        """Return which word is the first of each line, and one end more, and the words as numbers."""
+        first: Any = np.zeros(self.count + 1, dtype=self.begin.dtype)
+        parts = [np.zeros(0)]
+        borders = np.unique(np.searchsorted(self.begin, np.arange(0, text.size, BYTES_AT_ONCE)))
+        for i, k in zip(borders.tolist(), [*borders[1:].tolist(), self.count], strict=True):
+            begin, end = int(self.begin[i]), int(self.begin[k]) if k < self.count else text.size
+            part = text[begin:end]
+            is_word = part > ord(" ")
+            is_word[1:] &= part[:-1] <= ord(" ")
+            words = first[i + 1:k + 1]
+            words[:] = np.add.reduceat(is_word, self.begin[i:k] - begin, dtype=first.dtype)
+            numbers = _numbers(part, int(words.sum()))
+            if numbers is None:
+                bad = i + _first_bad_line(part, words)
+                fail(bad + FIRST_LINE, "this is neither a number nor a letter of the format")
+            parts.append(numbers)
+        return np.cumsum(first, out=first), np.concatenate(parts)
 
     def read(self) -> None:
         """Fill in the segments."""
@@ -174,11 +167,17 @@ class _Lines:
             self._column_counts(int(heads[0]), int(ends[0]), float(said[0][0]))
             self.found.is_cumulative = letter == "k"
 
+    def _words(self, lines: Indices) -> Indices:
+        """Return how many words the lines have."""
+        words: Indices = self.first[lines + 1] - self.first[lines]
+        return words
+
     def _require_words(self, lines: Indices, words: Any, what: str) -> None:
-        wrong = np.flatnonzero(self.words[lines] != words)
-        if wrong.size:
-            line, needed = lines[wrong[0]], np.broadcast_to(words, lines.shape)[wrong[0]]
-            fail(line + FIRST_LINE, f"{what} has {needed} numbers, this line {self.words[line]}")
+        given = self._words(lines)
+        if (given != words).any():
+            k = np.argmax(given != words)
+            needed = np.broadcast_to(words, lines.shape)[k]
+            fail(lines[k] + FIRST_LINE, f"{what} has {needed} numbers, this line {given[k]}")
 
     def _require_end(self, line: int, end: int) -> None:
         if line < end:
@@ -207,7 +206,7 @@ class _Lines:
         if end - head - 1 != count:
             fail(head + FIRST_LINE, f"{end - head - 1} bounds stand in the segment {letter}, and {count} are needed")
         lines = np.arange(head + 1, end)
-        self._require(self.words[lines] >= 1, lines, "a bound begins with its kind")
+        self._require(self._words(lines) >= 1, lines, "a bound begins with its kind")
         kinds = self.numbers[self.first[lines]]
         self._require((kinds >= 0) & (kinds <= 5) & (kinds == np.floor(kinds)), lines, "a bound's kind is 0 to 5")
         words = np.array(BOUND_WORDS)[kinds.astype(np.int64)]
@@ -273,9 +272,10 @@ class _Lines:
 
     def _require_closed(self, tokens: Indices, counts: Indices, starts: Indices) -> None:
         """Raise where a tree is complete before its last line, or not at it."""
-        running = np.cumsum(counts - 1)
-        before = _sums(counts - 1)[starts[:-1]]
-        open_places = running - np.repeat(before, np.diff(starts)) + 1
+        running = _sums(counts - 1)
+        open_places = running[1:] + 1
+        open_places -= np.repeat(running[starts[:-1]], np.diff(starts))
+        del running
         is_last = np.zeros(tokens.size, dtype=bool)
         is_last[starts[1:] - 1] = True
         wrong = np.flatnonzero((open_places <= 0) != is_last)
@@ -295,6 +295,19 @@ def _blank_comments(text: NDArray[np.uint8], ends: Indices) -> None:
         change[hashes[is_first]] = 1
         change[stops[is_first]] = -1
         text[np.cumsum(change[:-1], dtype=np.int8) == 1] = ord(" ")
+
+
+def _first_bad_line(text: NDArray[np.uint8], words: Indices) -> int:
+    """Return the first line whose words are not all numbers, by bisection: all before it can be read."""
+    begin = np.append(0, np.flatnonzero(text == ord("\n")) + 1)
+    good, bad = 0, words.size
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if _numbers(text[begin[good]:begin[middle]], int(words[good:middle].sum())) is None:
+            bad = middle
+        else:
+            good = middle
+    return good
 
 
 def _numbers(text: NDArray[np.uint8], total: int) -> FloatVector | None:
@@ -318,7 +331,9 @@ def _sums(counts: NDArray[Any]) -> Indices:
 def _runs(begins: Indices, counts: Indices) -> Indices:
     """Return begins[0], begins[0] + 1 … counts[0] of them, then those of the next."""
     ends = np.cumsum(counts)
-    return np.arange(ends[-1] if ends.size else 0) + np.repeat(begins - ends + counts, counts)
+    runs = np.arange(ends[-1] if ends.size else 0, dtype=begins.dtype)
+    runs += np.repeat((begins - ends + counts).astype(begins.dtype), counts)
+    return runs
 
 
 def _whole(owners: Any, places: Indices) -> Indices:

@@ -200,8 +200,9 @@ class _Binary(_Text):
             elif kind == Token.NUMBER:
                 self.out.append(struct.pack(self.order + "d", value))
             else:
-                told = count if kind == Token.CALL else _told_count(int(value), count) * (kind == Token.OPERATOR)
-                self.out.append(self._integers(*([int(value), told] if told or kind == Token.CALL else [int(value)])))
+                told = _told_count(int(value), count) if kind == Token.OPERATOR else 0
+                is_told = kind == Token.CALL or told > 0
+                self.out.append(self._integers(int(value), *[told or count] * is_told))
 
 
 def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from random_nl import difference, mutilated, random_content
 
 from lcp_plugin import errors
-from lcp_plugin.modeling.nl import read_nl, write_nl
+from lcp_plugin.modeling.nl import read_nl, read_sol, write_nl, write_sol
 from lcp_plugin.modeling.nl.content import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
@@ -183,3 +183,49 @@ def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
     assert (content.trees.strings, content.functions) == ((b"a\n#b\nh2:c",), ("f",))
     with pytest.raises(errors.UnreadableFile, match=r"line 29 \('5 1 7'\)"):
         read(tmp_path, text.replace(b"5 1 1", b"5 1 7"))
+
+
+@pytest.mark.parametrize("options", [(3, 1, 1, 0), (5, 0, 1, 0, 7, 2021), (3, 1, 3, 0)])
+@pytest.mark.parametrize("has_values", [True, False])
+def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
+    tmp_path: Path, options: tuple[int, ...], has_values: bool
+) -> None:
+    """Message, values, multipliers and code arrive, with and without values, whatever the options are."""
+    x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
+    path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
+    write_sol(path, message, x, y, options, 200, tolerance=0.5 if options[2] == 3 else None, sizes=(2, 3))
+    found = read_sol(path)
+    assert (found.options, found.code, found.rows, found.variables) == (options, 200, 2, 3)
+    assert found.message.startswith("lcp_plugin: solved\n- Options")
+    assert found.tolerance == (0.5 if options[2] == 3 else None)
+    for values, wanted in ((found.values, x), (found.duals, y)):
+        assert (values is None) == (wanted is None)
+        assert wanted is None or values.tobytes() == wanted.tobytes()
+    read_by_pyomo(path, x, y, options)
+
+
+def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) -> None:
+    pytest.importorskip("pyomo")
+    from pyomo.contrib.solver.solvers.asl_sol_reader import parse_asl_sol_file
+    from pyomo.opt.plugins.sol import ResultsReader_sol
+
+    with path.open() as file:
+        new = parse_asl_sol_file(file)
+    assert (new.solve_code, "residual 1e-9" in new.message) == (200, True)
+    values, duals = ([] if part is None else list(part) for part in (x, y))
+    assert (list(new.primals or []), list(new.duals or [])) == (values, duals)
+    if options[0] == 3:  # the older reader takes any five options for three and a tolerance
+        old = ResultsReader_sol()(str(path), suffixes=["dual"])
+        assert old.solver.id == 200
+        assert [old.solution(0).variable[f"v{j}"]["Value"] for j in range(len(values))] == values
+
+
+@pytest.mark.parametrize("old", [b"Options", b"\n2\n2\n", b"3\n1\n", b"0.25"])
+def test_a_damaged_answer_is_refused_with_its_line(tmp_path: Path, old: bytes) -> None:
+    """A missing block, wrong counts and words for numbers are an UnreadableFile."""
+    write_sol(tmp_path / "m.sol", "fine", [0.25], [1.0, 2.0], (3, 1, 1, 0), 0)
+    data = (tmp_path / "m.sol").read_bytes()
+    assert data.count(old) == 1
+    (tmp_path / "m.sol").write_bytes(data.replace(old, b"\n99\n98\n" if old.startswith(b"\n") else b"Opt"))
+    with pytest.raises(errors.UnreadableFile, match=r"line \d+: "):
+        read_sol(tmp_path / "m.sol")

@@ -5,7 +5,8 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
 - ``help("lcp_plugin.conversions")``: quadratic and linear programs, games, absolute value equations
-- ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does, and ``"lcp_plugin.policy.direct_methods"``
+- ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does
+- ``help("lcp_plugin.policy.direct_methods")``: how it goes on without sweeps
 - ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.learn")``: layers for PyTorch and JAX

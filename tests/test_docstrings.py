@@ -7,43 +7,12 @@ import inspect
 import re
 import textwrap
 from dataclasses import is_dataclass
-from importlib import import_module
 from typing import Any
 
 import pytest
+from public_names import PUBLIC
 
-import lcp_plugin
-from lcp_plugin import gallery, strategies
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-
-ELSEWHERE = {
-    "algorithms": "Algorithm Step algorithm_class create from_other_packages",
-    "conversions.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
-    "conversions.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
-    "conversions.least_squares": "LeastSquaresSolution lcp_from_least_squares",
-    "conversions.qp_solution": "QPSolution",
-    "conversions.quadratic_program": "lcp_from_lp lcp_from_qp qp_from_lcp",
-    "evidence.curves": "Curve Point Profile Report performance_profile",
-    "evidence.pictures": "draw",
-    "evidence.report.page": "collect write_report",
-    "evidence.report.section": "Collected Section plan",
-    "evidence.stability": "Atlas Cell",
-    "modeling.constraint": "Complements Side",
-    "modeling.registration": "solve_model",
-    "algorithms.search": "Solution",
-}
-PUBLIC: dict[str, Any] = {
-    **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},
-    **{f"LCP.{name}": getattr(lcp_plugin.LCP, name) for name in vars(lcp_plugin.LCP) if name[0] != "_"},
-    **{f"Result.{name}": getattr(lcp_plugin.Result, name) for name in vars(lcp_plugin.Result) if name[0] != "_"},
-    **{f"gallery.{name}": getattr(gallery, name) for name in gallery.__all__},
-    **{f"strategies.{name}": getattr(strategies, name) for name in strategies.__all__},
-    **{name: algorithm_class(name) for name in REGISTRY},
-    **{
-        name: getattr(import_module(f"lcp_plugin.{home}"), name)
-        for home, names in ELSEWHERE.items() for name in names.split()
-    },
-}
 
 
 def is_function(thing: Any) -> bool:

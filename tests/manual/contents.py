@@ -1,0 +1,176 @@
+"""What the manual holds: subjects by room, pages of names and of help, and where each name is found."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from public_names import ELSEWHERE
+
+import lcp_plugin
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages it shows; the longest match counts
+    "solve": ("Solve: problems, methods, what comes back", "problem solving settings policy algorithms errors"),
+    "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling conversions"),
+    "prove": (
+        "Prove: a matrix, a method, an error, an answer",
+        "certificates matrix algorithms.search solving.certification solving.program_proofs solving.guarantees",
+    ),
+    "batch": ("Batch: many problems at once", "solving.batch solving.batch_run solving.program_batch solving.march "
+              "conversions.program_batch"),
+    "differentiate": ("Differentiate: how the answer changes", "learn solving.derivative solving.batch_derivative"),
+    "measure": ("Measure: scenes, pictures, tests of solvers", "evidence strategies"),
+    "doors": ("Doors: other languages, files, machines", "doors pyomo modeling.nl communicator commands"),
+}
+TOGETHER = ("errors",)  # a room whose names stand on one page
+
+
+def subject_of(room: str) -> str:
+    """Return the subject that shows a room's names."""
+    fits = [(len(own), subject) for subject, (_, rooms) in SUBJECTS.items() for own in rooms.split()
+            if f"{room}.".startswith(f"{own}.")]
+    if not fits:
+        raise LookupError(f"no subject of the manual shows lcp_plugin.{room}: add it to SUBJECTS in {__file__}")
+    return max(fits)[1]
+
+
+def is_function(thing: Any) -> bool:
+    """Whether it is a function or method, and no property."""
+    return inspect.isfunction(thing) or inspect.ismethod(thing)
+
+
+def is_member(thing: Any) -> bool:
+    """Whether it is a method or a property."""
+    return is_function(thing) or isinstance(thing, (property, cached_property))
+
+
+def members_of(thing: Any) -> dict[str, Any]:
+    """Return the public methods and properties of a class with a docstring, inherited ones of ours too."""
+    if not inspect.isclass(thing):
+        return {}
+    ours = [base for base in reversed(thing.__mro__) if base.__module__.startswith("lcp_plugin")]
+    found = {name: getattr(thing, name) for base in ours for name in vars(base) if name[0] != "_"}
+    told = {name: member for name, member in found.items() if is_member(member) and inspect.getdoc(member)}
+    return dict(sorted(told.items(), key=lambda item: is_function(item[1])))  # what it is, then what it does
+
+
+@dataclass
+class Page:
+    """A page of one name, or of a module with the names that stand there."""
+
+    name: str  # as one writes it after "lcp_plugin."
+    room: str
+    thing: Any
+    entries: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def address(self) -> str:
+        """The file; Derivative and derivative are two on every system."""
+        return f"{'class.' if inspect.isclass(self.thing) else ''}{self.name}.html"
+
+    @property
+    def is_help(self) -> bool:
+        """Whether it is a module's help, and not a function or class."""
+        return inspect.ismodule(self.thing)
+
+    @property
+    def purpose(self) -> str:
+        """What help(lcp_plugin) says of a help page; "" of another page."""
+        found = re.search(rf'help\("lcp_plugin\.{self.name}"\)``: (.*)', lcp_plugin.__doc__ or "")
+        return found[1] if found and self.is_help else ""
+
+    def anchors(self) -> Iterator[tuple[str, str]]:
+        """Yield each name that is told here, and its address."""
+        yield self.name, self.address
+        yield f"lcp_plugin.{self.name}", self.address
+        yield f"lcp_plugin.{self.room}" if self.is_help else f"lcp_plugin.{self.room}.{self.name}", self.address
+        things = self.entries or {self.name: self.thing}
+        for name, thing in things.items():
+            if self.entries:
+                yield from ((f"{start}{name}", f"{self.address}#{name}") for start in ("", f"lcp_plugin.{self.room}."))
+                yield f"{self.name}.{name}", f"{self.address}#{name}"
+            for member in members_of(thing):
+                for start in ("", "lcp_plugin."):
+                    yield f"{start}{name}.{member}", f"{self.address}#{name}.{member}"
+
+
+def help_page(room: str, entries: dict[str, Any], name: str = "") -> Page:
+    """Return the page of a module."""
+    return Page(name or room, room, import_module(f"lcp_plugin.{room}"), entries)
+
+
+def pages() -> list[Page]:
+    """Return every page but those of examples and subjects: first what is a help page, then the names."""
+    homes = lcp_plugin._HOME
+    rooms = {room: {} for room in re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', lcp_plugin.__doc__ or "")}
+    for room, names in ELSEWHERE.items():
+        module = import_module(f"lcp_plugin.{room}")
+        rooms.setdefault(room, {}).update({name: getattr(module, name) for name in names.split()})
+    rooms["algorithms"] |= {algorithm_class(name).__name__: algorithm_class(name) for name in REGISTRY}
+    alone, names = [], {}
+    for name, home in homes.items():
+        thing = getattr(lcp_plugin, name)
+        if inspect.ismodule(thing):
+            rooms.setdefault(home, {}).update({each: getattr(thing, each) for each in thing.__all__})
+            names[home] = name
+        elif home in TOGETHER:
+            rooms.setdefault(home, {})[name] = thing
+        else:
+            alone.append(Page(name, home, thing))
+    found = [help_page(room, entries, names.get(room, "")) for room, entries in rooms.items()] + alone
+    return found + further(found)
+
+
+def further(found: list[Page]) -> list[Page]:
+    """Return the pages that others name as help("lcp_plugin.…"), in turn."""
+    told = " ".join(inspect.getdoc(thing) or "" for page in found for thing in told_on(page))
+    rooms = dict.fromkeys(re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', told))
+    there = {page.room for page in found if page.is_help}
+    new = [help_page(room, {}) for room in rooms if room not in there]
+    return new + further(found + new) if new else []
+
+
+def told_on(page: Page) -> Iterator[Any]:
+    """Yield everything whose docstring stands on a page."""
+    yield page.thing
+    for thing in page.entries.values() or [page.thing]:
+        yield thing
+        yield from members_of(thing).values()
+
+
+@dataclass
+class Example:
+    """A script with its story, and what its table says of it."""
+
+    name: str
+    shows: str
+    compared: str
+
+    @cached_property
+    def source(self) -> str:
+        """The file as it is."""
+        return (EXAMPLES / f"{self.name}.py").read_text(encoding="utf-8")
+
+    @property
+    def address(self) -> str:
+        """The file, in a folder beside the picture."""
+        return f"examples/{self.name}.html"
+
+    def uses(self, name: str) -> bool:
+        """Whether the script imports a public name from the front door."""
+        imports = re.findall(r"^from lcp_plugin import (.+)$", self.source, re.M)
+        return any(name in line.split(", ") for line in imports)
+
+
+def examples() -> list[Example]:
+    """Return the examples in the order of their table."""
+    table = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
+    return [Example(*row) for row in re.findall(r"^\| `(\w+)\.py` \| (.*?) \| (.*?) \|$", table, re.M)]

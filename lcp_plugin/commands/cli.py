@@ -46,7 +46,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file (.npz with M and q), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
+        help="A file (.npz or .mat with M and q), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
         autocompletion=scene_names,
     ),
 ]

@@ -1,4 +1,4 @@
-"""Reading and writing problems: one ``.npz`` without pickle, or Matrix Market files side by side."""
+"""Reading and writing problems: one ``.npz`` without pickle, or Matrix Market files side by side; reading ``.mat``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnreadableFile
+from .mat_files import read_mat
 from .matrix_market import read_matrix_market
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 INFINITE_BOUND = 1e20
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
+MATLAB_BOUNDS = {"lower": ("lower", "lb", "l"), "upper": ("upper", "ub", "u")}  # the names that each may have there
+MATLAB_LAYOUT = 'it must hold M, q and, if wanted, lower and upper (or lb and ub): in MATLAB save("file.mat", "M", "q")'
 LAYOUT = "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper"
 
 
@@ -65,20 +68,18 @@ def checked_path(path: Any) -> Path:
 
 
 def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
-    """Read a problem from a ``.npz`` file, or from ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
+    """Read a problem from a ``.npz`` or ``.mat`` file, or ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
     source = checked_path(path)
     if source.suffix.lower() == ".npz":
         return _load_npz(kind, source)
+    if source.suffix.lower() == ".mat" and not source.is_dir():
+        return _load_mat(kind, source)
     prefix = _matrix_market_prefix(source)
     M = read_matrix_market(Path(prefix + "M.mtx"))
     if not Path(prefix + "q.mtx").exists():
         raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q beside it")
     q = _read_vector(Path(prefix + "q.mtx"))
-    if q.shape != M.shape[:1]:  # before M becomes CSR, which takes memory for every row that it announces
-        raise UnreadableFile(
-            f"{prefix}M.mtx holds a matrix of {M.shape[0]} rows and {prefix}q.mtx an array of shape {q.shape}; "
-            "q must have one number a row"
-        )
+    _require_a_number_a_row(M, q, f"{prefix}M.mtx", f"{prefix}q.mtx")
     bounds = {}
     for name in ("lower", "upper"):
         if Path(f"{prefix}{name}.mtx").exists():
@@ -155,6 +156,38 @@ def _load_npz(kind: type[LCP], source: Path) -> LCP:
     return _problem(kind, str(source), M, content["q"], bounds)
 
 
+def _load_mat(kind: type[LCP], source: Path) -> LCP:
+    content, names = read_mat(source, {"M", "q", *(name for pair in MATLAB_BOUNDS.values() for name in pair)})
+    there = f"it holds {', '.join(names) or 'nothing'}"
+    if missing := [name for name in ("M", "q") if name not in content]:
+        raise UnreadableFile(f"{source} lacks the matrices {missing}, {there}; {MATLAB_LAYOUT}")
+    rows, columns = content["M"].shape
+    if rows != columns:
+        raise UnreadableFile(f"M of {source} must be square, got {rows} × {columns}")
+    for name in content.keys() - {"M"}:
+        if max(content[name].shape) > max(rows, 1):  # before a sparse one becomes dense
+            raise UnreadableFile(f"{name} of {source} has the shape {content[name].shape}, but M has {rows} rows")
+    q, bounds = _flat(content["q"]), {}
+    _require_a_number_a_row(content["M"], q, f"M of {source}", "q")
+    for name, others in MATLAB_BOUNDS.items():
+        given = [other for other in others if other in content]
+        if len(given) > 1:
+            raise UnreadableFile(f"{source} holds {' and '.join(given)}, which say the same; leave one of them out")
+        for other in given:
+            bound = _flat(content[other])
+            bounds[name] = _with_infinities(bound[0] if bound.size == 1 else bound)
+    return _problem(kind, str(source), content["M"], q, bounds)
+
+
+def _require_a_number_a_row(M: Any, q: Any, matrix: str, vector: str) -> None:
+    """Raise where that is not so, before M becomes CSR, which takes memory for every row that it announces."""
+    if q.shape != M.shape[:1]:
+        raise UnreadableFile(
+            f"{matrix} holds a matrix of {M.shape[0]} rows and {vector} an array of shape {q.shape}; "
+            "q must have one number a row"
+        )
+
+
 def require_keys(source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str) -> None:
     """Raise UnreadableFile where one of the arrays is missing."""
     missing = [key for key in keys if key not in content]
@@ -209,23 +242,21 @@ def _matrix_market_prefix(source: Path) -> str:
             raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
         if source.is_file():
             raise UnreadableFile(
-                f"cannot read {source}: expected a .npz file, or M.mtx with q.mtx beside it; {_how_to_bring(source)}"
+                f"cannot read {source}: expected a .npz or .mat file, or M.mtx with q.mtx beside it; {LAYOUT}: write "
+                f'LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
             )
         tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
         raise UnreadableFile(f"no such file: {source}{tried}")
     return prefix
 
 
-def _how_to_bring(source: Path) -> str:
-    """Return how what is in a file of another kind gets into one that can be read."""
-    if source.suffix.lower() == ".mat":
-        return f'write d = scipy.io.loadmat("{source.name}"); LCP(d["M"], d["q"].ravel()).save("{source.stem}.npz")'
-    return f'{LAYOUT}: write LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
-
-
 def _read_vector(source: Path) -> FloatVector:
-    values = read_matrix_market(source)
-    dense = np.asarray(values.toarray() if sp.issparse(values) else values)
+    return _flat(read_matrix_market(source))
+
+
+def _flat(values: Any) -> FloatVector:
+    """Return a row or a column as a vector."""
+    dense: FloatVector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense
 
 

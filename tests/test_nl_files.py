@@ -121,6 +121,44 @@ def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int
         read(tmp_path, SMALL.replace(old, new))
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"\n", b"\r\n"), (b"\t#", b" # a # b"), (b"k1\n2", b"K1\n2"), (b"k1\n2\n", b""),
+        (b"J1 2\n0 0\n1 0\n", b"J1 2\n0 0\n1 0\n\n \n"), (b"1 0\nJ1 2\n0 0\n1 0\n", b"1 0\nJ1 2\n0 0\n1 0"),
+        (b" 2 2 0 0 1 0\n 2 0 0 1 0 0", b" 2 2 0 0 1\n 2 0 0 1"), (b"J0 2\n0 1\n1 0", b"J0 2\n1 0\n0 1.0e+00"),
+        (b"n-2", b"l-2"), (b"V2 1 0", b"S4 1 scaling\n0 nan\nS0 1 kind\n1 2.5\nV2 1 0"),
+    ],
+    ids=["CRLF", "comments", "K", "no k", "blank end", "no last newline", "short head", "order", "long", "suffixes"],
+)  # fmt: skip
+def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: bytes) -> None:
+    """Line ends, comments, missing counts, the order of entries and whatever suffixes say change nothing else."""
+    assert old in SMALL
+    content, plain = read(tmp_path, SMALL.replace(old, new)), read(tmp_path, SMALL)
+    assert difference(replace(content, suffixes=[]), plain) == ""
+    assert [one.name for one in content.suffixes] == ["scaling", "kind"] * (b"S4" in new)
+
+
+def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
+    """Names come from .col and .row; where none are announced or some are missing, such files are left alone."""
+    (tmp_path / "m.col").write_text("price\nquantity [a b]\n")
+    (tmp_path / "m.row").write_text("balance\nproduct\nan objective\n")
+    named = SMALL.replace(b" 4 0\n 0 0\n", b" 4 0\n 7 14\n")
+    content = read(tmp_path, named)
+    assert (content.names, content.row_names) == (["price", "quantity [a b]"], ["balance", "product"])
+    assert read(tmp_path, SMALL).names is None
+    (tmp_path / "m.col").write_text("price\n")
+    assert read(tmp_path, named).names is None
+
+
+def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
+    """A stub is read as AMPL reads it; a file that is not there is named with its ending."""
+    read(tmp_path, SMALL)
+    assert read_nl(tmp_path / "m").lower.size == 2
+    with pytest.raises(errors.UnreadableFile, match=r"no such file: .*other\.nl"):
+        read_nl(tmp_path / "other")
+
+
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(20))
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:

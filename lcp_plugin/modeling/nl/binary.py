@@ -123,7 +123,7 @@ class _Bytes:
         elif letter in "br":
             self._bounds(letter)
         else:
-            dtype, count = np.dtype(self.order + "i4"), self._int()
+            dtype, count = np.dtype(self.order + "i4"), max(self._int(), 0)
             counts = np.frombuffer(self.data, dtype, count, self._room(dtype, count, "counts of columns"))
             self.found.column_counts, self.found.column_place = counts.astype(np.float64), place
             self.found.is_cumulative = letter == "k"

@@ -25,8 +25,10 @@ SHOWN = 40  # bytes of a line that a message quotes
 def source_of(path: str | PathLike[str]) -> Path:
     """Return the file; its ending may be left out, as AMPL does."""
     source = checked_path(path)
-    with_ending = source.with_name(source.name + ENDING) if source.name else source
-    return with_ending if source.suffix.lower() != ENDING and with_ending.is_file() else source
+    if source.suffix.lower() == ENDING or not source.name:
+        return source
+    with_ending = source.with_name(source.name + ENDING)
+    return source if source.is_file() and not with_ending.is_file() else with_ending
 
 
 def read_nl(path: str | PathLike[str]) -> NLContent:

@@ -220,7 +220,7 @@ class _Lines:
             fail(lines[np.argmin(holds)] + FIRST_LINE, what)
 
     def _column_counts(self, head: int, end: int, count: float) -> None:
-        if count != end - head - 1:
+        if max(count, 0.0) != end - head - 1:  # −1 without variables
             fail(head + FIRST_LINE, f"{count:g} counts of columns are announced, {end - head - 1} lines follow")
         lines = np.arange(head + 1, end)
         self._require(self.classes[lines] == NUMERIC, lines, "the count of a column is needed here")

@@ -82,6 +82,20 @@ def _log_add_exp_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv
     return iv.sigmoid(iv.added(u, iv.negated(v))), iv.sigmoid(iv.added(v, iv.negated(u)))
 
 
+def _power_slopes(u: FloatVector, v: FloatVector) -> tuple[FloatVector, FloatVector]:
+    by_exponent = np.where((u == 0.0) & (v > 0.0), 0.0, np.power(u, v) * np.log(u))
+    return v * np.power(u, v - 1.0), by_exponent
+
+
+def _one_less_square(u: iv.Interval) -> iv.Interval:
+    """Return (1 − u)(1 + u), which cancels nowhere."""
+    return iv.multiplied(iv.added(_ones(u), iv.negated(u)), iv.added(_ones(u), u))
+
+
+def _root_slope(u: iv.Interval) -> iv.Interval:
+    return iv.reciprocal(iv.root(u))
+
+
 EXP = Function("exp", 1, np.exp, lambda u: (np.exp(u),), iv.exponential, lambda u: (iv.exponential(u),))
 LOG = Function("log", 1, np.log, lambda u: (1.0 / u,), iv.logarithm, lambda u: (iv.reciprocal(u),))
 LOG1P = Function(
@@ -102,10 +116,70 @@ QUOTIENT = Function(
     "quotient", 2, lambda u, v: u / v, lambda u, v: (1.0 / v, -(u / v) / v), iv.divided, _quotient_slopes
 )
 
-_FUNCTIONS = {
-    function.name: function
-    for function in (EXP, LOG, LOG1P, RELATIVE_ENTROPY, LOG_ADD_EXP, PRODUCT, QUOTIENT)
-}
+LOG10 = Function(
+    "log10", 1, np.log10, lambda u: (1.0 / (np.log(10.0) * u),),
+    lambda u: iv.increasing(np.log10, u, 0.0),
+    lambda u: (iv.reciprocal(iv.multiplied(u, iv.logarithm((np.array(10.0), np.array(10.0))))),),
+)
+POWER = Function(
+    "power of", 2, lambda u, v: np.power(u, v), _power_slopes, iv.power_of,
+    lambda u, v: (iv.multiplied(v, iv.power_of(u, iv.added(v, iv.negated(_ones(v))))),
+                  iv.multiplied(iv.power_of(u, v), iv.logarithm(u))),
+)
+SIN = Function(
+    "sin", 1, np.sin, lambda u: (np.cos(u),),
+    lambda u: iv.wave(np.sin, u, 0.5 * np.pi), lambda u: (iv.wave(np.cos, u, 0.0),),
+)
+COS = Function(
+    "cos", 1, np.cos, lambda u: (-np.sin(u),),
+    lambda u: iv.wave(np.cos, u, 0.0), lambda u: (iv.negated(iv.wave(np.sin, u, 0.5 * np.pi)),),
+)
+TAN = Function(
+    "tan", 1, np.tan, lambda u: (1.0 + np.tan(u) ** 2,),
+    iv.tangent, lambda u: (iv.added(_ones(u), iv.squared(iv.tangent(u))),),
+)
+SINH = Function(
+    "sinh", 1, np.sinh, lambda u: (np.cosh(u),),
+    lambda u: iv.increasing(np.sinh, u), lambda u: (iv.hyperbolic_cosine(u),),
+)
+COSH = Function(
+    "cosh", 1, np.cosh, lambda u: (np.sinh(u),),
+    iv.hyperbolic_cosine, lambda u: (iv.increasing(np.sinh, u),),
+)
+TANH = Function(
+    "tanh", 1, np.tanh, lambda u: (1.0 / np.cosh(u) ** 2,),
+    lambda u: iv.increasing(np.tanh, u), lambda u: (iv.reciprocal(iv.squared(iv.hyperbolic_cosine(u))),),
+)
+ASIN = Function(
+    "asin", 1, np.arcsin, lambda u: (1.0 / np.sqrt((1.0 - u) * (1.0 + u)),),
+    lambda u: iv.increasing(np.arcsin, u, -1.0, 1.0), lambda u: (_root_slope(_one_less_square(u)),),
+)
+ACOS = Function(
+    "acos", 1, np.arccos, lambda u: (-1.0 / np.sqrt((1.0 - u) * (1.0 + u)),),
+    lambda u: iv.negated(iv.increasing(lambda v: -np.arccos(v), u, -1.0, 1.0)),
+    lambda u: (iv.negated(_root_slope(_one_less_square(u))),),
+)
+ATAN = Function(
+    "atan", 1, np.arctan, lambda u: (1.0 / (1.0 + u * u),),
+    lambda u: iv.increasing(np.arctan, u), lambda u: (iv.reciprocal(iv.added(_ones(u), iv.squared(u))),),
+)
+ASINH = Function(
+    "asinh", 1, np.arcsinh, lambda u: (1.0 / np.hypot(1.0, u),),
+    lambda u: iv.increasing(np.arcsinh, u), lambda u: (_root_slope(iv.added(_ones(u), iv.squared(u))),),
+)
+ACOSH = Function(
+    "acosh", 1, np.arccosh, lambda u: (1.0 / np.sqrt((u - 1.0) * (u + 1.0)),),
+    lambda u: iv.increasing(np.arccosh, u, 1.0), lambda u: (_root_slope(iv.negated(_one_less_square(u))),),
+)
+ATANH = Function(
+    "atanh", 1, np.arctanh, lambda u: (1.0 / ((1.0 - u) * (1.0 + u)),),
+    lambda u: iv.increasing(np.arctanh, u, -1.0, 1.0), lambda u: (iv.reciprocal(_one_less_square(u)),),
+)
+
+_FUNCTIONS = {function.name: function for function in (
+    EXP, LOG, LOG1P, RELATIVE_ENTROPY, LOG_ADD_EXP, PRODUCT, QUOTIENT, LOG10, POWER,
+    SIN, COS, TAN, SINH, COSH, TANH, ASIN, ACOS, ATAN, ASINH, ACOSH, ATANH,
+)}
 
 
 def _named(name: str) -> Function:

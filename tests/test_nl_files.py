@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from random_nl import difference, mutilated, random_content
 
 from lcp_plugin import errors
-from lcp_plugin.modeling.nl import read_nl, read_sol, write_nl, write_sol
+from lcp_plugin.modeling.nl import read_content, read_sol, write_nl, write_sol
 from lcp_plugin.modeling.nl.content import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
@@ -62,7 +62,7 @@ J1 2
 
 def read(folder: Path, data: bytes) -> object:
     (folder / "m.nl").write_bytes(data)
-    return read_nl(folder / "m.nl")
+    return read_content(folder / "m.nl")
 
 
 @given(st.integers(0, 2**32))
@@ -71,7 +71,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
     content = random_content(np.random.default_rng(seed))
     for form in FORMS.values():
         write_nl(content, tmp_path / "m.nl", **form)
-        assert difference(content, read_nl(tmp_path / "m.nl")) == ""
+        assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
 def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
@@ -154,9 +154,9 @@ def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
 def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
     """A stub is read as AMPL reads it; a file that is not there is named with its ending."""
     read(tmp_path, SMALL)
-    assert read_nl(tmp_path / "m").lower.size == 2
+    assert read_content(tmp_path / "m").lower.size == 2
     with pytest.raises(errors.UnreadableFile, match=r"no such file: .*other\.nl"):
-        read_nl(tmp_path / "other")
+        read_content(tmp_path / "other")
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -122,7 +122,7 @@ LOG10 = Function(
     lambda u: (iv.reciprocal(iv.multiplied(u, iv.logarithm((np.array(10.0), np.array(10.0))))),),
 )
 POWER = Function(
-    "power of", 2, lambda u, v: np.power(u, v), _power_slopes, iv.power_of,
+    "power of", 2, np.power, _power_slopes, iv.power_of,
     lambda u, v: (iv.multiplied(v, iv.power_of(u, iv.added(v, iv.negated(_ones(v))))),
                   iv.multiplied(iv.power_of(u, v), iv.logarithm(u))),
 )

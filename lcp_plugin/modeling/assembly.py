@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +12,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..errors import InvalidProblem, UnsupportedModel
+from ..errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ..expressions.program import Program
 from ..expressions.rows import Compiler, Rows, assembled
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
+from ..solving.driver import solve
+from ..solving.nonlinear import solve_nonlinear
+from ..solving.result import Result
 from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony
 
 UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
@@ -81,6 +85,9 @@ class Assembly:
     lower, upper : ndarray, shape (count,)
         Bounds of the unknowns.
     """
+
+    #: Whether unknowns that go with an equation may keep bounds that nothing implies; the answer is looked at then.
+    keeps_bounds = False
 
     def __init__(self, compiler: Compiler, first: dict[int, int], lower: FloatVector, upper: FloatVector) -> None:
         self.compiler, self.first, self.lower, self.upper = compiler, first, lower, upper
@@ -189,13 +196,14 @@ class Assembly:
             )
         is_implied = (low >= self.lower - rounding) & (high <= self.upper + rounding)
         left = bounded[~is_implied[bounded]]
-        if left.size:
+        if left.size and not self.keeps_bounds:
             entry = self.entry(left[0])
             raise UnsupportedModel(
                 f"{entry} has bounds that the rest of the model does not imply, and no pair says what gives way at "
                 f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"
             )
-        self.lower[bounded], self.upper[bounded] = -np.inf, np.inf
+        implied = bounded[is_implied[bounded]]
+        self.lower[implied], self.upper[implied] = -np.inf, np.inf
 
     def _check_square(self, free: NDArray[np.int64], equations: int) -> None:
         """Raise where there are not as many equations as unknowns without a pair."""
@@ -220,6 +228,30 @@ def _arranged(
     if not np.array_equal(places, np.arange(q.size)):
         M, q = sp.csr_array(M[places]), q[places]
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
+
+
+def solve_from(problem: LCP | NonlinearProblem, start: FloatVector | None, options: dict[str, Any]) -> Result:
+    """Return the answer to a problem that a model became.
+
+    Parameters
+    ----------
+    problem : LCP or NonlinearProblem
+    start : array, shape (n,), or None
+        The present values of the unknowns, where all have one; ``z0`` among the options goes before.
+    options : dict
+        Of `solve` or of `solve_nonlinear`.
+    """
+    if not isinstance(problem, NonlinearProblem):
+        is_known = start is not None and bool(np.isfinite(start).all())
+        return solve(problem, **{**({"z0": start} if is_known else {}), **options})
+    known = list(inspect.signature(solve_nonlinear).parameters)[2:]
+    for name in options:
+        if name not in (*known, "z0"):
+            raise InvalidOption(f"a nonlinear model has no option {name!r}; it has z0, {', '.join(known)}")
+    x0 = options["z0"] if "z0" in options else start_of(problem, start)
+    # The derivative is ours; what the language itself evaluates is compared at the end.
+    own = {name: value for name, value in options.items() if name != "z0"}
+    return solve_nonlinear(problem, x0, **{"check_jacobian": False, **own})
 
 
 def start_of(problem: NonlinearProblem, values: FloatVector | None) -> FloatVector:

@@ -17,12 +17,10 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..errors import InvalidOption, ModelWarning, UnsupportedModel
+from ..errors import ModelWarning, UnsupportedModel
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ..settings import Status
-from ..solving.driver import solve as solve_lcp
-from ..solving.nonlinear import solve_nonlinear
 from ..solving.result import Result
 from ._compat import (
     answer_derivatives,
@@ -32,7 +30,7 @@ from ._compat import (
     set_answering,
     statistics,
 )
-from .assembly import start_of
+from .assembly import solve_from
 from .builder import Builder
 from .constraint import Complements, box, complements
 from .model import Model, ModelBatch, contradiction, solve_for
@@ -281,12 +279,7 @@ def solve_model(
     known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
-    if isinstance(model.problem, NonlinearProblem):
-        result = _nonlinear(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
-    else:
-        if start is not None and np.isfinite(start).all():
-            options["z0"] = start
-        result = solve_lcp(model.problem, algorithm, verbose=bool(verbose), **options)
+    result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
@@ -296,17 +289,6 @@ def solve_model(
         answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
     set_answering(problem, answering)
     return problem.value
-
-
-def _nonlinear(problem: NonlinearProblem, start: Any, options: dict[str, Any]) -> Result:
-    """Solve a model whose sides are not all affine."""
-    known = list(inspect.signature(solve_nonlinear).parameters)[2:]
-    for name in options:
-        if name not in (*known, "z0"):
-            raise InvalidOption(f"a nonlinear model has no option {name!r}; it has z0, {', '.join(known)}")
-    start = options.pop("z0", None) if "z0" in options else start_of(problem, start)
-    # The derivative is ours; what cvxpy itself evaluates is compared at the end.
-    return solve_nonlinear(problem, start, **{"check_jacobian": False, **options})
 
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:

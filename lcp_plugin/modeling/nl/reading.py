@@ -31,7 +31,7 @@ def source_of(path: str | PathLike[str]) -> Path:
     return source if source.is_file() and not with_ending.is_file() else with_ending
 
 
-def read_nl(path: str | PathLike[str]) -> NLContent:
+def read_content(path: str | PathLike[str]) -> NLContent:
     """Return what an ``.nl`` file says, text or binary, with the names in ``.col`` and ``.row`` files beside it.
 
     Parameters

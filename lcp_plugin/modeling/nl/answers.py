@@ -1,0 +1,240 @@
+"""The models of ``.nl`` files solved, and the answers in the file's own variables and rows."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...checks import FloatVector
+from ...conversions.program import QuadraticProgram
+from ...conversions.qp_proofs import QPUnboundedness
+from ...problem.lcp import LCP
+from ...problem.nonlinear import NonlinearProblem
+from ...settings import Status
+from ...solving.quadratic_program import judged_program
+from ...solving.result import Result
+from ..assembly import Arrangement, solve_from
+from .content import Indices, NLContent
+
+#: AMPL's numbers for the ways a run may end; 300 is an unbounded program.
+CODES = {
+    Status.SOLVED: 0, Status.PRECISION_LIMIT: 100, Status.INFEASIBLE: 200, Status.NO_SOLUTION: 200,
+    Status.MAX_ITERATIONS: 400, Status.MAX_SECONDS: 401, Status.INTERRUPTED: 402, Status.STALLED: 500,
+    Status.DIVERGED: 501,
+}
+UNBOUNDED = 300
+STATUSES = {
+    "optimal": Status.SOLVED, "optimal_inaccurate": Status.PRECISION_LIMIT, "infeasible": Status.INFEASIBLE,
+    "unbounded": Status.INFEASIBLE, "solver_error": Status.DIVERGED,
+}
+OUTSIDE = 1e-8  # of 1 + |x|
+STAYS = "stalled at bounds of variables where equations do not hold"
+
+
+@dataclass(frozen=True, eq=False)
+class NLAnswer:
+    """What a run found, in the variables and rows of the file.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+    duals : ndarray, shape (m,)
+        Of a complementarity row its value w. Of a row of a program the derivative of the objective by the row's
+        right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
+    status : Status
+    message : str
+        One line: how it ended, residual, iterations.
+    result : Result
+    objective : float or None
+    code : int
+        AMPL's number for the status.
+    """
+
+    x: FloatVector
+    duals: FloatVector
+    status: Status
+    message: str
+    result: Result = field(repr=False)
+    objective: float | None
+    code: int
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+
+class NLModel(ABC):
+    """What an ``.nl`` file states.
+
+    Attributes
+    ----------
+    content : NLContent
+    problem : LCP, NonlinearProblem or QuadraticProgram
+    """
+
+    content: NLContent
+    problem: LCP | NonlinearProblem | QuadraticProgram
+
+    @abstractmethod
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer.
+
+        Parameters
+        ----------
+        algorithm, **options
+            Of :func:`lcp_plugin.solve`, or :func:`lcp_plugin.solve_nonlinear` for a smooth model.
+        """
+
+    @property
+    @abstractmethod
+    def start(self) -> FloatVector:
+        """The start in the unknowns of the problem; 0 where the file names none."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.problem!r})"
+
+    def _message(self, status: Status, result: Result, words: str, objective: float | None = None) -> str:
+        value = "" if objective is None else f", objective {objective:.9g}"
+        return (
+            f"lcp_plugin {__version__}: {words or status.name.lower()}{value}; residual {result.residual:.1e}, "
+            f"{result.iterations} iterations"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PairRows:
+    """The complementarity rows, and the variables that only name the value of one.
+
+    Attributes
+    ----------
+    rows, partners : ndarray of int
+        The rows, and the variable of each.
+    folded : ndarray of int
+        Those of the rows that were a multiple of one variable, plus a number.
+    variables : ndarray of int
+    weights, offsets : ndarray
+        Such a row is weight · variable + offset.
+    """
+
+    rows: Indices
+    partners: Indices
+    folded: Indices
+    variables: Indices
+    weights: FloatVector
+    offsets: FloatVector
+
+
+class ComplementarityModel(NLModel):
+    """A linear or nonlinear complementarity problem, or equations.
+
+    Parameters
+    ----------
+    content : NLContent
+    arrangement : Arrangement
+    unknowns : ndarray of int
+        The variable that each unknown of the arrangement is.
+    known : ndarray, shape (n,)
+        The values of variables that are no unknowns.
+    pairs : PairRows
+    """
+
+    def __init__(
+        self, content: NLContent, arrangement: Arrangement, unknowns: Indices, known: FloatVector, pairs: PairRows
+    ) -> None:
+        self.content, self.arrangement, self.unknowns, self.pairs = content, arrangement, unknowns, pairs
+        self.problem: LCP | NonlinearProblem = arrangement.problem
+        self._known = known
+
+    @property
+    def start(self) -> FloatVector:
+        """The start in the unknowns of the problem; 0 where the file names none."""
+        start: FloatVector = self.content.start[self.unknowns][self.arrangement.elimination.kept]
+        return start
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer; see :meth:`NLModel.solve`."""
+        start = self.start if self.content.has_start.any() else None
+        result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
+        found = self._without_bounds(result, {"algorithm": algorithm, **options})
+        x, duals = self.values(found.z, found.w)
+        status = found.status
+        words = STAYS if found is not result and not found.is_solved else ""
+        return NLAnswer(x, duals, status, self._message(status, found, words), found, None, CODES[status])
+
+    def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the variables, and the values of the complementarity rows, 0 for other rows."""
+        elimination, pairs = self.arrangement.elimination, self.pairs
+        x, slack, duals = self._known.copy(), np.zeros(self._known.size), np.zeros(self.content.row_lower.size)
+        x[self.unknowns] = elimination.expand(z)
+        slack[self.unknowns] = elimination.expand_slack(w)
+        duals[pairs.rows] = slack[pairs.partners]
+        x[pairs.variables] = (duals[pairs.folded] - pairs.offsets) / pairs.weights
+        return x, duals
+
+    def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
+        """Return the result, of equations whose unknowns have bounds gone on without these: they excuse no equation."""
+        problem = self.problem
+        is_equation = ~np.isin(self.unknowns[self.arrangement.elimination.kept], self.pairs.partners)
+        kept = is_equation & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
+        if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
+            return result
+        lower, upper = np.where(kept, -np.inf, problem.lower), np.where(kept, np.inf, problem.upper)
+        free = NonlinearProblem(problem.F, problem.jacobian, lower, upper, enclosure=problem.enclosure)
+        found = solve_from(free, None, {**options, "z0": result.z})
+        beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]
+        is_inside = bool((beyond <= OUTSIDE * (1.0 + np.abs(found.z[kept]))).all())
+        return found if found.is_solved and is_inside else replace(result, status=Status.STALLED)
+
+
+class ProgramModel(NLModel):
+    """A convex quadratic or linear program; without an objective, the question for a point that meets the rows.
+
+    Parameters
+    ----------
+    content : NLContent
+    problem : QuadraticProgram
+        In the unknowns, made of the rows by `from_ranges`; to be minimised.
+    unknowns : ndarray of int
+        The variable that each of its variables is.
+    known : ndarray, shape (n,)
+        The values of the variables that are none of them.
+    sign : float
+        −1 where the objective of the file is to be maximised.
+    constant : float
+        What the objective adds.
+    """
+
+    def __init__(
+        self, content: NLContent, problem: QuadraticProgram, unknowns: Indices, known: FloatVector, sign: float,
+        constant: float,
+    ) -> None:
+        self.content, self.unknowns = content, unknowns
+        self.problem = self.program = problem
+        self._known, self._sign, self._constant = known, sign, constant
+
+    @property
+    def start(self) -> FloatVector:
+        """The start in the unknowns of the problem; 0 where the file names none."""
+        start: FloatVector = self.content.start[self.unknowns]
+        return start
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.infeasibility``."""
+        found = judged_program(self.program, algorithm, **options)
+        result, status = found.result, STATUSES.get(found.status, found.result.status)
+        if status is Status.SOLVED and found.status != "optimal":
+            status = Status.STALLED  # the run is content, the program's own residuals are not
+        x = self._known.copy()
+        x[self.unknowns] = found.solution.x
+        objective = self._sign * found.solution.objective + self._constant
+        words = "optimal" if status is Status.SOLVED else found.status if status is Status.INFEASIBLE else ""
+        code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
+        is_told = found.proof is None
+        message = self._message(status, result, words, objective if is_told else None)
+        duals = -self._sign * found.solution.row_multipliers + 0.0
+        return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)

@@ -1,0 +1,291 @@
+"""What the content of an ``.nl`` file states: a complementarity problem, or a quadratic program."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...checks import FloatVector
+from ...conversions.program import QuadraticProgram
+from ...errors import UnsupportedModel
+from ..assembly import Assembly, Function
+from ..equations import SMALLEST_PIVOT
+from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
+from .content import Indices, NLContent, Token
+from .expressions import UNKNOWNS, Expressions
+from .reading import read_content
+from .tokens import row_name
+
+MOST_NAMES = 5
+ROUNDING = 2.0**-40  # of a row without variables
+
+
+def read_nl(path: str | PathLike[str]) -> NLModel:
+    """Return the model that an ``.nl`` file states, text or binary.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    UnreadableFile
+        Where it is missing or damaged.
+    UnsupportedModel
+        Naming the row or variable that is not taken.
+    """
+    return model_of(read_content(path))
+
+
+def model_of(content: NLContent) -> NLModel:
+    """Return the model that the content of an ``.nl`` file states.
+
+    Raises
+    ------
+    UnsupportedModel
+        Naming the row or variable that is not taken.
+    """
+    statement = Statement(content)
+    return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
+
+
+class Statement:
+    """The rows of a file, sorted by what they say.
+
+    Parameters
+    ----------
+    content : NLContent
+    """
+
+    def __init__(self, content: NLContent) -> None:
+        self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
+        self._refuse_discrete()
+        low, high = content.row_lower, content.row_upper
+        is_pair = content.partners >= 0
+        self.pairs = np.flatnonzero(is_pair)
+        self.equations = np.flatnonzero(~is_pair & (low == high))
+        is_bounded = np.isfinite(low) | np.isfinite(high)
+        self.inequalities = np.flatnonzero(~is_pair & (low != high) & is_bounded)
+        self.is_paired = np.zeros(self.n, dtype=bool)
+        self.is_paired[content.partners[self.pairs]] = True
+        if self.pairs.size:
+            self._check_partners()
+        self.known = self._known()
+        self.expressions = Expressions(content, self.known)
+        self.is_affine = self.expressions.is_affine()[: self.m]
+
+    def _refuse_discrete(self) -> None:
+        content = self.content
+        if content.is_integer.any():
+            name = self.name(int(np.flatnonzero(content.is_integer)[0]))
+            raise UnsupportedModel(f"{name} is an integer variable; only continuous ones are taken")
+        if content.logical_rows:
+            raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
+
+    def name(self, column: int) -> str:
+        """Return the name of a variable."""
+        return f"variable {column}" if self.content.names is None else self.content.names[column]
+
+    def row(self, row: Any) -> str:
+        """Return the name of a row."""
+        return row_name(self.content, int(row))
+
+    def _check_partners(self) -> None:
+        """Raise where two rows go with one variable, or where its bounds are not those that the row speaks of."""
+        content, rows = self.content, self.pairs
+        columns = content.partners[rows]
+        order = np.argsort(columns, kind="stable")
+        twice = np.flatnonzero(np.diff(columns[order]) == 0)
+        if twice.size:
+            first, second = rows[order[twice[0]]], rows[order[twice[0] + 1]]
+            both = f"{self.row(first)} and {self.row(second)}"
+            raise UnsupportedModel(
+                f"{both} are both complementary to {self.name(content.partners[first])}; give one of them a variable "
+                "of its own"
+            )
+        low, high = content.lower[columns], content.upper[columns]
+        kinds = np.isfinite(low) + 2 * np.isfinite(high)
+        wrong = np.flatnonzero((kinds != content.partner_bounds[rows]) & (low != high))
+        if wrong.size:
+            k = wrong[0]
+            told = ("no bound", "the lower bound", "the upper bound", "both bounds")[content.partner_bounds[rows[k]]]
+            raise UnsupportedModel(
+                f"{self.row(rows[k])} states {told} of {self.name(columns[k])} beside its complementarity, and the "
+                f"variable's own are {low[k]:g} and {high[k]:g}: nothing says what gives way at the others; state the "
+                "same in both places"
+            )
+
+    def _known(self) -> FloatVector:
+        """Return the values of variables that nothing is left to say of: fixed ones, and those that nothing holds."""
+        content, occurs = self.content, self.is_paired.copy()
+        for trees in (content.trees, content.objective_trees, content.defined_trees):
+            used = trees.values[trees.kinds == Token.VARIABLE].astype(np.int64)
+            occurs[used[used < self.n]] = True
+        for linear in (content.linear, content.objective_linear, content.defined_linear):
+            columns = linear.indices[linear.data != 0.0]
+            occurs[columns[columns < self.n]] = True
+        is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
+        return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
+
+    def is_complementarity_problem(self) -> bool:
+        """Return whether it is one: what has an objective or an inequality is a program, and what is not square."""
+        objective = self._objective_depends()
+        if self.pairs.size:
+            if objective:
+                raise UnsupportedModel(
+                    "the model has an objective beside complementarities, which asks for the best of all equilibria "
+                    "(an MPEC): not here yet; leave the objective out for any of them"
+                )
+            if self.inequalities.size:
+                raise UnsupportedModel(
+                    f"{self.row(self.inequalities[0])} is an inequality without a partner beside complementarities; "
+                    "state what gives way at it, as in row complements variable >= 0"
+                )
+            return True
+        if objective or self.inequalities.size:
+            return False
+        if not self.is_affine.all():
+            return True
+        unknowns = self.expressions.unknowns
+        is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
+        return bool(is_free.all()) and unknowns.size == self.equations.size > 0
+
+    def _objective_depends(self) -> bool:
+        row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
+        return row is not None and row.nnz > 0
+
+    def program(self) -> ProgramModel:
+        """Return the quadratic program."""
+        content, found, m = self.content, self.expressions, self.m
+        if not self.is_affine.all():
+            row = self.row(np.flatnonzero(~self.is_affine)[0])
+            raise UnsupportedModel(
+                f"{row} is nonlinear: rows of an optimisation, and inequalities, must be affine; nonlinear are "
+                "complementarities, and equations, as many as variables without a complementarity, and no objective"
+            )
+        unknowns = found.unknowns
+        P: Any = sp.csr_array((unknowns.size, unknowns.size))
+        c, constant, sign = np.zeros(unknowns.size), 0.0, 1.0
+        if content.is_maximized.size:
+            sign = -1.0 if content.is_maximized[0] else 1.0
+            quadratic = found.quadratic(m)
+            if quadratic is None:
+                raise UnsupportedModel("the objective is neither linear nor quadratic; convex quadratic ones are taken")
+            P, c, constant = quadratic
+        A, shift = found.matrix[:m, : unknowns.size], found.offset[:m]
+        rows, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
+        program = QuadraticProgram.from_ranges(
+            sign * P, sign * c, A, *(limit - shift for limit in rows), *(bound[unknowns] for bound in bounds)
+        )
+        return ProgramModel(content, program, unknowns, self.known, sign, constant)
+
+    def complementarities(self) -> ComplementarityModel:
+        """Return the complementarity problem."""
+        content, found = self.content, self.expressions
+        pairs, equations, folded = self._put_in_auxiliaries()
+        shift = np.zeros(found.offset.size)
+        shift[equations] = content.row_lower[equations]
+        found.offset = found.offset - shift
+        equations = self._without_empty(equations)
+        assembly = _Assembly(content, found, keeps_bounds=not pairs.size)
+        place = np.full(self.n, -1)
+        place[found.unknowns] = np.arange(found.unknowns.size)
+        for rows, takes in ((pairs, assembly.take_pairs), (equations, assembly.take_equations)):
+            is_affine = found.is_affine()[rows]
+            for part in (rows[is_affine], rows[~is_affine]):
+                if part.size:
+                    takes(part, place)
+        arrangement = assembly.arranged()
+        of_pairs = PairRows(pairs, content.partners[pairs], *folded)
+        return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs)
+
+    def _without_empty(self, equations: Indices) -> Indices:
+        """Leave out the equations that hold no unknown; raise where they do not hold."""
+        found = self.expressions
+        is_empty = np.diff(found.matrix.indptr)[equations] == 0
+        offsets, right = found.offset[equations], self.content.row_lower[equations]
+        wrong = np.flatnonzero(is_empty & (np.abs(offsets) > ROUNDING * (1.0 + np.abs(right))))
+        if wrong.size:
+            raise UnsupportedModel(
+                f"{self.row(equations[wrong[0]])} holds no unknown, and its sides differ by {offsets[wrong[0]]:g}: no "
+                "point satisfies the model; correct it"
+            )
+        left: Indices = equations[~is_empty]
+        return left
+
+    def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, ...]]:
+        """Put the unknowns that only name the value of a pair's row into it; return pairs and equations left.
+
+        Pyomo writes F >= 0 complements x >= 0 as b == F and a row that holds b alone: the row becomes F, and b is known
+        from its value.
+
+        Notes
+        -----
+        With a b + g = 0 and the row c b + d, it is d − (c/a) g.
+        """
+        content, found, n = self.content, self.expressions, self.expressions.unknowns.size
+        matrix, columns = found.matrix, sp.csc_array(found.matrix)
+        lengths = np.diff(matrix.indptr)
+        is_free = np.isneginf(content.lower) & np.isposinf(content.upper) & ~self.is_paired
+        may_go = np.zeros(matrix.shape[1], dtype=bool)
+        may_go[:n] = is_free[found.unknowns] & (np.diff(columns.indptr)[:n] == 2)
+        rows = self.pairs[lengths[self.pairs] == 1]
+        entries = matrix.indptr[rows]
+        is_auxiliary = may_go[matrix.indices[entries]]
+        rows, entries = rows[is_auxiliary], entries[is_auxiliary]
+        own, weights = matrix.indices[entries], matrix.data[entries]
+        begins = columns.indptr[own]
+        at = np.where(columns.indices[begins] == rows, begins + 1, begins)
+        definitions, pivots = columns.indices[at].astype(np.int64), columns.data[at]
+        is_equation = np.zeros(matrix.shape[0], dtype=bool)
+        is_equation[self.equations] = True
+        largest = abs(matrix).max(axis=1).toarray().ravel()
+        fits = is_equation[definitions] & (np.abs(pivots) >= SMALLEST_PIVOT * largest[definitions])
+        first = np.zeros(fits.size, dtype=bool)
+        first[np.unique(np.where(fits, definitions, -1), return_index=True)[1]] = True
+        taken = np.flatnonzero(fits & first)
+        rows, own, weights, definitions, pivots = (
+            one[taken] for one in (rows, own, weights, definitions, pivots)
+        )
+        variables, offsets = found.unknowns[own], found.offset[rows]
+        found.offset[definitions] -= content.row_lower[definitions]
+        if taken.size:
+            found.put_in(rows, definitions, own, -weights / pivots)
+        return self.pairs, np.setdiff1d(self.equations, definitions), (rows, variables, weights, offsets)
+
+
+class _Assembly(Assembly):
+    """The model of a file."""
+
+    def __init__(self, content: NLContent, found: Expressions, *, keeps_bounds: bool) -> None:
+        bounds = content.lower[found.unknowns], content.upper[found.unknowns]
+        super().__init__(found.compiler, {UNKNOWNS: 0}, *bounds)
+        self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
+
+    def take_pairs(self, rows: Indices, place: Indices) -> None:
+        """Take in complementarity rows; place says which unknown a variable is."""
+        columns = place[self.content.partners[rows]]
+        self.is_paired[columns] = True
+        self.pairs.append((columns, Function(rows, self.found.rows(rows)), np.ones(rows.size)))
+
+    def take_equations(self, rows: Indices, place: Indices) -> None:
+        """Take in equations, whose right-hand sides are on the left by now."""
+        self.equations.append(Function(rows, self.found.rows(rows)))
+
+    def variable_of(self) -> NDArray[np.int64]:
+        """Return 0: what is an array in its own language is not known here."""
+        return np.zeros(self.count, dtype=np.int64)
+
+    def names_of(self, columns: NDArray[np.int64]) -> list[str]:
+        """Return the first names."""
+        names = [self.entry(column) for column in columns[:MOST_NAMES]]
+        return names if columns.size <= MOST_NAMES else [*names, "…"]
+
+    def entry(self, column: np.int64) -> str:
+        """Return the name of an unknown."""
+        variable = int(self.found.unknowns[column])
+        return f"variable {variable}" if self.content.names is None else self.content.names[variable]

@@ -81,9 +81,9 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     numbers: list[int] = []
     whole = ProgramBatchRun._solve
 
-    def noted(self: ProgramBatchRun, k: int) -> bool:
+    def noted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
         numbers.append(k)
-        return whole(self, k)
+        whole(self, k, wishes)
 
     monkeypatch.setattr(ProgramBatchRun, "_solve", noted)
     return numbers
@@ -333,10 +333,10 @@ def test_ctrl_c_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     programs = QuadraticProgramBatch(P, c, G, h)
     whole = ProgramBatchRun._solve
 
-    def interrupted(self: ProgramBatchRun, k: int) -> bool:
+    def interrupted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
         if k == 2:
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        return whole(self, k)
+        whole(self, k, wishes)
 
     monkeypatch.setattr(ProgramBatchRun, "_solve", interrupted)
     answers = solve_batch(programs, algorithm="interior_point")

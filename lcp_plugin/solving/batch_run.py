@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,7 +25,113 @@ from ..settings import CallersOwn, Status
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded
 from .batch_items import Items, Stacked, put
 from .driver import asked_of_solve, fused_result, solve
-from .result import Result, Results
+from .result import Result, Results, T
+
+
+class BatchLoop:
+    """Tables with a row an item: a compiled loop fills some at once, and what it leaves open is solved one by one.
+
+    Parameters
+    ----------
+    count : int
+    algorithm : str or Algorithm
+    wishes : dict
+        Whatever else :func:`lcp_plugin.solve` takes, for each item.
+    errors : dict
+        What is wrong with item k, where something is.
+    threads : int
+    limit : float
+        Seconds for all items together.
+    """
+
+    def __init__(
+        self, count: int, algorithm: str | Algorithm, wishes: dict[str, Any], errors: dict[int, LCPError], *,
+        threads: int, limit: float,
+    ) -> None:
+        self.algorithm, self.wishes, self.errors, self.threads, self.limit = algorithm, wishes, errors, threads, limit
+        self.policy, self.settings = asked_of_solve(algorithm, wishes)
+        self.status, self.residual = np.full(count, None), np.full(count, np.nan)
+        self.is_open = np.ones(count, np.bool_)
+        self.is_open[[*errors]] = False
+        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock(ALONE)
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the clock of all has not run out."""
+        return self.clock.read() < self.limit
+
+    def _in_chunks(self, solve_chunk: Callable[[int, int], None], count: int) -> None:
+        """Call ``solve_chunk(first, end)`` for all items of a compiled loop, on the threads, while there is time."""
+        in_chunks(lambda first, end: solve_chunk(first, end) if self.has_time else None, count, self.threads)
+
+    def _solve_compiled(self) -> None:
+        """Solve what compiled loops can."""
+        raise NotImplementedError
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        """Solve item k by itself."""
+        raise NotImplementedError
+
+    def _solve_all(self) -> None:
+        """Solve until all are done, the clock runs out, or Ctrl-C comes; what an item itself raises is kept."""
+        try:
+            self._solve_compiled()
+            for k in np.flatnonzero(self.is_open).tolist():
+                if self.is_interrupted or not self.has_time:
+                    break
+                self._solve_or_keep_error(k)
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+
+    def _solve_or_keep_error(self, k: int) -> None:
+        callback, wishes = self.wishes.get("callback"), dict(self.wishes)
+        if self.limit < np.inf:
+            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
+        try:
+            self._solve(k, wishes)
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            if isinstance(callback, CallersOwn) and error is callback.raised:
+                raise
+            self.errors[k], self.is_open[k] = error, False
+
+
+class BatchAnswers(Results[T]):
+    """The answers of a batch, each put together when it is looked at.
+
+    Parameters
+    ----------
+    run : BatchLoop
+        At its end.
+    answer_of : callable
+        The answer to item k, which has no error.
+    tables : arrays
+        What nobody may change any more.
+    """
+
+    ITEM: ClassVar[str]
+    status: Any
+
+    def __init__(self, run: BatchLoop, answer_of: Callable[[int], T], *tables: Any) -> None:
+        self.status, self.seconds, self.errors, self._answer_of = run.status, run.seconds, run.errors, answer_of
+        for table in (run.status, run.residual, *tables):
+            if isinstance(table, np.ndarray):
+                table.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def at(self, k: int) -> T:
+        """Return answer k, or raise what is wrong with its item."""
+        if k in self.errors:
+            raise self.errors[k]
+        return self._answer_of(k)
+
+    def __repr__(self) -> str:
+        counts = Counter(f"no {self.ITEM}" if one is None else getattr(one, "name", one) for one in self.status)
+        told = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+        return f"{type(self).__name__}({len(self)} {self.ITEM}s: {told or 'none'}; {self.seconds:.3g} s)"
 
 
 @cache
@@ -33,60 +140,48 @@ def _tiny() -> LCP:
     return LCP([[1.0]], [-1.0])
 
 
-class BatchRun:
+class BatchRun(BatchLoop):
     """The answers as they come, in tables with a row a problem.
 
     Parameters
     ----------
     items : Items
-    algorithm : str or Algorithm
-    wishes : dict
-        Whatever else :func:`lcp_plugin.solve` takes, for each problem.
-    threads : int
-    limit : float
-        Seconds for all problems together.
+    algorithm, wishes, threads, limit
+        As in `BatchLoop`.
     """
 
     def __init__(
         self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int = 1,
         limit: float = np.inf,
     ) -> None:
-        self.items, self.algorithm, self.wishes, self.threads, self.limit = items, algorithm, wishes, threads, limit
-        self.policy, self.settings = asked_of_solve(algorithm, wishes)
-        self.first = self.policy.first(_tiny())
+        super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
+        self.items, self.first = items, self.policy.first(_tiny())
         count, sizes = items.count, items.sizes
         self.z: Any = np.full((count, *sizes), np.nan) if len(sizes) <= 1 else [np.empty(0)] * count
-        self.status, self.residual = np.full(count, None), np.full(count, np.nan)
-        self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
-        self.is_open[[*items.errors]] = False
+        self.iterations = np.zeros(count, np.int64)
         self.results: dict[int, Result] = {}  # of those that were solved one by one
         self.compiled: list[Answers] = []
         self.place = np.full((2, count), -1)  # which of these has an answer, and where
-        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock(ALONE)
 
     def run(self) -> BatchResult:
         """Solve all, and gather what was found."""
-        try:
-            phases = self._phases()
-            for group in () if phases is None else self.items.groups():
-                if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
-                    continue
-                whole, in_parts = by_parts(group)
-                if whole.items.size:
-                    self._leave_out_excluded(whole, self._run_compiled(whole, phases))
-                if in_parts.items.size and self.clock.read() < self.limit:
-                    self._keep(in_parts, answers_in_common_units(in_parts, phases, self.settings))
-            for k in np.flatnonzero(self.is_open).tolist():
-                if self.is_interrupted or self.clock.read() >= self.limit:
-                    break
-                self._solve(k)
-        except KeyboardInterrupt:
-            self.is_interrupted = True
+        self._solve_all()
         for k in np.flatnonzero(self.is_open).tolist():
             self.z[k] = self.items.projected_start(k)
             self.status[k] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.seconds = self.clock.read()
         return BatchResult(self)
+
+    def _solve_compiled(self) -> None:
+        phases = self._phases()
+        for group in () if phases is None else self.items.groups():
+            if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
+                continue
+            whole, in_parts = by_parts(group)
+            if whole.items.size:
+                self._leave_out_excluded(whole, self._run_compiled(whole, phases))
+            if in_parts.items.size and self.has_time:
+                self._keep(in_parts, answers_in_common_units(in_parts, phases, self.settings))
 
     def _phases(self) -> Phases | None:
         """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
@@ -97,11 +192,10 @@ class BatchRun:
         answers = Answers(*group.shape)
 
         def solve_chunk(first: int, end: int) -> None:
-            if self.clock.read() < self.limit:
-                run(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
+            run(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
 
         try:
-            in_chunks(solve_chunk, group.items.size, self.threads)
+            self._in_chunks(solve_chunk, group.items.size)
         finally:
             self._keep(group, answers)
         return answers
@@ -125,29 +219,18 @@ class BatchRun:
         made = answers.made.sum(1) + 1
         left = np.flatnonzero(self.is_open[group.items] & (made < self.settings.max_iterations))
         is_asked = self.settings.refute or self.settings.absolute_tolerance or self.policy.chosen != "auto"
-        if is_asked or not left.size or self.clock.read() >= self.limit:
+        if is_asked or not left.size or not self.has_time:
             return
         if not isinstance(self.items, Stacked):
             left = left[[may_be_searched(self.items.problem(k)) for k in group.items[left].tolist()]]
         rows, starts, residual = excluded(group.chosen(left), self.settings.tolerance, self.threads)
         self._write(group.items[left[rows]], starts, Status.STALLED, residual, made[left[rows]])
 
-    def _solve(self, k: int) -> None:
-        callback, wishes = self.wishes.get("callback"), dict(self.wishes)
-        if self.limit < np.inf:
-            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
-        try:
-            found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
-        except (InvalidOption, UnknownAlgorithm):
-            raise
-        except LCPError as error:
-            if isinstance(callback, CallersOwn) and error is callback.raised:
-                raise
-            self.items.errors[k], self.is_open[k] = error, False
-        else:
-            self.results[k] = found
-            self.is_interrupted |= found.status is Status.INTERRUPTED
-            self._write([k], [found.z], found.status, found.certificate.relative_residual, found.iterations)
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+        self.results[k] = found
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+        self._write([k], [found.z], found.status, found.certificate.relative_residual, found.iterations)
 
     def result_of(self, k: int) -> Result:
         """Return the result of problem k, which has no error."""
@@ -166,7 +249,7 @@ class BatchRun:
         return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 
 
-class BatchResult(Results[Result]):
+class BatchResult(BatchAnswers[Result]):
     """The answers to a batch of problems.
 
     Parameters
@@ -185,6 +268,8 @@ class BatchResult(Results[Result]):
     iterations : array of int, shape (B,)
     seconds : float
         Seconds of the whole batch, compilation excluded.
+    errors : dict
+        What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
     items : Items
         The problems.
     threads : int
@@ -196,17 +281,12 @@ class BatchResult(Results[Result]):
     a share of the batch's.
     """
 
-    def __init__(self, run: BatchRun) -> None:
-        self.z, self.status, self.relative_residual, self.iterations = run.z, run.status, run.residual, run.iterations
-        self.seconds, self.items, self.threads, self._result_of = run.seconds, run.items, run.threads, run.result_of
-        for array in (self.z, self.status, self.relative_residual, self.iterations):
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+    ITEM = "problem"
 
-    @property
-    def errors(self) -> dict[int, LCPError]:
-        """What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it."""
-        return self.items.errors
+    def __init__(self, run: BatchRun) -> None:
+        super().__init__(run, run.result_of, run.z, run.iterations)
+        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
+        self.items, self.threads = run.items, run.threads
 
     @cached_property
     def w(self) -> Any:
@@ -218,17 +298,3 @@ class BatchResult(Results[Result]):
     def all_solved(self) -> bool:
         """Whether every status is SOLVED."""
         return all(status is Status.SOLVED for status in self.status)
-
-    def __len__(self) -> int:
-        return len(self.status)
-
-    def at(self, k: int) -> Result:
-        """Return result k, or raise what is wrong with its problem."""
-        if k in self.errors:
-            raise self.errors[k]
-        return self._result_of(k)
-
-    def __repr__(self) -> str:
-        counts = Counter("no problem" if one is None else one.name for one in self.status)
-        told = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-        return f"BatchResult({len(self)} problems: {told or 'none'}; {self.seconds:.3g} s)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -18,118 +17,87 @@ from ..algorithms.interior_points.small_programs import (
     may_be_small,
 )
 from ..checks import FloatVector
-from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
 from ..conversions.qp_certificates import with_bounds
 from ..conversions.qp_forms import program_goal
 from ..conversions.qp_solution import QPSolution
-from ..deadline import Clock
-from ..errors import InvalidOption, LCPError, UnknownAlgorithm
-from ..kernels.threads import in_chunks
 from ..settings import Status
-from .driver import asked_of_solve
+from .batch_run import BatchAnswers, BatchLoop
 from .quadratic_program import solve_quadratic_program
-from .result import Results
 
 STRICT = 1e-7  # what is within this is stationary to 1e-6
 
 
-class ProgramBatchRun:
+class ProgramBatchRun(BatchLoop):
     """The answers as they come, in tables with a row a program.
 
     Parameters
     ----------
     programs : QuadraticProgramBatch
-    algorithm : str or Algorithm
-    wishes : dict
-        Whatever else :func:`lcp_plugin.solve` takes, for each program.
-    threads : int
-    limit : float
-        Seconds for all programs together.
+    algorithm, wishes, threads, limit
+        As in `BatchLoop`.
     """
 
     def __init__(
         self, programs: QuadraticProgramBatch, algorithm: Any, wishes: dict[str, Any], *, threads: int, limit: float
     ) -> None:
-        self.programs, self.algorithm, self.wishes, self.threads, self.limit = (
-            programs, algorithm, wishes, threads, limit
-        )
-        self.settings = asked_of_solve(algorithm, wishes)[1]
+        super().__init__(len(programs), algorithm, wishes, {}, threads=threads, limit=limit)
         programs.refuse_nonconvex()
-        count, (m, p, n, _) = len(programs), programs.sizes
+        self.programs, count, (m, p, n, _) = programs, len(programs), programs.sizes
         self.answers = SmallAnswers.empty(count, n, m + p)
-        self.status, self.is_open = np.full(count, None), np.ones(count, np.bool_)
         self.contradicts = np.zeros(count, np.bool_)  # where multipliers should prove that
-        self.residual, self.at_bounds = np.full(count, np.nan), np.full((2, count, n), np.nan)
+        self.at_bounds = np.full((2, count, n), np.nan)
         self.solutions: dict[int, QPSolution] = {}  # of those that were solved one by one
-        self.errors: dict[int, LCPError] = {}
-        self.seconds, self.clock = 0.0, Clock(ALONE)
 
     def run(self) -> ProgramBatchResult:
         """Solve all, and gather what was found."""
-        m, p, n, _ = self.programs.sizes
-        is_small, may_run = 0 < n <= SEARCHED_UP_TO, self.settings.max_iterations >= MOST_STEPS
-        try:
-            if self.algorithm == "auto" and may_run and is_small and may_be_small(n, m + p):
-                self._solve_small()
-            for k in np.flatnonzero(self.is_open).tolist():
-                if self.clock.read() >= self.limit or not self._solve(k):
-                    break
-        except KeyboardInterrupt:
-            pass
-        left = self.is_open
+        self._solve_all()
+        left, shape = self.is_open, self.answers.x.shape
         self._forget(left)
-        lower, upper = (np.broadcast_to(self.programs.vectors[name], (left.size, n)) for name in ("lower", "upper"))
+        lower, upper = (np.broadcast_to(self.programs.vectors[name], shape) for name in ("lower", "upper"))
         self.answers.x[left] = np.clip(0.0, lower[left], upper[left])
         self.status[left] = "unknown"
         self.seconds = self.clock.read()
         return ProgramBatchResult(self)
 
-    def _solve_small(self) -> None:
+    def _solve_compiled(self) -> None:
+        m, p, n, _ = self.programs.sizes
+        is_small, may_run = 0 < n <= SEARCHED_UP_TO, self.settings.max_iterations >= MOST_STEPS
+        if self.algorithm != "auto" or not (may_run and is_small and may_be_small(n, m + p)):
+            return
         small, answers = SmallPrograms(*self.programs.arrays), self.answers
         tolerance = min(self.settings.tolerance, STRICT)
 
         def solve_chunk(first: int, end: int) -> None:
-            if self.clock.read() < self.limit:
-                small.search(tolerance, first, end, answers, self.contradicts)
+            small.search(tolerance, first, end, answers, self.contradicts)
 
         try:
-            in_chunks(solve_chunk, len(self.status), self.threads)
+            self._in_chunks(solve_chunk, len(self.status))
         finally:
             is_solved = answers.has_converged & self.programs.may_be_stated
             self.is_open, self.status[is_solved] = ~is_solved, "optimal"
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
 
-    def _solve(self, k: int) -> bool:
-        """Solve program k by itself; return whether nobody has interrupted that."""
-        wishes = dict(self.wishes)
-        if self.limit < np.inf:
-            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         y = self.answers.y[k].copy()
         self._forget(k)
-        try:
-            program = self.programs[k]
-            if self.contradicts[k] and (proved := self._proved(program, y)) is not None:
-                self.solutions[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
-                self.is_open[k] = False
-                return True
-            result, found = solve_quadratic_program(program, self.algorithm, **wishes)
-        except (InvalidOption, UnknownAlgorithm):
-            raise
-        except LCPError as error:
-            self.errors[k], self.is_open[k] = error, False
-            return True
+        program = self.programs[k]
+        if self.contradicts[k] and (proved := self._proved(program, y)) is not None:
+            self.solutions[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
+            self.is_open[k] = False
+            return
+        result, found = solve_quadratic_program(program, self.algorithm, **wishes)
         may_refute = self.settings.refute
         self.solutions[k], self.answers.x[k], self.answers.steps[k] = found, found.x, result.iterations
         self.answers.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), max(found.residual, found.row_residual)
         self.status[k] = found.status if may_refute or found.is_stationary() else "unknown"
         self.is_open[k] = False
-        if result.status is not Status.INTERRUPTED:
-            return True
-        return may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None
+        if result.status is Status.INTERRUPTED:
+            is_refuted = may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None
+            self.is_interrupted = not is_refuted
 
     def _forget(self, items: Any) -> None:
         """Leave no numbers of what the loop has not solved."""
@@ -156,7 +124,7 @@ class ProgramBatchRun:
         return self.solutions[k]
 
 
-class ProgramBatchResult(Results[QPSolution]):
+class ProgramBatchResult(BatchAnswers[QPSolution]):
     """The answers to a batch of quadratic programs.
 
     Parameters
@@ -188,12 +156,12 @@ class ProgramBatchResult(Results[QPSolution]):
     ``answers[k]`` is the :class:`~lcp_plugin.conversions.qp_solution.QPSolution` of program k.
     """
 
+    ITEM = "program"
+
     def __init__(self, run: ProgramBatchRun) -> None:
-        m, self.x, self.status, self.residual = run.programs.sizes[0], run.answers.x, run.status, run.residual
-        self.iterations, self.seconds, self.errors = run.answers.steps, run.seconds, run.errors
-        self.programs, self._solution_of = run.programs, run.solution_of
-        for array in (self.x, run.answers.y, run.at_bounds, self.status, self.residual, self.iterations):
-            array.flags.writeable = False
+        answers, m = run.answers, run.programs.sizes[0]
+        super().__init__(run, run.solution_of, answers.x, answers.y, answers.steps, run.at_bounds)
+        self.x, self.residual, self.iterations, self.programs = answers.x, run.residual, answers.steps, run.programs
         self.inequality, self.equality = run.answers.y[:, :m], run.answers.y[:, m:]
         self.lower, self.upper = run.at_bounds
 
@@ -208,17 +176,3 @@ class ProgramBatchResult(Results[QPSolution]):
     def all_solved(self) -> bool:
         """Whether every status is "optimal"."""
         return bool((self.status == "optimal").all())
-
-    def __len__(self) -> int:
-        return len(self.status)
-
-    def at(self, k: int) -> QPSolution:
-        """Return solution k, or raise what is wrong with its program."""
-        if k in self.errors:
-            raise self.errors[k]
-        return self._solution_of(k)
-
-    def __repr__(self) -> str:
-        counts = Counter("no program" if one is None else one for one in self.status)
-        told = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-        return f"ProgramBatchResult({len(self)} programs: {told or 'none'}; {self.seconds:.3g} s)"

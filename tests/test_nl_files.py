@@ -74,6 +74,14 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
         assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
+    """Bounds −0 and 0 are read as they were written."""
+    content = replace(read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0]))
+    write_nl(content, tmp_path / "m.nl", **FORMS[form])
+    assert difference(content, read_nl(tmp_path / "m.nl")) == ""
+
+
 def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
     """Bounds, partners, linear terms, expressions and the start stand where the format has them."""
     content = read(tmp_path, SMALL)

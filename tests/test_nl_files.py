@@ -79,7 +79,7 @@ def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
     """Bounds −0 and 0 are read as they were written."""
     content = replace(read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0]))
     write_nl(content, tmp_path / "m.nl", **FORMS[form])
-    assert difference(content, read_nl(tmp_path / "m.nl")) == ""
+    assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
 def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from random_nl import difference, mutilated, random_content
 
 from lcp_plugin.errors import UnreadableFile
-from lcp_plugin.modeling.nl import read_nl, write_nl
+from lcp_plugin.modeling.nl import read_content, write_nl
 
 FORMS: tuple[dict[str, Any], ...] = ({}, {"binary": True}, {"binary": True, "big_endian": True})
 PLACE = re.compile(r"(line \d+ \(.*\)|byte \d+): ", re.S)
@@ -36,7 +36,7 @@ def check(rng: Any, path: Path) -> list[str]:
     content, outcomes = random_content(rng, int(rng.choice([3, 6, 30, 100]))), []
     for form in FORMS:
         write_nl(content, path, **form)
-        outcomes.append("DIFFERENT" if difference(content, read_nl(path)) else "same")
+        outcomes.append("DIFFERENT" if difference(content, read_content(path)) else "same")
         path.write_bytes(mutilated(path.read_bytes(), rng))
         outcomes.append(outcome(path))
     return outcomes
@@ -46,7 +46,7 @@ def outcome(path: Path) -> str:
     """Return how reading a damaged file ends."""
     tracemalloc.start()
     try:
-        read_nl(path)
+        read_content(path)
         said = "read"
     except UnreadableFile as error:
         said = "refused" if PLACE.search(str(error)) else f"NO PLACE: {error}"

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from cvxpy import settings
 
 from ..checks import FloatVector
+from ..conversions.program import QuadraticProgram
 from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
 from ._compat import dense, leaf_value
@@ -38,7 +39,8 @@ NOT_UNIQUE = (
 
 
 @contextmanager
-def _in_words_of_programs() -> Iterator[None]:
+def in_words_of_programs() -> Iterator[None]:
+    """Say of a program what is said of its optimality conditions."""
     try:
         yield
     except UnsuitableProblem as error:
@@ -121,7 +123,7 @@ class ProgramDerivative:
     def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
         """Return the change of each variable, by its id, and of each dual value, with its constraint."""
         self._refuse_unsolved()
-        with _in_words_of_programs():
+        with in_words_of_programs():
             dz = self._at.jvp(dq=self._jacobian @ self._by_column(changes)[:-1])
         variables = {key: entries.taken(dz) for key, entries in self._variables.items()}
         return variables, [(constraint, entries.taken(dz)) for constraint, entries in self._duals]
@@ -135,7 +137,7 @@ class ProgramDerivative:
         for constraint, entries in self._duals:
             if constraint.id in by_dual:
                 entries.add_to(g, by_dual[constraint.id])
-        with _in_words_of_programs():
+        with in_words_of_programs():
             by_column = self._jacobian.T @ self._at.vjp(g).q
         parameters = {parameter.id: parameter for parameter in self._program.parameters}
         return {
@@ -175,14 +177,7 @@ class ProgramDerivative:
 
     @cached_property
     def _conditions(self) -> LCP:
-        """The optimality conditions; rows without a limit have no multiplier."""
-        program = self._answer.solution.program
-        limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
-        is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
-        lower = np.concatenate([-free, np.zeros(program.h.size), -none])
-        upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
-        q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
-        return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
+        return conditions(self._answer.solution.program)
 
     @cached_property
     def _at(self) -> Derivative:
@@ -221,6 +216,16 @@ class ProgramDerivative:
             parts.append((P.row % n, P.col, P.data * x[P.row // n]))
         row, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
         return sp.csr_array(sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1])))
+
+
+def conditions(program: QuadraticProgram) -> LCP:
+    """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
+    limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
+    is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
+    lower = np.concatenate([-free, np.zeros(program.h.size), -none])
+    upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
+    q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
+    return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
 
 
 def _agree(own: Any, theirs: Any, tolerance: float) -> bool:

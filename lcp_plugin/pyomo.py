@@ -1,0 +1,228 @@
+"""Pyomo's door: ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin").solve(model)``.
+
+Complementarities, equations and convex quadratic programs written in Pyomo are solved in this process, without an
+executable. Pyomo's writer puts the rows into an ``.nl`` file, which the reader of those files turns into the problem;
+the pairs are taken as they are stated. The model stays as it was written, so that a changed ``Param`` needs no more
+than another ``solve``, which starts from the values that the variables have.
+
+>>> import pyomo.environ as pyo
+>>> from pyomo.mpec import Complementarity, complements
+>>> import lcp_plugin.pyomo
+>>> m = pyo.ConcreteModel()
+>>> m.price = pyo.Param(mutable=True, initialize=3.0)
+>>> m.x = pyo.Var([1, 2], within=pyo.NonNegativeReals, initialize=1.0)
+>>> def pair(m, i):
+...     return complements(m.x[i] >= 0, pyo.exp(m.x[i]) + m.x[3 - i] >= m.price**i)
+>>> m.pair = Complementarity([1, 2], rule=pair)
+>>> m.dual = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+>>> solver = pyo.SolverFactory("lcp_plugin")
+>>> pyo.assert_optimal_termination(solver.solve(m))
+>>> [round(m.x[i].value, 6) for i in m.x]
+[0.0, 2.197225]
+>>> [round(m.dual[m.pair[i]], 6) + 0.0 for i in m.x]
+[0.197225, 0.0]
+>>> m.price = 2.0
+>>> results = solver.solve(m, options={"tolerance": 1e-12})
+>>> results.solver.termination_condition.value, [round(m.x[i].value, 6) for i in m.x]
+('optimal', [0.0, 1.386294])
+
+**What is taken.** ``Complementarity`` and ``ComplementarityList``, indexed and in blocks, with inequalities, ranges, as
+``complements(inequality(0, x, 5), F)``, or equations, of variables or expressions; constraints that are equations;
+smooth functions, ``Expression``; fixed variables, deactivated components, mutable parameters anywhere. There must be
+as many equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and systems
+of equations.
+
+- Bounds that a variable has of its own, and inequalities beside complementarities, are no part of a pair: they are
+  looked at afterwards, and where one does not hold the answer is not optimal and the message names it.
+- A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
+- Refused in words: objectives beside complementarities, integers, disjunctions, functions that are not smooth.
+- Pyomo's own ``mpec.nl`` is not used: it moves bounds of variables, drops tighter ones where they are looser and fails
+  on ranges. Who applied it to a model before can still solve the model.
+
+**Options** are those of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
+``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
+``keepfiles=True`` the ``.nl`` file stays. The newer interface of Pyomo knows the solver by the same name.
+
+**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
+and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision,
+or something beside the pairs does not hold. ``results.solver.message`` says it, ``results.solver.result`` is our
+own result. A ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the
+multipliers of a program; ``rc`` that of its variables.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
+from typing import Any
+
+try:
+    from pyomo.common.collections import Bunch
+    from pyomo.core import SymbolMap
+    from pyomo.core.base.label import NumericLabeler
+    from pyomo.opt import Solution, SolverFactory, SolverResults, SolverStatus, TerminationCondition
+except ImportError as error:
+    raise ImportError("lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'") from error
+
+from . import __version__
+from .doors.pyomo_answers import Answer, answered, imported
+from .errors import InvalidOption, did_you_mean
+from .modeling.nl.answers import UNBOUNDED
+from .settings import Status
+
+NAME = "lcp_plugin"
+ENDS = {
+    Status.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
+    Status.MAX_ITERATIONS: (SolverStatus.warning, TerminationCondition.maxIterations),
+    Status.MAX_SECONDS: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
+    Status.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
+    Status.PRECISION_LIMIT: (SolverStatus.warning, TerminationCondition.other),
+    Status.STALLED: (SolverStatus.warning, TerminationCondition.noSolution),
+    Status.DIVERGED: (SolverStatus.warning, TerminationCondition.noSolution),
+    Status.INFEASIBLE: (SolverStatus.warning, TerminationCondition.infeasible),
+    Status.NO_SOLUTION: (SolverStatus.warning, TerminationCondition.infeasible),
+}
+
+
+@SolverFactory.register(NAME, doc="Complementarity problems and convex quadratic programs, by lcp_plugin")
+class LCPPlugin:
+    """The solver that ``SolverFactory("lcp_plugin")`` gives; see ``help("lcp_plugin.pyomo")``."""
+
+    name = NAME
+    _metasolver = False
+
+    def __init__(self, **given: Any) -> None:
+        self.options = Bunch(**(given.pop("options", None) or {}))
+        _refuse({key: value for key, value in given.items() if value is not None and key != "solver_io"})
+
+    def __enter__(self) -> LCPPlugin:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        pass
+
+    def available(self, exception_flag: bool = True) -> bool:
+        """Return True: it is here."""
+        return True
+
+    def license_is_valid(self) -> bool:
+        """Return True: it needs none."""
+        return True
+
+    def warm_start_capable(self) -> bool:
+        """Return True: a run begins at the values of the variables."""
+        return True
+
+    def version(self) -> tuple[int, ...]:
+        """Return the version of lcp_plugin."""
+        return tuple(int(part) for part in __version__.split(".")[:3])
+
+    def set_options(self, options: dict[str, Any]) -> None:
+        """Set options for all solves that follow."""
+        self.options.update(options)
+
+    def solve(
+        self, model: Any, *, tee: bool = False, load_solutions: bool = True, timelimit: float | None = None,
+        options: dict[str, Any] | None = None, keepfiles: bool = False, symbolic_solver_labels: bool = False,
+        warmstart: bool = True, **unknown: Any,
+    ) -> Any:
+        """Solve a model and return Pyomo's SolverResults.
+
+        Parameters
+        ----------
+        model : ConcreteModel or Block
+        tee : bool
+            Print the run.
+        load_solutions : bool
+            Put the answer into the variables and suffixes; otherwise ``model.solutions.load_from(results)`` does.
+        timelimit : float, optional
+            In seconds.
+        options : dict, optional
+            For this solve, beside those of ``self.options``.
+        keepfiles : bool
+            Leave the ``.nl`` file, as it is solved, in a folder of its own and say where.
+        symbolic_solver_labels : bool
+            Beside it the names of rows and columns.
+        warmstart : bool
+            Accepted for others' sake: a run always begins at the values of the variables.
+
+        Raises
+        ------
+        UnsupportedModel, InvalidOption
+            Where the model or an option is not taken.
+        """
+        _refuse({key: value for key, value in unknown.items() if value is not None and value is not False})
+        chosen = {**self.options, **(options or {}), "verbose": bool(tee)}
+        if timelimit is not None:
+            chosen["max_seconds"] = timelimit
+        answer = answered_in_a_folder(model, chosen, keepfiles, symbolic_solver_labels)
+        results = _results_of(answer)
+        if load_solutions:
+            answer.load(model)
+        elif answer.has_point:
+            results.solution.insert(_solution_of(answer, model, results))
+        return results
+
+
+def answered_in_a_folder(model: Any, options: dict[str, Any], keepfiles: bool, labels: bool) -> Answer:
+    """Return the answer to a model, through a file that is kept only where it is asked for."""
+    if keepfiles:
+        folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
+        answer = answered(model, options, folder / "model.nl")
+        answer.keep(folder / "model.nl", labels)
+        print(f"the .nl file is {folder / 'model.nl'}")
+        return answer
+    with TemporaryDirectory(prefix=NAME) as temporary:
+        return answered(model, options, Path(temporary) / "model.nl")
+
+
+def _refuse(unknown: dict[str, Any]) -> None:
+    if unknown:
+        word = next(iter(unknown))
+        known = ("tee", "load_solutions", "timelimit", "options", "keepfiles", "symbolic_solver_labels", "warmstart")
+        raise InvalidOption(f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
+                            'run go into options={"tolerance": 1e-10} or solver.options')
+
+
+def _results_of(answer: Answer) -> Any:
+    """Return Pyomo's account of an answer."""
+    found, content = answer.found, answer.statement.content
+    results = SolverResults()
+    status, condition = ENDS[found.status]
+    if answer.violated and found.status is Status.SOLVED:
+        status, condition = SolverStatus.warning, TerminationCondition.other
+    if found.code == UNBOUNDED:
+        condition = TerminationCondition.unbounded
+    results.solver.name, results.solver.message = NAME, answer.message
+    results.solver.status, results.solver.termination_condition = status, condition
+    results.solver.time, results.solver.result = found.result.seconds, found.result
+    problem = results.problem
+    problem.number_of_constraints, problem.number_of_variables = content.row_lower.size, content.lower.size
+    problem.number_of_objectives, problem.number_of_nonzeros = content.is_maximized.size, content.linear.nnz
+    if found.objective is not None and condition is TerminationCondition.optimal:
+        problem.lower_bound = problem.upper_bound = found.objective
+    return results
+
+
+def _solution_of(answer: Answer, model: Any, results: Any) -> Any:
+    """Return the values in the form that ``model.solutions.load_from(results)`` takes."""
+    solution, symbols = Solution(), SymbolMap()
+    symbols.default_labeler = NumericLabeler("x")
+    for variable, value in answer.values.items():
+        solution.variable[symbols.getSymbol(variable)] = {"Value": value}
+    if imported(model, "dual") is not None:
+        for row, value in answer.duals.items():
+            solution.constraint[symbols.getSymbol(row)] = {"Dual": value}
+    if imported(model, "rc") is not None:
+        for variable, value in answer.reduced_costs.items():
+            solution.variable[symbols.getSymbol(variable)]["Rc"] = value
+    results._smap, results._smap_id = symbols, id(symbols)
+    return solution
+
+
+try:
+    from .doors.pyomo_v2 import register
+except ImportError:  # an older Pyomo has no such interface, or another one
+    pass
+else:
+    register(NAME)

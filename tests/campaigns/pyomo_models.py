@@ -1,0 +1,288 @@
+"""Random Pyomo models with a known answer: read back as Pyomo evaluates them, solved, loaded, and judged in Pyomo.
+
+Run as ``python tests/campaigns/pyomo_models.py --cases 2000 --seed 0``. A model chooses x* and the value w* of every
+row there, then the constants. It mixes all four kinds of pairs (lower, upper, both bounds, none), sides in either order
+and of either sign, pairs of two expressions, equations, inequalities beside the pairs, fixed variables, mutable
+parameters, defined variables, indexed and nested blocks. Of each model it is looked at
+
+- whether F and its Jacobian at a random point are what Pyomo's own ``value`` and ``differentiate`` give, to 1e-12 of
+  the terms of a row, read from the file that Pyomo wrote;
+- whether the answer is optimal, is x*, and satisfies every pair, equation and inequality by Pyomo's own expressions;
+- whether the model is what it was.
+
+Exit code 1 where anything is wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pe
+from pyomo.core.expr import EqualityExpression
+from pyomo.core.expr.calculus.derivatives import Modes, differentiate
+from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
+from pyomo.core.expr.relational_expr import RelationalExpression
+from pyomo.mpec import Complementarity, ComplementarityList, complements
+
+import lcp_plugin.pyomo  # noqa: F401 - it registers the solver
+from lcp_plugin.doors.pyomo_model import Statement, stated
+from lcp_plugin.doors.pyomo_pairs import Pair
+from lcp_plugin.expressions.program import Program
+from lcp_plugin.modeling.nl.content import NLContent
+from lcp_plugin.modeling.nl.expressions import UNKNOWNS, Expressions
+
+SAME = 1e-12  # of the terms of a row
+NEAR = 1e-7  # ‖x − x*‖∞ beside 1 + ‖x*‖∞
+HOLDS = 1e-7  # the residual in Pyomo
+# Where the points of the bounds nearest to 0 are the answer, a relative residual compares rounding with rounding.
+OPTIONS = {"tolerance": 1e-12, "absolute_tolerance": 1e-13}
+KINDS = ("lower", "upper", "both", "none")
+SMOOTH = (
+    lambda e: pe.exp(0.3 * e), lambda e: pe.log(e**2 + 1.5), lambda e: pe.sqrt(e**2 + 1), pe.sin, pe.cos, pe.tanh,
+    pe.atan, lambda e: e**2, lambda e: e**3, lambda e: 1 / (e**2 + 2), lambda e: (e**2 + 1) ** 1.5,
+    lambda e: pe.sinh(0.2 * e), lambda e: pe.log10(e**2 + 2), lambda e: 2.0 ** (0.2 * e), pe.asinh,
+)
+
+
+@dataclass
+class Planted:
+    """A model whose answer is known."""
+
+    model: Any
+    answer: list[tuple[Any, float]] = field(default_factory=list)
+    features: set[str] = field(default_factory=set)
+
+
+def planted(rng: np.random.Generator) -> Planted:
+    """Return a random model: F = M x + smooth terms + constants with M strictly dominant, so that x* is the answer."""
+    n = int(rng.integers(1, 9))
+    m = pe.ConcreteModel()
+    case = Planted(m)
+    is_nonlinear, has_blocks = rng.random() < 0.7, rng.random() < 0.3
+    m.b = pe.Block([1, 2])
+    home = m.b[2] if has_blocks else m
+    home.x, home.extra = pe.Var(range(n)), pe.Var(range(n))
+    x = home.x
+    spot = np.round(rng.normal(size=n), 2)
+    M = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5)
+    M[np.diag_indices(n)] = np.abs(M).sum(axis=1) + 1.0 + rng.random(n)
+    m.price = pe.Param(range(n), mutable=True, initialize={i: float(spot[i]) for i in range(n)})
+    home.shared = pe.Expression(range(n), rule=lambda b, i: SMOOTH[int(rng.integers(len(SMOOTH)))](
+        x[i] + 0.5 * x[int(rng.integers(n))] - float(rng.normal())
+    ))
+    home.list = ComplementarityList()
+    home.pairs, home.equations = Complementarity(pe.Any), pe.Constraint(pe.Any)
+    for i in range(n):
+        x[i].set_value(float(spot[i] + 0.3 * rng.normal()) if rng.random() < 0.8 else None, skip_validation=True)
+        row = sum(float(M[i, j]) * x[j] for j in range(n) if M[i, j]) + float(rng.normal())
+        if is_nonlinear and rng.random() < 0.7:
+            row = row + 0.05 * home.shared[int(rng.integers(n))] * (1.0 if rng.random() < 0.7 else home.shared[i])
+            case.features.add("defined")
+        kind = KINDS[int(rng.integers(4))]
+        case.features.add(kind)
+        state(rng, case, home, i, row, kind, float(spot[i]), value_at(row, x, spot))
+    for i in range(n):
+        case.answer.append((x[i], float(spot[i])))
+    if rng.random() < 0.2:
+        margin = float(rng.random())
+        m.beside = pe.Constraint(expr=sum(x[i] ** 2 for i in range(n)) <= float(spot @ spot) + margin)
+        case.features.add("inequality beside")
+    if rng.random() < 0.15:
+        m.idle = pe.Constraint(expr=x[0] * 1e3 >= 1e9)
+        m.idle.deactivate()
+    return case
+
+
+def value_at(row: Any, x: Any, spot: np.ndarray) -> float:
+    before = [x[i].value for i in x]
+    for i in x:
+        x[i].set_value(float(spot[i]), skip_validation=True)
+    found = float(pe.value(row))
+    for i in x:
+        x[i].set_value(before[i], skip_validation=True)
+    return found
+
+
+def state(
+    rng: np.random.Generator, case: Planted, home: Any, i: int, row: Any, kind: str, spot: float, there: float
+) -> None:
+    """Add pair or equation i with x_i = spot and the row's value there less a constant as the kind allows."""
+    m, variable = case.model, home.x[i]
+    place = int(rng.choice({"lower": (-1, 0), "upper": (0, 1), "both": (-1, 0, 1), "none": (0,)}[kind]))
+    slack = float(rng.random() * (rng.random() < 0.8))
+    w = -place * slack
+    row = row - (there - w)  # its value at x*
+    room = float(rng.random()) + 0.1
+    lower = spot if place < 0 else spot - room
+    upper = spot if place > 0 else spot + room
+    if kind == "none":
+        form = row == 0 if rng.random() < 0.5 else variable * 0.5 == 0.5 * variable - row
+        if rng.random() < 0.3:
+            home.pairs.add(i, complements(variable, row == 0))
+        else:
+            home.equations.add(i, form)
+        return
+    low, high = (lower, upper) if rng.random() < 0.5 or place == 0 else ("param", "param")
+    if low == "param":
+        case.features.add("parameter")
+        low, high = (m.price[i] if place < 0 else lower), (m.price[i] if place > 0 else upper)
+    body: Any = variable
+    if rng.random() < 0.15:  # a pair of two expressions, and an unknown of its own for what holds x
+        case.features.add("two expressions")
+        body = home.extra[i] + 2 * variable
+        home.equations.add(("extra", i), home.extra[i] + variable == 0)
+        case.answer.append((home.extra[i], -spot))
+    if kind == "both":
+        sides = [pe.inequality(low, body, high), row]
+    elif kind == "lower":
+        sides = [body >= low, row >= 0 if rng.random() < 0.7 else -row <= 0]
+    else:
+        sides = [body <= high, row <= 0 if rng.random() < 0.7 else -row >= 0]
+    if rng.random() < 0.2 and body is variable:
+        case.features.add("own bounds")
+        variable.setlb(lower if kind != "upper" else None)
+        variable.setub(upper if kind != "lower" else None)
+    if rng.random() < 0.5:
+        sides.reverse()
+    if rng.random() < 0.3:
+        home.list.add(complements(*sides))
+    else:
+        home.pairs.add(i, complements(*sides))
+
+
+def rows_of(content: NLContent) -> Program:
+    """The rows of a file as one program over its variables."""
+    found = Expressions(content, np.full(content.lower.size, np.nan))
+    rows = found.rows(np.arange(content.row_lower.size))
+    return Program.of(found.compiler, [rows], {UNKNOWNS: 0}, content.lower.size)
+
+
+def differences(statement: Statement, rng: np.random.Generator) -> float:
+    """How far F and its Jacobian are from Pyomo's own at a random point, beside the terms of the rows."""
+    content, variables = statement.content, statement.variables
+    point = np.round(rng.normal(size=len(variables)), 3)
+    program = rows_of(content)
+    value, jacobian = program.value(point), np.asarray(program.jacobian(point).todense())
+    before = [variable.value for variable in variables]
+    for variable, number in zip(variables, point, strict=True):
+        variable.set_value(float(number), skip_validation=True)
+    worst = 0.0
+    try:
+        for i, row in enumerate(statement.rows):
+            if row is None:
+                continue
+            expression = row.row if isinstance(row, Pair) else getattr(row, "body", None)
+            if expression is None:  # the equation of a pair
+                continue
+            shift = 0.0 if isinstance(row, Pair) else content.row_lower[i] - float(row.lower or 0.0)
+            slopes = slopes_of(expression, variables)
+            if slopes is None:
+                slopes = jacobian[i]
+            terms = 1.0 + abs(value[i]) + np.abs(slopes) @ np.abs(point)
+            worst = max(worst, abs(value[i] - shift - float(pe.value(expression))) / terms)
+            worst = max(worst, float(np.abs(jacobian[i] - slopes).max()) / (1.0 + float(np.abs(slopes).max())))
+    finally:
+        for variable, number in zip(variables, before, strict=True):
+            variable.set_value(number, skip_validation=True)
+    return worst
+
+
+def slopes_of(expression: Any, variables: list[Any]) -> np.ndarray | None:
+    """Pyomo's derivative; None for the hyperbolic functions, which it does not differentiate."""
+    try:
+        return np.array(differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric), dtype=float)
+    except DifferentiationException:
+        return None
+
+
+def residual(model: Any) -> float:
+    """The largest violation of all that is active in the model, by Pyomo's own expressions."""
+    worst = 0.0
+    for condition in model.component_data_objects(Complementarity, active=True):
+        worst = max(worst, pair_residual(*(pe_side(side) for side in condition._args)))
+    for row in model.component_data_objects(pe.Constraint, active=True):
+        body = pe.value(row.body)
+        worst = max(worst, *(pe.value(row.lower) - body if row.lower is not None else 0.0,
+                             body - pe.value(row.upper) if row.upper is not None else 0.0))
+    return worst
+
+
+def pe_side(side: Any) -> tuple[float, float, float]:
+    """(lower, body, upper) of a side by its arguments alone."""
+    if not isinstance(side, RelationalExpression):
+        return -math.inf, pe.value(side), math.inf
+    numbers = [pe.value(argument) for argument in side.args]
+    if len(numbers) == 3:
+        return numbers[0], numbers[1], numbers[2]
+    if isinstance(side, EqualityExpression):
+        return 0.0, numbers[1] - numbers[0], 0.0
+    return 0.0, numbers[1] - numbers[0], math.inf
+
+
+def pair_residual(first: tuple[float, float, float], second: tuple[float, float, float]) -> float:
+    if first[0] == first[2] or second[0] == second[2]:
+        return abs(first[1] if first[0] == first[2] else second[1])
+    if math.isinf(first[0]) and math.isinf(first[2]):
+        first, second = second, first
+    if math.isfinite(second[0]):  # two slacks
+        return abs(min(first[1] - first[0], second[1] - second[0]))
+    return abs(first[1] - min(max(first[1] - second[1], first[0]), first[2]))
+
+
+def picture(model: Any) -> list[Any]:
+    """What may not change by a solve."""
+    components = [(block.name, sorted(block.component_map())) for block in model.block_data_objects(active=None)]
+    return [components, [(v.name, v.lb, v.ub, v.fixed) for v in model.component_data_objects(pe.Var)],
+            [(c.name, c.active, str(c._args)) for c in model.component_data_objects(Complementarity)]]
+
+
+def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
+    """What is wrong with a model."""
+    model = case.model
+    before = picture(model)
+    with tempfile.TemporaryDirectory() as folder:
+        found = differences(stated(model, Path(folder) / "model.nl"), rng)
+    if not found <= SAME:
+        yield f"F or Jacobian differ by {found:.1e}"
+    results = pe.SolverFactory("lcp_plugin").solve(model, options=OPTIONS)
+    if not pe.check_optimal_termination(results):
+        yield f"{results.solver.termination_condition}: {results.solver.message}"
+        return
+    if not (off := residual(model)) <= HOLDS:
+        yield f"residual in Pyomo {off:.1e}"
+    size = 1.0 + max(abs(number) for _, number in case.answer)
+    if not (off := max(abs(variable.value - number) for variable, number in case.answer) / size) <= NEAR:
+        yield f"x is off by {off:.1e}"
+    if picture(model) != before:
+        yield "the model has changed"
+
+
+def main(cases: int, seed: int) -> int:
+    features: Counter[str] = Counter()
+    wrong = 0
+    for k in range(cases):
+        rng = np.random.default_rng([seed, k])
+        case = planted(rng)
+        features.update(case.features)
+        for fault in faults_of(case, rng):
+            wrong += 1
+            print(f"case {k} of seed {seed}: {fault}")
+    told = ", ".join(f"{name} {count}" for name, count in features.most_common())
+    print(f"{cases} models, {wrong} faults; with {told}")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    sys.exit(main(**vars(parser.parse_args())))

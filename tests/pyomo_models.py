@@ -1,0 +1,808 @@
+"""Published complementarity models written in Pyomo, each beside the same problem as arrays and its published answer.
+
+Data are those of the sources named in each docstring; nothing of this package stands in a Pyomo model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pe
+import scipy.sparse as sp
+from nonlinear_models import (
+    NASH_5,
+    NASH_5_SOLUTION,
+    NASH_10,
+    NASH_10_SOLUTION,
+    billups,
+    bratu,
+    josephy,
+    kojima_shindo,
+    mathiesen,
+)
+from pyomo.mpec import Complementarity, ComplementarityList, complements
+from test_published_economies import OWNED, WANTED, by_goods, technique
+
+from lcp_plugin import LCP, NonlinearProblem, solve, solve_nonlinear
+
+
+@dataclass
+class Published:
+    """A model, its variables in the order of the arrays, the problem as arrays, and what was published."""
+
+    model: Any
+    variables: Sequence[Any]
+    problem: LCP | NonlinearProblem
+    start: Any = 0.0
+    answers: Sequence[Any] = field(default=())  # of the leading variables; any of them will do
+    digits: float = 1e-4
+    is_unique: bool = True
+    first: int = 0  # where the answers begin among the variables
+
+    def by_arrays(self) -> np.ndarray:
+        if isinstance(self.problem, LCP):
+            return solve(self.problem, tolerance=1e-12).require_solved().z
+        start = np.broadcast_to(np.asarray(self.start, dtype=float), len(self.variables))
+        return solve_nonlinear(self.problem, start, tolerance=1e-12).require_solved().z
+
+
+MODELS: dict[str, Callable[[], Published]] = {}
+
+
+def published(build: Callable[[], Published]) -> Callable[[], Published]:
+    MODELS[build.__name__] = build
+    return build
+
+
+def each(*containers: Any) -> list[Any]:
+    return [variable for container in containers for variable in container.values()]
+
+
+def affine(M: Any, q: Any, x: Any) -> list[Any]:
+    """The rows of M x + q as Pyomo's expressions."""
+    M = sp.csr_array(M)
+    return [
+        sum(float(M.data[k]) * x[int(M.indices[k])] for k in range(M.indptr[i], M.indptr[i + 1])) + float(q[i])
+        for i in range(M.shape[0])
+    ]
+
+
+def linear(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **given: Any) -> Published:
+    """A linear complementarity problem, every pair as what its bounds ask for."""
+    n = len(q)
+    lower, upper = np.broadcast_to(lower, n), np.broadcast_to(upper, n)
+    m = pe.ConcreteModel()
+    m.x = pe.Var(range(n))
+    rows = affine(M, q, m.x)
+
+    def pair(m: Any, i: int) -> Any:
+        if np.isfinite(lower[i]) and np.isfinite(upper[i]):
+            return complements(pe.inequality(lower[i], m.x[i], upper[i]), rows[i])
+        if np.isfinite(upper[i]):
+            return complements(m.x[i] <= upper[i], rows[i] <= 0)
+        return complements(m.x[i] >= lower[i], rows[i] >= 0)
+
+    m.pairs = Complementarity(range(n), rule=pair)
+    return Published(m, each(m.x), LCP(M, q, lower=lower, upper=upper), **given)
+
+
+@published
+def munson1a() -> Published:
+    """Pyomo's examples/mpec/munson1a.py, after T. Munson's model for AMPL."""
+    m = pe.ConcreteModel()
+    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
+    m.f1 = Complementarity(expr=complements(m.x1 >= 0, m.x1 + 2 * m.x2 + 3 * m.x3 >= 1))
+    m.f2 = Complementarity(expr=complements(m.x2 >= 0, m.x2 - m.x3 >= -1))
+    m.f3 = Complementarity(expr=complements(m.x3 >= 0, m.x1 + m.x2 >= -1))
+    return of_munson(m, 1)
+
+
+@published
+def munson1b() -> Published:
+    """Pyomo's examples/mpec/munson1b.py: the variables negated."""
+    m = pe.ConcreteModel()
+    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
+    m.f1 = Complementarity(expr=complements(m.x1 <= 0, -m.x1 - 2 * m.x2 - 3 * m.x3 >= 1))
+    m.f2 = Complementarity(expr=complements(m.x2 <= 0, -m.x2 + m.x3 >= -1))
+    m.f3 = Complementarity(expr=complements(m.x3 <= 0, -m.x1 - m.x2 >= -1))
+    return of_munson(m, -1)
+
+
+@published
+def munson1c() -> Published:
+    """Pyomo's examples/mpec/munson1c.py: the expressions negated."""
+    m = pe.ConcreteModel()
+    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
+    m.f1 = Complementarity(expr=complements(m.x1 >= 0, -m.x1 - 2 * m.x2 - 3 * m.x3 <= -1))
+    m.f2 = Complementarity(expr=complements(m.x2 >= 0, -m.x2 + m.x3 <= 1))
+    m.f3 = Complementarity(expr=complements(m.x3 >= 0, -m.x1 - m.x2 <= 1))
+    return of_munson(m, 1)
+
+
+@published
+def munson1d() -> Published:
+    """Pyomo's examples/mpec/munson1d.py: both negated."""
+    m = pe.ConcreteModel()
+    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
+    m.f1 = Complementarity(expr=complements(m.x1 <= 0, m.x1 + 2 * m.x2 + 3 * m.x3 <= -1))
+    m.f2 = Complementarity(expr=complements(m.x2 <= 0, m.x2 - m.x3 <= 1))
+    m.f3 = Complementarity(expr=complements(m.x3 <= 0, m.x1 + m.x2 <= 1))
+    return of_munson(m, -1)
+
+
+def of_munson(m: Any, sign: float) -> Published:
+    """The problem of all four: for sign · x it is x ≥ 0 ⊥ M x + q ≥ 0."""
+    M, q = np.array([[1.0, 2, 3], [0, 1, -1], [1, 1, 0]]), np.array([-1.0, 1, 1])
+    bounds = {"lower": 0.0} if sign > 0 else {"lower": -np.inf, "upper": np.zeros(3)}
+    return Published(m, [m.x1, m.x2, m.x3], LCP(M, sign * q, **bounds), answers=[[sign, 0.0, 0.0]], digits=1e-9)
+
+
+@published
+def four_by_four() -> Published:
+    """M. C. Ferris, T. Munson, PATH 4.6 user's guide: the linear example of its interface."""
+    M = np.array([[0.0, 0, -1, -1], [0, 0, 1, -2], [1, -1, 2, -2], [1, 2, -2, 4]])
+    return linear(M, [2.0, 2, -2, -6], answers=[[2.8, 0.0, 0.8, 1.2]], digits=1e-9)
+
+
+@published
+def murty_exponential() -> Published:
+    """K. G. Murty, Math. Program. Study 7 (1978) 138–146: 2ⁿ pivots; n = 8, solution (1, 0, …, 0)."""
+    n = 8
+    return linear(np.eye(n) + 2 * np.tril(np.ones((n, n)), -1), -np.ones(n), answers=[np.eye(n)[0]], digits=1e-9)
+
+
+@published
+def fathi() -> Published:
+    """Y. Fathi, Math. Program. 17 (1979) 335–344: symmetric positive definite, 2ⁿ pivots; n = 8, solution (1, 0, …)."""
+    L = np.eye(8) + 2 * np.tril(np.ones((8, 8)), -1)
+    return linear(L @ L.T, -np.ones(8), answers=[np.eye(8)[0]], digits=1e-9)
+
+
+@published
+def transmcp() -> Published:
+    """G. B. Dantzig, Linear Programming and Extensions (1963) 3-3, as a complementarity problem: GAMS' transmcp."""
+    plants, markets = {"Seattle": 350.0, "San Diego": 600.0}, {"New York": 325.0, "Chicago": 300.0, "Topeka": 275.0}
+    distance = dict(zip(((i, j) for i in plants for j in markets), (2.5, 1.7, 1.8, 2.5, 1.8, 1.4), strict=True))
+    m = pe.ConcreteModel()
+    m.I, m.J = pe.Set(initialize=list(plants)), pe.Set(initialize=list(markets))
+    m.cost = pe.Param(m.I, m.J, initialize={key: 0.09 * d for key, d in distance.items()}, mutable=True)
+    m.x = pe.Var(m.I, m.J, within=pe.NonNegativeReals)
+    m.at_plant, m.at_market = pe.Var(m.I, within=pe.NonNegativeReals), pe.Var(m.J, within=pe.NonNegativeReals)
+    m.supply = Complementarity(
+        m.I, rule=lambda m, i: complements(plants[i] >= sum(m.x[i, j] for j in m.J), m.at_plant[i] >= 0)
+    )
+    m.demand = Complementarity(
+        m.J, rule=lambda m, j: complements(sum(m.x[i, j] for i in m.I) >= markets[j], m.at_market[j] >= 0)
+    )
+    m.profit = Complementarity(
+        m.I, m.J, rule=lambda m, i, j: complements(m.at_plant[i] + m.cost[i, j] >= m.at_market[j], m.x[i, j] >= 0)
+    )
+    from_plant, to_market = np.kron(np.eye(2), np.ones(3)), np.kron(np.ones(2), np.eye(3))
+    M = np.block([
+        [np.zeros((6, 6)), from_plant.T, -to_market.T], [-from_plant, np.zeros((2, 5))], [to_market, np.zeros((3, 5))],
+    ])
+    q = np.concatenate([[0.09 * d for d in distance.values()], [350.0, 600.0, -325.0, -300.0, -275.0]])
+    prices = [0.225, 0.153, 0.126]
+    variables = each(m.x, m.at_plant, m.at_market)
+    return Published(m, variables, LCP(M, q), answers=[prices], digits=1e-9, is_unique=False, first=8)
+
+
+def polynomial(name: str) -> Any:
+    """The figures of Josephy's problem and of Kojima and Shindo's, which differ in three."""
+    third, ninth, last = (3, 3, -1) if name == "josephy" else (10, 9, -9)
+    m = pe.ConcreteModel()
+    m.x = pe.Var(pe.RangeSet(4), within=pe.NonNegativeReals, initialize=1.0)
+    x = m.x
+    m.square = pe.Expression([1, 2], rule=lambda m, j: m.x[j] ** 2)  # written as defined variables
+    s = m.square
+    rows = {
+        1: 3 * s[1] + 2 * x[1] * x[2] + 2 * s[2] + x[3] + 3 * x[4] - 6,
+        2: 2 * s[1] + x[1] + s[2] + third * x[3] + 2 * x[4] - 2,
+        3: 3 * s[1] + x[1] * x[2] + 2 * s[2] + 2 * x[3] + ninth * x[4] + last,
+        4: s[1] + 3 * s[2] + 2 * x[3] + 3 * x[4] - 3,
+    }
+    m.f = Complementarity(pe.RangeSet(4), rule=lambda m, j: complements(m.x[j] >= 0, rows[j] >= 0))
+    return m
+
+
+@published
+def kojshin() -> Published:
+    """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; Pyomo's model library, mcplib."""
+    m = polynomial("kojshin")
+    answers = [[np.sqrt(1.5), 0, 0, 0.5], [1, 0, 3, 0]]
+    return Published(m, each(m.x), NonlinearProblem(kojima_shindo), 1.0, answers, 1e-7, is_unique=False)
+
+
+@published
+def josephys() -> Published:
+    """N. H. Josephy, MRC report 1965, Wisconsin 1979; Pyomo's model library, mcplib."""
+    m = polynomial("josephy")
+    return Published(m, each(m.x), NonlinearProblem(josephy), 1.0, [[np.sqrt(1.5), 0, 0, 0.5]], 1e-7)
+
+
+@published
+def billups_thesis() -> Published:
+    """S. C. Billups, PhD thesis, Wisconsin 1995; Pyomo's model library, mcplib."""
+    m = pe.ConcreteModel()
+    m.x = pe.Var(initialize=0.0)
+    m.c = Complementarity(expr=((m.x - 1.0) * (m.x - 1.0) - 1.01 >= 0, m.x >= 0))
+    return Published(m, [m.x], NonlinearProblem(billups), 0.0, [[1 + np.sqrt(1.01)]], 1e-8)
+
+
+def oligopoly(
+    cost: list[float], scale: float, beta: list[float], gamma: float, F: Any, answer: list[float]
+) -> Published:
+    firms = range(len(cost))
+    m = pe.ConcreteModel()
+    m.q = pe.Var(firms, within=pe.NonNegativeReals, initialize=1.0)
+    m.total = pe.Expression(expr=sum(m.q[i] for i in firms))
+    m.price = pe.Expression(expr=(5000.0 / m.total) ** (1.0 / gamma))
+    m.cost = pe.Block(firms)
+    for i in firms:
+        m.cost[i].marginal = pe.Expression(expr=cost[i] + (m.q[i] / scale) ** (1.0 / beta[i]))
+    m.best = Complementarity(firms, rule=lambda m, i: complements(
+        m.q[i] >= 0, m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0,
+    ))
+    return Published(m, each(m.q), NonlinearProblem(F), 1.0, [answer])
+
+
+@published
+def oligomcp() -> Published:
+    """F. H. Murphy, H. D. Sherali, A. L. Soyster, Math. Programming 24 (1982) 92–106: five firms."""
+    return oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1, NASH_5, NASH_5_SOLUTION)
+
+
+@published
+def nash() -> Published:
+    """P. T. Harker, Math. Programming 41 (1988) 29–59: ten firms; Pyomo's model library, mcplib."""
+    return oligopoly(
+        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3], 0.1, [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75], 1.2, NASH_10,
+        NASH_10_SOLUTION,
+    )
+
+
+@published
+def cournot_with_a_capacity() -> Published:
+    """Murphy, Sherali and Soyster's five firms, the largest held to 30: the others' first-order conditions hold."""
+    case = oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1, NASH_5, [])
+    m = case.model
+    m.best[2].deactivate()
+    m.limit = pe.Param(initialize=30.0, mutable=True)
+    m.held = Complementarity(expr=complements(pe.inequality(0, m.q[2], m.limit), m.best[2]._args[1].args[1]))
+    return Published(m, case.variables, NonlinearProblem(NASH_5, upper=[np.inf, np.inf, 30, np.inf, np.inf]), 1.0)
+
+
+@published
+def mathiesens() -> Published:
+    """L. Mathiesen, Math. Programming 37 (1987) 1–18: a market; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
+    m = pe.ConcreteModel()
+    m.y, m.p = pe.Var(initialize=1.0), pe.Var([1, 2, 3], initialize=1.0)
+    m.profit = Complementarity(expr=complements(m.y >= 0, -m.p[1] + m.p[2] + m.p[3] >= 0))
+    m.one = Complementarity(expr=complements(m.p[1] >= 0, m.y - (4.5 * m.p[2] + 2.7 * m.p[3]) / (m.p[1] + 1) >= 0))
+    m.two = Complementarity(expr=complements(m.p[2] >= 0, 5 - m.y - (0.5 * m.p[2] + 0.3 * m.p[3]) / (m.p[2] + 1) >= 0))
+    m.three = Complementarity(expr=complements(m.p[3] >= 0, 3 - m.y >= 0))
+    return Published(m, [m.y, *each(m.p)], NonlinearProblem(mathiesen), 1.0, is_unique=False)
+
+
+@published
+def hansen() -> Published:
+    """H. Scarf, T. Hansen, Computation of Economic Equilibria (1973): 14 goods, 26 activities; GAMS' hansmcp."""
+    A, owned, wanted = technique(), by_goods(OWNED), by_goods(WANTED)
+    share = wanted / wanted.sum(axis=0)
+    floor = np.where(share.max(axis=1) > 0, 1e-5, 0.0)
+    m = pe.ConcreteModel()
+    m.p = pe.Var(range(14), bounds=lambda m, g: (floor[g], None), initialize=1.0)
+    m.y = pe.Var(range(26), within=pe.NonNegativeReals, initialize=1.0)
+    m.i = pe.Var(range(4), initialize=1.0)
+    m.p[0].fix(1.0)
+
+    def left(m: Any, g: int) -> Any:
+        bought = sum(share[g, h] * m.i[h] / m.p[g] for h in range(4) if share[g, h])
+        return sum(A[g, s] * m.y[s] for s in range(26) if A[g, s]) + owned[g].sum() - bought
+
+    m.market = Complementarity(range(14), rule=lambda m, g: complements(m.p[g] >= floor[g], left(m, g) >= 0))
+    m.profit = Complementarity(
+        range(26), rule=lambda m, s: complements(m.y[s] >= 0, -sum(A[g, s] * m.p[g] for g in range(14) if A[g, s]) >= 0)
+    )
+    m.income = pe.Constraint(range(4), rule=lambda m, h: m.i[h] == sum(owned[g, h] * m.p[g] for g in range(14)))
+
+    def F(x: np.ndarray) -> np.ndarray:
+        p, y, i = np.append(1.0, x[:13]), x[13:39], x[39:]
+        supply = A @ y + owned.sum(axis=1) - share @ i / p
+        return np.concatenate([supply[1:], -A.T @ p, i - owned.T @ p])
+
+    lower = np.concatenate([floor[1:], np.zeros(26), np.full(4, -np.inf)])
+    return Published(m, [*each(m.p)[1:], *each(m.y, m.i)], NonlinearProblem(F, lower=lower), 1.0)
+
+
+def by_rows(
+    rows: Callable[[Any, Any], list[Any]], n: int, lower: Any = 0.0, upper: Any = np.inf, start: Any = 0.0, **given: Any
+) -> Published:
+    """A problem by one formula a row, which Pyomo's variables and numpy's numbers both go into."""
+    lower, upper, start = (np.broadcast_to(np.asarray(value, dtype=float), n) for value in (lower, upper, start))
+    m = pe.ConcreteModel()
+    m.x = pe.Var(range(n), initialize=lambda m, i: start[i])
+    written = rows(m.x, pe)
+    m.pairs, m.equations = ComplementarityList(), pe.ConstraintList()
+    for i in range(n):
+        if np.isfinite(lower[i]) and np.isfinite(upper[i]):
+            m.pairs.add(complements(written[i], pe.inequality(lower[i], m.x[i], upper[i])))
+        elif np.isfinite(lower[i]):
+            m.pairs.add(complements(written[i] >= 0, m.x[i] >= lower[i]))
+        elif np.isfinite(upper[i]):
+            m.pairs.add(complements(written[i] <= 0, m.x[i] <= upper[i]))
+        else:
+            m.equations.add(written[i] == 0)
+    problem = NonlinearProblem(lambda x: np.array(rows(x, np)), lower=lower, upper=upper)
+    return Published(m, each(m.x), problem, start, **given)
+
+
+def kkt_of(
+    gradient: Any, constraints: Any, n: int, m: int, lower: Any = -np.inf, upper: Any = np.inf, **given: Any
+) -> Published:
+    """The first-order conditions of min f(x), g(x) ≥ 0 within bounds: `constraints(x)`: each g and its gradient."""
+
+    def rows(x: Any, functions: Any) -> list[Any]:
+        told = constraints(x)
+        multipliers = [x[n + k] for k in range(m)]
+        slopes = [gradient(x, functions)[j] - sum(multipliers[k] * told[k][1][j] for k in range(m)) for j in range(n)]
+        return slopes + [value for value, _ in told]
+
+    bounds = [np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (lower, upper)]
+    lower, upper = np.append(bounds[0], np.zeros(m)), np.append(bounds[1], np.full(m, np.inf))
+    return by_rows(rows, n + m, lower, upper, **given)
+
+
+@published
+def colville1() -> Published:
+    """A. R. Colville, IBM report 320-2949 (1968), problem 1, its first-order conditions: MCPLIB's colvncp."""
+    c = np.array([
+        [30, -20, -10, 32, -10], [-20, 39, -6, -31, 32], [-10, -6, 10, -6, -10], [32, -31, -6, 39, -20],
+        [-10, 32, -10, -20, 30.0],
+    ])
+    e, d = [-15.0, -27, -36, -18, -12], [4.0, 8, 10, 6, 2]
+    a = [
+        [-16.0, 2, 0, 1, 0], [0, -2, 0, 4, 2], [-3.5, 0, 2, 0, 0], [0, -2, 0, -4, -1], [0, -9, -2, 1, -2.8],
+        [2, 0, -4, 0, 0], [-1, -1, -1, -1, -1], [-1, -2, -3, -2, -1], [1, 2, 3, 4, 5], [1, 1, 1, 1, 1],
+    ]
+    b = [-40, -2, -0.25, -4, -4, -1, -40, -60, 5, 1.0]
+    return kkt_of(
+        lambda x, _: [e[j] + 2 * sum(c[j, i] * x[i] for i in range(5)) + 3 * d[j] * x[j] ** 2 for j in range(5)],
+        lambda x: [(sum(row[j] * x[j] for j in range(5)) - b[k], row) for k, row in enumerate(a)],
+        5, 10, lower=0.0, start=np.append([0, 0, 0, 0, 1.0], np.zeros(10)),
+        answers=[[0.3, 0.33346761, 0.4, 0.42831010, 0.22396487]], digits=1e-6,
+    )
+
+
+@published
+def hock_schittkowski_35() -> Published:
+    """E. M. L. Beale, Naval Res. Logist. Q. 6 (1959) 227–243; Hock and Schittkowski's 35 (1981)."""
+    return kkt_of(
+        lambda x, _: [-8 + 4 * x[0] + 2 * x[1] + 2 * x[2], -6 + 4 * x[1] + 2 * x[0], -4 + 2 * x[2] + 2 * x[0]],
+        lambda x: [(3 - x[0] - x[1] - 2 * x[2], [-1, -1, -2])],
+        3, 1, lower=0.0, start=0.5, answers=[[4 / 3, 7 / 9, 4 / 9]], digits=1e-8,
+    )
+
+
+@published
+def hock_schittkowski_43() -> Published:
+    """J. B. Rosen, S. Suzuki, Comm. ACM 8 (1965) 113; Hock and Schittkowski's 43."""
+    return kkt_of(
+        lambda x, _: [2 * x[0] - 5, 2 * x[1] - 5, 4 * x[2] - 21, 2 * x[3] + 7],
+        lambda x: [
+            (8 - x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - x[3] ** 2 - x[0] + x[1] - x[2] + x[3],
+             [-2 * x[0] - 1, -2 * x[1] + 1, -2 * x[2] - 1, -2 * x[3] + 1]),
+            (10 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - 2 * x[3] ** 2 + x[0] + x[3],
+             [-2 * x[0] + 1, -4 * x[1], -2 * x[2], -4 * x[3] + 1]),
+            (5 - 2 * x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - 2 * x[0] + x[1] + x[3],
+             [-4 * x[0] - 2, -2 * x[1] + 1, -2 * x[2], 1]),
+        ],
+        4, 3, answers=[[0, 1, 2, -1]], digits=1e-7,
+    )
+
+
+@published
+def hock_schittkowski_71() -> Published:
+    """M. C. Bartholomew-Biggs (1976); Hock and Schittkowski's 71: its equation has a free multiplier, x two bounds."""
+
+    def rows(x: Any, _: Any) -> list[Any]:
+        y, z = x[4], x[5]  # of the product and of the sphere
+        total = x[0] + x[1] + x[2]
+        product = [x[1] * x[2] * x[3], x[0] * x[2] * x[3], x[0] * x[1] * x[3], x[0] * x[1] * x[2]]
+        slopes = [x[3] * (total + x[0]), x[0] * x[3], x[0] * x[3] + 1, x[0] * total]
+        return [
+            *(slopes[j] - y * product[j] - 2 * z * x[j] for j in range(4)), x[0] * product[0] - 25,
+            x[0] ** 2 + x[1] ** 2 + x[2] ** 2 + x[3] ** 2 - 40,
+        ]
+
+    lower, upper = [1, 1, 1, 1, 0, -np.inf], [5, 5, 5, 5, np.inf, np.inf]
+    answer = [1, 4.7429994, 3.8211503, 1.3794082]
+    return by_rows(rows, 6, lower, upper, [1, 5, 5, 1, 0.5, -0.1], answers=[answer], digits=1e-6)
+
+
+@published
+def hock_schittkowski_76() -> Published:
+    """B. A. Murtagh, R. W. H. Sargent, Math. Programming 3 (1972) 245–259; Hock and Schittkowski's 76."""
+    return kkt_of(
+        lambda x, _: [2 * x[0] - x[2] - 1, x[1] - 3, 2 * x[2] - x[0] + x[3] + 1, x[3] + x[2] - 1],
+        lambda x: [
+            (5 - x[0] - 2 * x[1] - x[2] - x[3], [-1, -2, -1, -1]),
+            (4 - 3 * x[0] - x[1] - 2 * x[2] + x[3], [-3, -1, -2, 1]), (x[1] + 4 * x[2] - 1.5, [0, 1, 4, 0]),
+        ],
+        4, 3, lower=0.0, start=0.5, answers=[[0.27272727, 2.0909091, 0, 0.54545455]], digits=1e-6,
+    )
+
+
+@published
+def chemical_equilibrium() -> Published:
+    """W. B. White, S. M. Johnson, G. B. Dantzig, J. Chem. Phys. 28 (1958) 751–755: hydrazine and oxygen at 3500 K."""
+    c = [-6.089, -17.164, -34.054, -5.914, -24.721, -14.986, -24.100, -10.708, -26.662, -22.179]
+    atoms = [[1, 2, 2, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0, 1, 2, 1, 1, 0, 0, 0], [0, 0, 1, 0, 0, 0, 1, 1, 2, 1]]
+
+    def rows(x: Any, functions: Any) -> list[Any]:
+        total = sum(x[j] for j in range(10))
+        potentials = [
+            c[j] + functions.log(x[j] / total) - sum(atoms[k][j] * x[10 + k] for k in range(3)) for j in range(10)
+        ]
+        return potentials + [sum(atoms[k][j] * x[j] for j in range(10)) - (2, 1, 1)[k] for k in range(3)]
+
+    lower = np.append(np.full(10, 1e-6), np.full(3, -np.inf))
+    answer = [0.0406681, 0.1477304, 0.7831534, 0.0014142, 0.4852466, 0.0006932, 0.0273993, 0.0179473, 0.0373144]
+    start = np.append(np.full(10, 0.1), np.full(3, -10.0))
+    return by_rows(rows, 13, lower, np.inf, start, answers=[answer], digits=2e-4)
+
+
+@published
+def harker_game() -> Published:
+    """P. T. Harker, Eur. J. Oper. Res. 54 (1991) 81–94: two players share a constraint; with one multiplier (5, 9)."""
+    return by_rows(
+        lambda x, _: [2 * x[0] + 8 / 3 * x[1] - 34 + x[2], 2 * x[1] + 1.25 * x[0] - 24.25 + x[2], 15 - x[0] - x[1]], 3,
+        0.0, [10, 10, np.inf], 1.0, answers=[[5, 9]], digits=1e-8,
+    )
+
+
+@published
+def river_basin() -> Published:
+    """J. B. Krawczyk, S. Uryasev, Environ. Model. Assess. 5 (2000) 63–73: three polluters of a river."""
+    cost, slope, emission = (0.10, 0.12, 0.15), (0.01, 0.05, 0.01), (0.50, 0.25, 0.75)
+    decay = ((6.5, 5.0, 5.5), (4.583, 6.25, 3.75))
+
+    def rows(x: Any, _: Any) -> list[Any]:
+        total = x[0] + x[1] + x[2]
+        best = [
+            cost[j] + 2 * slope[j] * x[j] - 3.0 + 0.01 * (total + x[j])
+            + sum(x[3 + k] * decay[k][j] * emission[j] for k in range(2)) for j in range(3)
+        ]
+        return best + [100 - sum(decay[k][j] * emission[j] * x[j] for j in range(3)) for k in range(2)]
+
+    return by_rows(rows, 5, start=1.0, answers=[[21.145, 16.028, 2.726]], digits=1e-3)
+
+
+@published
+def scarf_1960() -> Published:
+    """H. Scarf, Int. Econ. Rev. 1 (1960) 157–172: three goods whose prices tâtonnement never finds; all equal."""
+
+    def rows(p: Any, _: Any) -> list[Any]:
+        bought = [p[i] / (p[i] + p[(i + 1) % 3]) + p[(i + 2) % 3] / (p[(i + 2) % 3] + p[i]) for i in range(3)]
+        return [1 - bought[0], 1 - bought[1], p[0] + p[1] + p[2] - 1]
+
+    return by_rows(rows, 3, -np.inf, start=[0.5, 0.3, 0.2], answers=[[1 / 3] * 3], digits=1e-8)
+
+
+@published
+def shoven_whalley() -> Published:
+    """J. B. Shoven, J. Whalley, J. Econ. Lit. 22 (1984) 1007–1051: two goods, factors and consumers, before taxes."""
+    scale, capital, substitution = (1.5, 2.0), (0.4, 0.3), (2.0, 0.5)
+    taste, elasticity, owned = ((0.5, 0.5), (0.3, 0.7)), (1.5, 0.75), ((25.0, 0.0), (0.0, 60.0))
+
+    def rows(x: Any, _: Any) -> list[Any]:
+        price, output, rent = (x[0], x[1]), (x[2], x[3]), x[4]  # the wage is 1
+        unit, made_by = [], []
+        for g in range(2):
+            d, s = capital[g], substitution[g]
+            index = (d**s * rent ** (1 - s) + (1 - d) ** s) ** (1 / (1 - s))
+            unit.append(index / scale[g])
+            made_by.append(d**s * (index / rent) ** s / scale[g])
+        bought = [0, 0]
+        for h in range(2):
+            income = rent * owned[h][0] + owned[h][1]
+            spread = sum(taste[h][g] * price[g] ** (1 - elasticity[h]) for g in range(2))
+            for g in range(2):
+                bought[g] = bought[g] + taste[h][g] * income / (price[g] ** elasticity[h] * spread)
+        used = sum(made_by[g] * output[g] for g in range(2))
+        return [output[0] - bought[0], output[1] - bought[1], unit[0] - price[0], unit[1] - price[1], 25 - used]
+
+    answer = [1.399, 1.093, 24.942, 54.378, 1.373]
+    return by_rows(rows, 5, [1e-3, 1e-3, 0, 0, 1e-3], start=[1, 1, 20, 50, 1], answers=[answer], digits=1e-3)
+
+
+@published
+def braess() -> Published:
+    """D. Braess, Unternehmensforschung 12 (1968) 258–268: with the fourth road everybody needs 92 instead of 83."""
+    m = pe.ConcreteModel()
+    m.road = pe.Set(initialize=["ac", "ab", "cd", "bd", "bc"])
+    m.path = pe.Set(initialize=["ab bd", "ac cd", "ab bc cd"])
+    m.flow, m.use, m.time = pe.Var(m.path, initialize=1.0), pe.Var(m.road), pe.Var(initialize=50.0)
+    m.sum = pe.Constraint(m.road, rule=lambda m, r: m.use[r] == sum(m.flow[p] for p in m.path if r in p.split()))
+    fixed, rise = {"ab": 0, "cd": 0, "ac": 50, "bd": 50, "bc": 10}, {"ab": 10, "cd": 10, "ac": 1, "bd": 1, "bc": 1}
+    m.wardrop = Complementarity(m.path, rule=lambda m, p: complements(
+        sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time, m.flow[p] >= 0,
+    ))
+    m.demand = pe.Constraint(expr=sum(m.flow[p] for p in m.path) == 6)
+    M = np.array([[11.0, 0, 10, -1], [0, 11, 10, -1], [10, 10, 21, -1], [1, 1, 1, 0]])
+    problem = LCP(M, [50.0, 50, 10, -6], lower=[0, 0, 0, -np.inf])
+    return Published(m, [*each(m.flow), m.time], problem, answers=[[2, 2, 2, 92]], digits=1e-8)
+
+
+@published
+def pigou() -> Published:
+    """A. C. Pigou, The Economics of Welfare (1920); T. Roughgarden, É. Tardos, J. ACM 49 (2002) 236–259."""
+    return by_rows(
+        lambda x, _: [1 - x[2], x[1] ** 4 - x[2], x[0] + x[1] - 1], 3, [0, 0, -np.inf], start=0.5, answers=[[0, 1, 1]],
+        digits=1e-3,  # the derivative of the first road's use vanishes there
+        is_unique=False,
+    )
+
+
+@published
+def bimatrix_game() -> Published:
+    """B. von Stengel, Handbook of Game Theory 3 (2002) ch. 45: a game of 3 × 2 with three equilibria."""
+    A, B = [[3, 3], [2, 5], [0, 6]], [[3, 2], [2, 6], [3, 1]]
+    m = pe.ConcreteModel()
+    m.x, m.y = pe.Var(range(3), initialize=1 / 3), pe.Var(range(2), initialize=0.5)
+    m.u, m.v = pe.Var(), pe.Var()
+    m.row = Complementarity(
+        range(3), rule=lambda m, i: complements(m.x[i] >= 0, m.u >= sum(A[i][j] * m.y[j] for j in range(2)))
+    )
+    m.column = Complementarity(
+        range(2), rule=lambda m, j: complements(m.y[j] >= 0, m.v >= sum(B[i][j] * m.x[i] for i in range(3)))
+    )
+    m.one, m.two = pe.Constraint(expr=sum(m.x[i] for i in range(3)) == 1), pe.Constraint(expr=m.y[0] + m.y[1] == 1)
+    M, q = np.zeros((7, 7)), np.zeros(7)
+    M[:3, 3:5], M[3:5, :3] = -np.array(A), -np.array(B).T
+    M[:3, 5] = M[3:5, 6] = 1.0
+    M[5, :3] = M[6, 3:5] = 1.0
+    q[5:] = -1.0
+    answers = [[1, 0, 0, 1, 0], [0.8, 0.2, 0, 2 / 3, 1 / 3], [0, 1 / 3, 2 / 3, 1 / 3, 2 / 3]]
+    problem = LCP(M, q, lower=[0] * 5 + [-np.inf] * 2)
+    return Published(m, [*each(m.x, m.y), m.u, m.v], problem, answers=answers, digits=1e-8, is_unique=False)
+
+
+def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
+    """The five-point −h² Δ on size² interior points of the unit square, and these."""
+    second = sp.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    x, y = (part.ravel() for part in np.meshgrid(*2 * (np.arange(1, size + 1) / (size + 1),)))
+    return sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size))), x, y
+
+
+@published
+def obstacle() -> Published:
+    """P. G. Ciarlet, The Finite Element Method for Elliptic Problems (1978): between two obstacles; Pyomo's mcplib."""
+    A, x, y = on_grid(12)
+    wave = np.sin(9.2 * x) * np.sin(9.3 * y)
+    return linear(A, -np.full(144, 1.0 / 169), wave**3, wave**2 + 0.2)
+
+
+@published
+def torsion() -> Published:
+    """T. W. Ting, Indiana Univ. Math. J. 20 (1971) 1047–1076: elastic–plastic torsion of a square bar."""
+    A, x, y = on_grid(11)
+    distance = np.minimum(np.minimum(x, 1 - x), np.minimum(y, 1 - y))
+    return linear(A, -np.full(121, 5.0 / 144), -distance, distance)
+
+
+@published
+def bratu_under_a_ceiling() -> Published:
+    """G. Bratu, Bull. Soc. Math. France 42 (1914) 113–142: −Δu = 6 eᵘ below a ceiling."""
+    size, h2 = 8, 1 / 81
+    A = on_grid(size)[0]
+    m = pe.ConcreteModel()
+    m.u = pe.Var(range(size * size), initialize=0.0)
+    m.top = pe.Param(initialize=0.4, mutable=True)
+    rows = affine(A, np.zeros(size * size), m.u)
+    m.pairs = Complementarity(range(size * size), rule=lambda m, i: complements(
+        m.u[i] <= m.top, rows[i] <= 6 * h2 * pe.exp(m.u[i]),
+    ))
+    return Published(m, each(m.u), bratu(size, 6.0, 0.4), 0.0)
+
+
+@published
+def journal_bearing() -> Published:
+    """G. Cimatti, Appl. Math. Optim. 3 (1977) 227–242: a long bearing of eccentricity 0.8, with cavitation."""
+    n, eccentricity = 40, 0.8
+    x = np.linspace(0, 2 * np.pi, n + 2)
+    film = (1 + eccentricity * np.cos(x[:-1] + np.pi / (n + 1))) ** 3
+    A = sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1]) / x[1] ** 2
+    return linear(A, -eccentricity * np.sin(x[1:-1]))
+
+
+@published
+def american_put() -> Published:
+    """J. C. Hull, Options, Futures and Other Derivatives: S = K = 50, 10 %, σ = 40 %, five months; 4.28."""
+    rate, volatility, steps, top, nodes = 0.1, 0.4, 12, 100.0, 39
+    price, dt = np.linspace(0, top, nodes + 2)[1:-1], 5 / 12 / steps
+    j = np.arange(1, nodes + 1)
+    down, up = 0.5 * dt * (rate * j - volatility**2 * j**2), -0.5 * dt * (rate * j + volatility**2 * j**2)
+    step = sp.diags_array([down[1:], 1 + dt * (volatility**2 * j**2 + rate), up[:-1]], offsets=[-1, 0, 1])
+    M = sp.kron(sp.eye_array(steps), step) - sp.kron(sp.eye_array(steps, k=-1), sp.eye_array(nodes))
+    payoff = np.maximum(50 - price, 0)
+    q = np.zeros(steps * nodes)
+    q[::nodes] += down[0] * 50.0  # the value at S = 0
+    q[:nodes] -= payoff
+    return linear(sp.csr_array(M), q, np.tile(payoff, steps), answers=[[4.28]], digits=0.03, first=steps * nodes - 20)
+
+
+@published
+def signorini() -> Published:
+    """A. Signorini (1933), a loaded rod before a wall: u = 0.8 x − x²/2, and the wall presses by 0.2."""
+    n = 20
+    M = n * sp.diags_array([-np.ones(n - 1), np.append(2 * np.ones(n - 1), 1), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    q, upper = -np.append(np.ones(n - 1), 0.5) / n, np.append(np.full(n - 1, np.inf), 0.3)
+    x = np.arange(1, n + 1) / n
+    m = pe.ConcreteModel()
+    m.u = pe.Var(range(n))
+    rows = affine(M, q, m.u)
+    m.inside = pe.Constraint(range(n - 1), rule=lambda m, i: rows[i] == 0)
+    m.wall = Complementarity(expr=complements(m.u[n - 1] <= 0.3, -rows[n - 1] >= 0))
+    return Published(m, each(m.u), LCP(M, q, lower=-np.inf, upper=upper), answers=[0.8 * x - x**2 / 2], digits=1e-9)
+
+
+@published
+def lubrication() -> Published:
+    """M. M. Kostreva, Int. J. Numer. Methods Fluids 4 (1984) 377–397: elastic cylinders under oil; Pyomo's mcplib."""
+    n, begin, end, alpha, speed = 30, -3.0, 2.0, 2.832, 6.057
+    dx = (end - begin) / n
+    weight = [0.5 if i in (0, n) else 1.0 for i in range(n + 1)]
+
+    def rows(x: Any, functions: Any) -> list[Any]:
+        k, p = x[0], [0.0, *(x[i] for i in range(1, n + 1)), 0.0]
+
+        def gap(t: float) -> Any:
+            bent = sum(
+                weight[s] * (s - t) * dx * np.log(abs(s - t) * dx) * (p[s + 1] - (p[s - 1] if s else 0.0))
+                for s in range(n + 1)
+            )
+            return (begin + t * dx) ** 2 + k + 1 + bent / np.pi
+
+        def flow(i: int) -> Any:  # from i to i + 1
+            return gap(i + 0.5) ** 3 * (p[i + 1] - p[i]) / functions.exp(alpha * (p[i] + p[i + 1]) / 2) / dx**2
+
+        gaps, flows = [gap(i + 0.5) for i in range(n + 1)], [flow(i) for i in range(n + 1)]
+        reynolds = [speed / dx * (gaps[i] - gaps[i - 1]) - (flows[i] - flows[i - 1]) for i in range(1, n + 1)]
+        return [1 - 2 * dx / np.pi * sum(weight[i] * p[i] for i in range(1, n + 1)), *reynolds]
+
+    start = [1.6, *(max(0.0, 1 - abs((begin + 1 + i * dx) / 2)) for i in range(1, n + 1))]
+    return by_rows(rows, n + 1, np.append(-np.inf, np.zeros(n)), start=start)
+
+
+@published
+def takayama_judge() -> Published:
+    """T. Takayama, G. G. Judge, J. Farm Econ. 46 (1964) 67–93: two goods in three regions; GAMS' spatequ."""
+    wanted, offered = [(200, 300), (100, 200), (160, 250)], (-50, -60)
+    fall, rise = [(-10, -10), (-5, -20), (-8, -10)], [(10, 15), (20, 25), (10, 15)]
+    cost = {(0, 1): (2, 3), (0, 2): (2, 3), (1, 0): (2, 3), (1, 2): (1, 2), (2, 0): (2, 3), (2, 1): (1, 2)}
+    m = pe.ConcreteModel()
+    m.R, m.C, m.route = pe.RangeSet(0, 2), pe.RangeSet(0, 1), pe.Set(initialize=list(cost), dimen=2)
+    m.p = pe.Var(m.R, m.C, within=pe.NonNegativeReals, initialize=1.0)
+    m.x = pe.Var(m.route, m.C, within=pe.NonNegativeReals)
+    m.supplied = pe.Expression(
+        m.R, m.C, rule=lambda m, r, c: offered[c] + rise[r][c] * m.p[r, c] + 0.5 * m.p[r, 1 - c]
+    )
+    m.demanded = pe.Expression(m.R, m.C, rule=lambda m, r, c: wanted[r][c] + fall[r][c] * m.p[r, c] + m.p[r, 1 - c])
+    m.market = Complementarity(m.R, m.C, rule=lambda m, r, c: complements(
+        m.p[r, c] >= 0,
+        m.supplied[r, c] + sum(m.x[s, t, c] * ((t == r) - (s == r)) for s, t in cost if r in (s, t))
+        >= m.demanded[r, c],
+    ))
+    m.trade = Complementarity(m.route, m.C, rule=lambda m, s, t, c: complements(
+        m.x[s, t, c] >= 0, m.p[s, c] + cost[s, t][c] >= m.p[t, c],
+    ))
+    slope = np.zeros((6, 6))
+    for r in range(3):
+        for c in range(2):
+            slope[2 * r + c, 2 * r + c], slope[2 * r + c, 2 * r + 1 - c] = rise[r][c] - fall[r][c], -0.5
+    brings = np.zeros((6, 12))
+    for k, (s, t) in enumerate(cost):
+        for c in range(2):
+            brings[2 * t + c, 2 * k + c], brings[2 * s + c, 2 * k + c] = 1.0, -1.0
+    M = np.block([[slope, brings], [-brings.T, np.zeros((12, 12))]])
+    constant = [offered[c] - wanted[r][c] for r in range(3) for c in range(2)]
+    q = np.array([*constant, *(cost[route][c] for route in cost for c in range(2))], dtype=float)
+    return Published(m, each(m.p, m.x), LCP(M, q), is_unique=False)
+
+
+@published
+def von_thunen() -> Published:
+    """A general equilibrium of J. H. von Thünen's rings (Mackinnon, Samuelson), four crops: GAMS' vonthmcp."""
+    rings, crops = range(12), range(4)
+    distance = [5.0 * (2 * r + 1) for r in rings]
+    area = [2 * 3.1415 * d for d in distance]
+    phi, beta, carry = (1.0, 2.0, 3.0, 4.0), (0.9, 0.7, 0.5, 0.3), (0.015, 0.006, 0.004, 0.01)
+    worker, owner, porter, labour, carts = (0.2, 0.3, 0.1, 0.3), (0.3, 0.3, 0.2, 0.2), (0.6, 0.2, 0.1, 0.1), 30.0, 20.0
+
+    def rows(x: Any, _: Any) -> list[Any]:
+        cost, made = ([[x[base + 4 * r + c] for c in crops] for r in rings] for base in (0, 48))
+        idle, rent = ([x[base + r] for r in rings] for base in (96, 108))
+        carrier, price = x[120], [x[121 + c] for c in crops]
+        unit = [
+            phi[c] * cost[r][c] - (1 / beta[c]) ** beta[c] * (rent[r] / (1 - beta[c])) ** (1 - beta[c])
+            for r in rings for c in crops
+        ]
+        profit = [cost[r][c] + carry[c] * distance[r] * carrier - price[c] for r in rings for c in crops]
+        land = [
+            area[r] - idle[r] - sum(made[r][c] * (1 - beta[c]) * cost[r][c] for c in crops) / rent[r] for r in rings
+        ]
+        carried = carts - sum(carry[c] * distance[r] * made[r][c] for r in rings for c in crops)
+        rents = sum(rent[r] * (area[r] - idle[r]) for r in rings)
+        goods = [
+            price[c] * sum(made[r][c] for r in rings) - porter[c] * carts * carrier - worker[c] * labour
+            - owner[c] * rents
+            for c in crops
+        ]
+        return [*unit, *profit, *(rent[r] - 0.0001 for r in rings), *land, carried, *goods]
+
+    lower = np.concatenate([np.zeros(48), np.zeros(48), np.zeros(12), np.full(12, 0.001), [0.0], np.full(4, 0.1)])
+    start = np.where(np.arange(125) // 12 == 8, 0.0, 1.0)
+    return by_rows(rows, 125, lower, start=start, is_unique=False)
+
+
+@published
+def pies() -> Published:
+    """W. W. Hogan, Comput. Oper. Res. 2 (1975) 251–270, as N. H. Josephy stated it (1979); Pyomo's mcplib."""
+    goods, capacity = ("C", "L", "H"), {"Capital": 35000.0, "Steel": 12000.0}
+    coal, oil = [(300, 300, 400), (200, 300, 600)], [(1100, 1200), (1300, 1100)]
+    output, refining = [{"L": 0.6, "H": 0.4}, {"L": 0.5, "H": 0.5}], (6.5, 5.0)
+    base, usual = {"C": 1000.0, "L": 1200.0, "H": 1000.0}, {"C": 12.0, "L": 16.0, "H": 12.0}
+    cross = {"C": (-0.75, 0.1, 0.2), "L": (0.1, -0.5, 0.2), "H": (0.2, 0.1, -0.5)}
+    coal_use = {"Capital": [(1, 5, 10), (1, 5, 6)], "Steel": [(1, 2, 3), (1, 4, 5)]}
+    oil_use = {"Capital": [(0, 10), (0, 15)], "Steel": [(0, 4), (0, 2)]}
+    coal_cost, oil_cost = [(5, 6, 8), (4, 5, 7)], [(1, 1.5), (1.25, 1.5)]
+    coal_way, crude_way, product_way = [(1, 2.5), (0.75, 2.75)], [(2, 3), (4, 2)], [(1, 1.2), (1, 1.5)]
+    two, three = range(2), range(3)
+
+    def rows(x: Any, _: Any) -> list[Any]:
+        at = iter(range(42))
+        c = [[x[next(at)] for _ in three] for _ in two]
+        o, ct, ot, lt, ht = ([[x[next(at)] for _ in two] for _ in two] for _ in range(5))
+        p = {g: [x[next(at)] for _ in two] for g in goods}
+        mu, cv, ov, lv, hv = ([x[next(at)] for _ in two] for _ in range(5))
+        shadow = dict(zip(capacity, mu, strict=True))
+        arrivals = {"C": ct, "L": lt, "H": ht}
+        used = {
+            s: sum(c[r][t] * coal_use[s][r][t] for r in two for t in three)
+            + sum(o[r][t] * oil_use[s][r][t] for r in two for t in two) for s in capacity
+        }
+
+        def demand(g: str, u: int) -> Any:
+            total = base[g]
+            for other, power in zip(goods, cross[g], strict=True):
+                total = total * (p[other][u] / usual[other]) ** power
+            return total
+
+        return [
+            *(coal_cost[r][t] - cv[r] + sum(coal_use[s][r][t] * shadow[s] for s in capacity)
+              for r in two for t in three),
+            *(oil_cost[r][t] - ov[r] + sum(oil_use[s][r][t] * shadow[s] for s in capacity) for r in two for t in two),
+            *(coal_way[r][u] + cv[r] - p["C"][u] for r in two for u in two),
+            *(crude_way[r][f] + refining[f] + ov[r] - output[f]["L"] * lv[f] - output[f]["H"] * hv[f]
+              for r in two for f in two),
+            *(product_way[f][u] + lv[f] - p["L"][u] for f in two for u in two),
+            *(product_way[f][u] + hv[f] - p["H"][u] for f in two for u in two),
+            *(sum(arrivals[g][r][u] for r in two) - demand(g, u) for g in goods for u in two),
+            *(capacity[s] - used[s] for s in capacity),
+            *(sum(c[r]) - sum(ct[r]) for r in two), *(sum(o[r]) - sum(ot[r]) for r in two),
+            *(sum(ot[r][f] for r in two) * output[f]["L"] - sum(lt[f]) for f in two),
+            *(sum(ot[r][f] for r in two) * output[f]["H"] - sum(ht[f]) for f in two),
+        ]
+
+    lower = np.concatenate([np.zeros(26), np.full(6, 0.1), np.zeros(2), np.full(8, -np.inf)])
+    upper = np.concatenate([np.ravel(coal), np.ravel(oil), np.full(32, np.inf)])
+    start = np.concatenate([
+        np.ravel(coal), [1100, 1000, 1300, 1000, 0, 828, 1016, 84, 2075, 0, 0, 2358, 22, 1223, 1179, 0],
+        [0, 830, 998, 180],
+        [11.7, 13.7, 15.8, 16, 11.9, 12.4], np.ones(10),
+    ])
+    return by_rows(rows, 42, lower, upper, start)

@@ -137,6 +137,8 @@ _FROM_ABOVE = {  # what a room further up does for one below, which imports it f
     "lcp_stated_by": "modeling.registration",
     "stated_in_cvxpy": "modeling.registration",
     "certify_problem": "modeling.certified_problem",
+    "lcp_in_nl": "modeling.nl.model",
+    "program_in_nl": "modeling.nl.model",
 }
 
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without

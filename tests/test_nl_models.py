@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import cmath
+import json
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +17,10 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, Status, UnsupportedModel, complements
+from lcp_plugin.commands.cli import app
 from lcp_plugin.expressions.program import Program
 from lcp_plugin.modeling.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.modeling.nl.content import NLContent, Token, Trees
@@ -471,3 +475,49 @@ def test_files_and_contents_say_the_same(tmp_path: Path) -> None:
         model = read_nl(path)
         assert isinstance(model, NLModel)
         np.testing.assert_array_equal(model.solve(tolerance=1e-12).x, expected.x)
+
+
+def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
+    """LCP.load gives the LCP of an .nl file; of a file that states something else it says what, and who takes it."""
+    M, q, _ = random_pairs()
+    write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
+    np.testing.assert_array_equal(LCP.load(tmp_path / "m.nl").csr.toarray(), M)
+    write_nl(program("products"), tmp_path / "p.nl")
+    with pytest.raises(UnsupportedModel, match=r"p\.nl states a quadratic program, not .*read_nl"):
+        LCP.load(tmp_path / "p.nl")
+
+
+def lcp_plugin(*arguments: Any) -> Any:
+    """The command in this process."""
+    result = CliRunner().invoke(app, list(map(str, arguments)))
+    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+    return result
+
+
+def test_the_commands_take_models(tmp_path: Path) -> None:
+    """`solve` tells and saves values by name, `certify` proves a program, `analyze` takes the LCP."""
+    path = tmp_path / "p.nl"
+    write_nl(replace(program("products"), names=["bread", "wine", "oil"], row_names=["a", "b", "c"]), path)
+    done = lcp_plugin("solve", path, "--out", tmp_path / "o.npz")
+    assert done.exit_code == 0, done.output
+    assert "optimal, objective" in done.stdout
+    assert re.search(r"^wine +0\.", done.stdout, re.M)
+    with np.load(tmp_path / "o.npz") as saved:
+        assert (list(saved["names"]), list(saved["row_names"])) == (["bread", "wine", "oil"], ["a", "b", "c"])
+        np.testing.assert_allclose(saved["x"], model_of(program("products")).solve().x, rtol=1e-6)
+    assert json.loads(lcp_plugin("solve", path, "--json").stdout)["code"] == 0
+    assert "proved" in lcp_plugin("certify", path).stdout
+    M, q, _ = random_pairs()
+    write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
+    assert lcp_plugin("analyze", tmp_path / "m.nl").exit_code == 0
+    assert lcp_plugin("solve", tmp_path / "m.nl", "-a", "lemke").exit_code == 0
+
+
+@pytest.mark.parametrize("command", ["solve", "certify", "analyze", "check", "report"])
+def test_a_bad_file_is_one_line_and_exit_code_2(command: str, tmp_path: Path) -> None:
+    """A damaged file, and one that the command does not take, are told in one line."""
+    (tmp_path / "bad.nl").write_text("junk")
+    write_nl(content_of(1, [(15, X[0])]), tmp_path / "abs.nl")
+    for name in ("bad.nl", "abs.nl", "missing.nl"):
+        done = lcp_plugin(command, tmp_path / name)
+        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.output

@@ -131,7 +131,7 @@ def main(
     "solve",
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-    "solve folder_with_M_and_q/ --json",
+    "solve folder_with_M_and_q/ --json", "solve model.nl --out answer.npz",
     "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
 def solve(
@@ -165,7 +165,7 @@ def solve(
     ] = "serial",
 ) -> bool:
     """Solve a file or a scene; print status, residuals and counts."""
-    from . import distributed, solving
+    from . import distributed, models, solving
 
     kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
     if backend not in kinds:
@@ -176,6 +176,8 @@ def solve(
         threads=threads,
     )
     options = solving.options(relaxation, option or [])
+    if models.is_model(target):
+        return models.run(target, size, backend, algorithm, options, settings, plot, out, as_json=json)
     return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json)
 
 
@@ -206,7 +208,7 @@ def check(
     "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --solver LCP --json",
 )
 def certify(
-    file: Annotated[str, typer.Argument(help="A convex quadratic program: .npz (P, A, q, l, u), .qps or .mps.")],
+    file: Annotated[str, typer.Argument(help="A convex quadratic program: .npz (P, A, q, l, u), .qps, .mps or .nl.")],
     solver: Annotated[str, typer.Option(help="cvxpy's names of solvers, with commas between; LCP is ours.")] = "LCP",
     tolerance: Annotated[
         float | None, typer.Option(help="What is to be proved; by default 1e-6, or else 1e-3.")

@@ -27,7 +27,7 @@ def load_program(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     path : str or Path
         ``.npz`` with the arrays ``P_data, P_indices, P_indptr, P_shape`` (CSC; of a symmetric P all or one triangle),
         the same of A, ``q, l, u`` (beyond ±1e20: no limit) and, if it is not 0, ``r``; never pickle. Or ``.qps``,
-        ``.mps``, which highspy reads, a package that cvxpy needs in its newer releases.
+        ``.mps``, which highspy reads, a package that cvxpy needs in its newer releases. Or AMPL's ``.nl``.
 
     Raises
     ------
@@ -36,14 +36,19 @@ def load_program(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     InvalidProblem
         Where the arrays do not state a program.
     UnsupportedModel
-        Of an ``.mps`` file with integers.
+        Of a file with integers, or an ``.nl`` file that states something else.
     """
     source = checked_path(path)
     if source.suffix.lower() == ".npz":
         return _from_npz(source)
     if source.suffix.lower() in MPS:
         return _from_mps(source)
-    raise UnreadableFile(f"cannot read {source}: a quadratic program is an .npz, .qps or .mps file")
+    if source.suffix.lower() == ".nl":
+        from .. import program_in_nl
+
+        stated: tuple[QuadraticProgram, float] = program_in_nl(source)
+        return stated
+    raise UnreadableFile(f"cannot read {source}: a quadratic program is an .npz, .qps, .mps or .nl file")
 
 
 def _from_npz(source: Path) -> tuple[QuadraticProgram, float]:

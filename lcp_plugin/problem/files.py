@@ -68,8 +68,13 @@ def checked_path(path: Any) -> Path:
 
 
 def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
-    """Read a problem from a ``.npz`` or ``.mat`` file, or ``M.mtx`` and ``q.mtx`` in a folder or behind a prefix."""
+    """Read a problem from a ``.npz``, ``.mat`` or ``.nl`` file, or ``M.mtx`` and ``q.mtx`` in a folder or by prefix."""
     source = checked_path(path)
+    if source.suffix.lower() == ".nl":
+        from .. import lcp_in_nl
+
+        stated: LCP = lcp_in_nl(source)
+        return stated
     if source.suffix.lower() == ".npz":
         return _load_npz(kind, source)
     if source.suffix.lower() == ".mat" and not source.is_dir():

@@ -32,7 +32,7 @@ STATUSES = {
     "unbounded": Status.INFEASIBLE, "solver_error": Status.DIVERGED,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
-STAYS = "stalled at bounds of variables where equations do not hold"
+STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +94,11 @@ class NLModel(ABC):
     @abstractmethod
     def start(self) -> FloatVector:
         """The start in the unknowns of the problem; 0 where the file names none."""
+
+    def names(self) -> list[str]:
+        """Return the names of the variables; of their numbers where the file has none."""
+        return [f"variable {k}" for k in range(self.content.lower.size)] if self.content.names is None \
+            else self.content.names
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.problem!r})"
@@ -163,7 +168,7 @@ class ComplementarityModel(NLModel):
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
         status = found.status
-        words = STAYS if found is not result and not found.is_solved else ""
+        words = STUCK if result.is_solved and not found.is_solved else ""
         return NLAnswer(x, duals, status, self._message(status, found, words), found, None, CODES[status])
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -188,7 +193,9 @@ class ComplementarityModel(NLModel):
         found = solve_from(free, None, {**options, "z0": result.z})
         beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]
         is_inside = bool((beyond <= OUTSIDE * (1.0 + np.abs(found.z[kept]))).all())
-        return found if found.is_solved and is_inside else replace(result, status=Status.STALLED)
+        if not (found.is_solved and is_inside):
+            return replace(result, status=Status.STALLED)
+        return replace(found, iterations=result.iterations + found.iterations)
 
 
 class ProgramModel(NLModel):
@@ -215,7 +222,7 @@ class ProgramModel(NLModel):
     ) -> None:
         self.content, self.unknowns = content, unknowns
         self.problem = self.program = problem
-        self._known, self._sign, self._constant = known, sign, constant
+        self._known, self.sign, self.constant = known, sign, constant
 
     @property
     def start(self) -> FloatVector:
@@ -231,10 +238,10 @@ class ProgramModel(NLModel):
             status = Status.STALLED  # the run is content, the program's own residuals are not
         x = self._known.copy()
         x[self.unknowns] = found.solution.x
-        objective = self._sign * found.solution.objective + self._constant
+        objective = self.sign * found.solution.objective + self.constant
         words = "optimal" if status is Status.SOLVED else found.status if status is Status.INFEASIBLE else ""
         code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
         is_told = found.proof is None
         message = self._message(status, result, words, objective if is_told else None)
-        duals = -self._sign * found.solution.row_multipliers + 0.0
+        duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)

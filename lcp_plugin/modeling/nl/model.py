@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...checks import FloatVector
 from ...conversions.program import QuadraticProgram
 from ...errors import UnsupportedModel
+from ...problem.lcp import LCP
 from ..assembly import Assembly, Function
 from ..equations import SMALLEST_PIVOT
 from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
@@ -51,6 +52,26 @@ def model_of(content: NLContent) -> NLModel:
     """
     statement = Statement(content)
     return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
+
+
+def lcp_in_nl(path: str | PathLike[str]) -> LCP:
+    """Return the LCP that an ``.nl`` file states; raise UnsupportedModel where it states something else."""
+    model = read_nl(path)
+    if isinstance(model.problem, LCP):
+        return model.problem
+    kind = "a quadratic program" if isinstance(model, ProgramModel) else "a nonlinear complementarity problem"
+    raise UnsupportedModel(
+        f"{path} states {kind}, not a linear complementarity problem: lcp_plugin.modeling.nl.read_nl(path).solve() and "
+        "`lcp-plugin solve` take it"
+    )
+
+
+def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
+    """Return the program that an ``.nl`` file states, to be minimised, and what its objective adds; else raise."""
+    model = read_nl(path)
+    if isinstance(model, ProgramModel):
+        return model.program, model.sign * model.constant
+    raise UnsupportedModel(f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it")
 
 
 class Statement:

@@ -156,11 +156,11 @@ def test_it_tells_what_it_is_asked(capsys: Any) -> None:
 
 
 def test_a_call_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
-    """The version loads not even numpy; a solution no cvxpy, typer or rich."""
+    """The version loads not even numpy; a linear problem no cvxpy, typer, rich or what other problems need."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     call = "import sys\nfrom lcp_plugin.commands.ampl import main\nmain([{}])\nprint(*{!r} & sys.modules.keys())"
     assert printed_by(call.format("'-v'", {"numpy", "scipy", "numba", "cvxpy"})).splitlines()[1:] in ([], [""])
-    heavy = {"cvxpy", "typer", "rich", "matplotlib", "pyomo", "hypothesis"}
+    heavy = {"cvxpy", "typer", "rich", "matplotlib", "pyomo", "hypothesis", "scipy.special", "scipy.sparse.csgraph"}
     assert printed_by(call.format(f"{str(tmp_path / 'm')!r}, '-AMPL'", heavy)) == ""
     assert read_sol(tmp_path / "m.sol").code == 0
 

@@ -12,7 +12,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
 from ..checks import FloatVector
 from . import intervals as iv
@@ -78,6 +77,12 @@ def _relative_entropy_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interva
     return iv.added(iv.logarithm_of_quotient(u, v), _ones(u)), iv.negated(iv.divided(u, v))
 
 
+def _log_add_exp_derivatives(u: FloatVector, v: FloatVector) -> tuple[FloatVector, FloatVector]:
+    from scipy.special import expit  # slow to import, and seldom needed
+
+    return expit(u - v), expit(v - u)
+
+
 def _log_add_exp_slopes(u: iv.Interval, v: iv.Interval) -> tuple[iv.Interval, iv.Interval]:
     return iv.sigmoid(iv.added(u, iv.negated(v))), iv.sigmoid(iv.added(v, iv.negated(u)))
 
@@ -107,7 +112,7 @@ RELATIVE_ENTROPY = Function(
     _relative_entropy_interval, _relative_entropy_slopes,
 )
 LOG_ADD_EXP = Function(
-    "log add exp", 2, np.logaddexp, lambda u, v: (expit(u - v), expit(v - u)), iv.log_add_exp, _log_add_exp_slopes
+    "log add exp", 2, np.logaddexp, _log_add_exp_derivatives, iv.log_add_exp, _log_add_exp_slopes
 )
 PRODUCT = Function(
     "product", 2, lambda u, v: u * v, lambda u, v: (v, u), iv.multiplied, lambda u, v: (v, u)

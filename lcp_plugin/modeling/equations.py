@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
 
 from ..checks import FloatVector
 from ..conversions.reductions import put_in
@@ -188,6 +187,8 @@ def known_ranges(
 
 def matching(block: sp.csr_array) -> Indices:
     """Return for each equation the unknown it goes with: large entries on the diagonal where that is possible."""
+    from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
+
     size = block.shape[0]
     rows = np.repeat(np.arange(size), np.diff(block.indptr))
     magnitude, largest = np.abs(block.data), largest_in_rows(block)

@@ -41,7 +41,7 @@ def campaign(name: str) -> Any:
     return module
 
 
-CAMPAIGN, HARDER = campaign("convex_programs"), campaign("hard_programs")
+CAMPAIGN = campaign("convex_programs")
 
 
 # --- Solvable programs -------------------------------------------------------------------------------------------
@@ -49,12 +49,11 @@ CAMPAIGN, HARDER = campaign("convex_programs"), campaign("hard_programs")
 
 @pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
-    """Three planted programs of each kind: KKT residuals at most 1e-6, measured here, by interior_point."""
-    for seed in range(3):
-        case = CAMPAIGN.program(kind, np.random.default_rng([seed, 77]), 25)
+    """Two planted programs of each kind have their value and conditions, measured here, by interior_point."""
+    for seed in (77, 78):
+        case, value = CAMPAIGN.case(kind, seed, 0, 25)
         result, answer = solve_quadratic_program(case, INTERIOR)
-        assert CAMPAIGN.error(case, answer) <= 1e-6, result
-        assert answer.status == "optimal"
+        assert CAMPAIGN.said(case, answer, answer.status, value, "") == (True, False), result
 
 
 @pytest.mark.parametrize("form", ["kkt", "auto"])
@@ -63,7 +62,7 @@ def test_linear_programs_agree_with_highs(form: str) -> None:
     from scipy.optimize import linprog
 
     for seed in range(4):
-        case = CAMPAIGN.program("linear", np.random.default_rng(seed), 20)
+        case, _ = CAMPAIGN.case("linear", seed, 0, 20)
         expected = linprog(
             case.c, case.G, case.h, case.A if case.b.size else None, case.b if case.b.size else None,
             bounds=np.column_stack([case.lower, case.upper]),
@@ -200,7 +199,7 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
 ) -> None:
     """Rows, columns and parts of 1e±6, bounds of 1e9: the interior point needs some dozen steps as without them."""
     for case in cases:
-        program, value = HARDER.case(family, seed, case, largest)
+        program, value = CAMPAIGN.case(family, seed, case, largest)
         problem = lcp_from_qp(program, "kkt")
         result = solve(problem, INTERIOR, tolerance=1e-9, refute=False)
         solution = problem.origin.recover(result)
@@ -211,7 +210,7 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
-    problem = lcp_from_qp(CAMPAIGN.program("redundant", np.random.default_rng([1008, 100]), 100))
+    problem = lcp_from_qp(CAMPAIGN.case("redundant, rounded", 131, 0, 120)[0])
     result = solve(problem, INTERIOR)
     assert problem.origin.recover(result).is_stationary(1e-9)
     assert result.iterations <= 20
@@ -357,7 +356,7 @@ def highs_verdict(case: QuadraticProgram) -> str:
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     """Planted infeasible and unbounded programs get their proof, which holds exactly and breaks when tampered with."""
-    case = CAMPAIGN.program(kind, np.random.default_rng([seed, 5]), 20)
+    case, _ = CAMPAIGN.case(kind, seed, 5, 20)
     proof = proof_of_no_minimum(case)
     assert proof is not None
     assert proof.verdict == kind
@@ -376,8 +375,10 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
-    """Programs with a planted minimum have no proof that there is none."""
-    assert proof_of_no_minimum(CAMPAIGN.program(kind, np.random.default_rng([seed, 6]), 10)) is None
+    """Programs with a planted minimum have no proof that there is none, but for data rounded to few digits."""
+    case, _ = CAMPAIGN.case(kind, seed, 6, 10)
+    assert case.refutation(1e-6) is None
+    assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
 def test_numbers_that_are_not_integers() -> None:

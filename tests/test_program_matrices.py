@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns.convex_programs import SOLVABLE, program
+from campaigns.convex_programs import SOLVABLE, case
 
 from lcp_plugin import solve
 from lcp_plugin.checks import FloatVector
@@ -44,7 +44,7 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
 def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
     """Its complementarity problems, and what is recovered and measured, are those of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
-    first = program(kind, rng, 12)
+    first, _ = case(kind, seed, 0, 12)
     list(attempts(first))
     shared = first.with_vectors(**moved(first, rng))
     for ours, theirs in zip(attempts(shared), attempts(afresh(shared)), strict=True):
@@ -62,8 +62,8 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
 
 def test_the_matrix_of_the_conditions_is_shared() -> None:
     """Facts about the matrix of a problem are known to that of the program with other vectors, in every form."""
-    for kind in ("strictly convex", "linear", "equations, free"):
-        first = program(kind, np.random.default_rng(3), 12)
+    for kind in ("strictly convex", "linear", "no bounds"):
+        first, _ = case(kind, 3, 0, 12)
         other = first.with_vectors(c=first.c + 1.0)
         if lcp_from_qp(first).origin.form != "dual":
             assert lcp_from_qp(first).matrix is lcp_from_qp(other).matrix
@@ -90,7 +90,7 @@ def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
 
 def test_a_pickled_program_says_the_same() -> None:
     """A program that was converted can be pickled with its problem, and is solved as before."""
-    problem = lcp_from_qp(program("condition 1e8", np.random.default_rng(5), 12))
+    problem = lcp_from_qp(case("condition 1e8", 5, 0, 12)[0])
     restored = pickle.loads(pickle.dumps(problem))
     ours, theirs = (one.origin.recover(solve(one)) for one in (problem, restored))
     np.testing.assert_array_equal(ours.x, theirs.x)

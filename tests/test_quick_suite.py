@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from fresh_process import printed_by
 
 HERE = Path(__file__).parent
 
@@ -46,3 +47,15 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"', "python -m pytest --full -n 2",
     ]  # fmt: skip
+
+
+@pytest.mark.full
+def test_every_campaign_starts_outside_of_pytest() -> None:
+    """What a campaign imports needs nothing that tests/conftest.py sets up."""
+    names = sorted(file.stem for file in HERE.joinpath("campaigns").glob("*.py"))
+    script = f"""
+import importlib, sys
+sys.path[:0] = [{str(HERE / "campaigns")!r}, {str(HERE)!r}]
+print(*(importlib.import_module(name).__name__ for name in {names}))
+"""
+    assert printed_by(script).split() == names

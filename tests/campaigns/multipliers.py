@@ -43,8 +43,8 @@ def program(kind: str, rng: np.random.Generator, largest: int = 25) -> Quadratic
         c = A.T @ np.round(rng.normal(size=m), 1) + (rng.random(n) < 0.3) * (x == 0.0) - P @ x
         return QuadraticProgram(P, c, A=A, b=A @ x, lower=np.where(x == 0.0, 0.0, -np.inf))
     if kind != "fixed":
-        return convex_programs.program(kind, rng, largest)
-    free = convex_programs.program(str(rng.choice(["linear", "degenerate"])), rng, largest)
+        return convex_programs.planted(kind, rng, largest)[0]
+    free, _ = convex_programs.planted(str(rng.choice(["linear", "degenerate"])), rng, largest)
     x = solve_quadratic_program(free)[1].x
     is_fixed = rng.random(free.n) < 0.5
     A, b = sp.csr_array(free.A), free.b

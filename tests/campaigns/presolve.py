@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from test_presolve import solutions, solves
+from exact_assignments import solutions, solves
 
 from lcp_plugin import LCP
 from lcp_plugin.conversions.presolve import presolve

@@ -287,11 +287,11 @@ def programs(rng: Generator, kind: str) -> Found:
     """A convex program with a planted answer, judged by its own conditions."""
     case, value = convex_programs.planted(kind, rng, 12)
     before = bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
-    is_settled, is_false = convex_programs.judged(kind, case, value, "auto")
-    if is_false:
-        yield Finding(CLAIM, f"{case}")
-    elif not is_settled:
-        yield Finding(OPEN, f"{case}")
+    outcome, words = convex_programs.judged(kind, case, value)
+    if outcome.wrong:
+        yield Finding(CLAIM, f"{case}: {words}")
+    elif any(outcome.unsolved):
+        yield Finding(OPEN, f"{case}: {words}")
     if bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper) != before:
         yield Finding(MODIFIED, "the program")
 
@@ -359,7 +359,7 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "presolve": (presolved, ("any",), 32),
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
-    "program": (programs, convex_programs.KINDS, 18),
+    "program": (programs, tuple(convex_programs.FAMILIES), 38),
     "file": (files, ("npz", "mtx"), 8),
     "batch": (batches, ("auto", "named"), 8),
 }

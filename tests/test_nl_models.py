@@ -21,10 +21,12 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, Status, UnsupportedModel, complements
 from lcp_plugin.commands.cli import app
+from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.program import Program
 from lcp_plugin.modeling.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.modeling.nl.content import NLContent, Token, Trees
 from lcp_plugin.modeling.nl.expressions import UNKNOWNS, Expressions
+from lcp_plugin.modeling.nl.operators import OPERATORS
 from lcp_plugin.modeling.registration import build
 
 INFINITY = math.inf
@@ -178,6 +180,43 @@ def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
     """Whatever trees and defined variables say, F and F′ are what Python's complex numbers make of them."""
     rows, defined, x = system
     require_same_derivatives(4, rows, defined, x)
+
+
+DOMAINS = {"asin": (-1.0, 1.0), "acos": (-1.0, 1.0), "atanh": (-1.0, 1.0), "acosh": (1.0, 50.0), "log10": (1e-3, 50.0)}
+LONG: dict[str, Any] = {
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "asinh": np.arcsinh, "acosh": np.arccosh,
+    "atanh": np.arctanh, **{name: getattr(np, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "log10")},
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+@given(st.floats(0.0, 1.0), st.floats(-12.0, 1.0), st.floats(0.0, 1.0))
+def test_intervals_hold_all_values(name: str, at: float, width: float, between: float) -> None:
+    """Between the ends of an argument, value and derivative are within the intervals."""
+    function, (low, high) = OPERATORS[NUMBERS[name]], DOMAINS.get(name, (-20.0, 20.0))
+    first = low + at * (high - low)
+    last = min(first + 10.0**width, high)
+    point = min(first + between * (last - first), last)
+    ends = np.array([first]), np.array([last])
+    precise = np.longdouble(point)  # of 64 bits on many machines
+    with np.errstate(all="ignore"):
+        below, above = function.interval(ends)
+        assert below[0] <= LONG[name](precise) <= above[0]
+        (slope,), ((least,), (most,)) = function.derivatives(np.array([point])), function.interval_derivatives(ends)[0]
+        rounding = 1e-15 * abs(slope)
+        assert np.isnan(slope) or least - rounding <= slope <= most + rounding
+
+
+def test_powers_of_variables_have_intervals() -> None:
+    """u**v, its derivatives too, is between the ends for all u and v of their intervals."""
+    rng = np.random.default_rng(5)
+    u, v = rng.uniform(1e-3, 20.0, 500), rng.uniform(-5.0, 5.0, 500)
+    wide = (u, u * (1.0 + rng.random(500))), (v, v + rng.random(500))
+    s, t = (low + rng.random(500) * (high - low) for low, high in wide)
+    found = [functions.POWER.interval(*wide), *functions.POWER.interval_derivatives(*wide)]
+    exact = [np.longdouble(s) ** t, t * np.longdouble(s) ** (t - 1.0), np.longdouble(s) ** t * np.log(np.longdouble(s))]
+    for (low, high), value in zip(found, exact, strict=True):
+        assert ((low <= value) & (value <= high)).all()
 
 
 def deep(kind: str, levels: int) -> tuple[list[Tree], list[Tree]]:
@@ -405,6 +444,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "other bounds", other, "states the lower bound of price .* own are 0 and 4"
     names = r"\(variable 0, variable 1\)"
     yield "not square", content_of(2, [("*", x, y)]), f"2 unknowns without a complementarity {names} and 1"
+    yield "no room", content_of(1, [x], lower=[2.0], upper=[1.0]), "variable 0 has the lower bound 2 above"
     yield "0 == 1", replace(paired(content_of(1, [x, 1.0])), **one_equation()), "row 1 holds no unknown"
     free = replace(paired(content_of(2, [("+", y, 5.0), x])), **one_equation())
     yield "bounds", free, "variable 1 has bounds that the rest of the model does not imply"
@@ -463,6 +503,18 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     )
     answer = model_of(content).solve(tolerance=1e-12)
     np.testing.assert_allclose(answer.x, [3.0, 2.0, 5.0], rtol=1e-12)
+
+
+def test_rows_without_limits_are_left_out() -> None:
+    """A nonlinear row that may take any value changes neither a program nor complementarities."""
+    beside = content_of(
+        2, [("exp", X[0]), 0.0], linear=[[0, 0], [1, 1]], objective=0.0, objective_linear=[[1.0, 2.0]], lower=[0.0] * 2,
+        row_lower=[-INFINITY, 1.0], row_upper=[INFINITY, INFINITY],
+    )
+    np.testing.assert_allclose(model_of(beside).solve().x, [1.0, 0.0], atol=1e-9)
+    pairs = replace(paired(content_of(2, [("-", ("exp", X[0]), 3.0), ("exp", X[1])])), partners=np.array([0, -1]))
+    answer = model_of(pairs).solve(tolerance=1e-12)
+    np.testing.assert_allclose(answer.x, [math.log(3.0), 0.0], rtol=1e-12)
 
 
 def test_files_and_contents_say_the_same(tmp_path: Path) -> None:

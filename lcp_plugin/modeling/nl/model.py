@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
@@ -86,18 +87,21 @@ class Statement:
         self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
         self._refuse_discrete()
         low, high = content.row_lower, content.row_upper
+        self._check_room(self.name, content.lower, content.upper)
+        self._check_room(self.row, low, high)
         is_pair = content.partners >= 0
         self.pairs = np.flatnonzero(is_pair)
         self.equations = np.flatnonzero(~is_pair & (low == high))
         is_bounded = np.isfinite(low) | np.isfinite(high)
         self.inequalities = np.flatnonzero(~is_pair & (low != high) & is_bounded)
+        self.says_nothing = ~is_pair & ~is_bounded
         self.is_paired = np.zeros(self.n, dtype=bool)
         self.is_paired[content.partners[self.pairs]] = True
         if self.pairs.size:
             self._check_partners()
         self.known = self._known()
         self.expressions = Expressions(content, self.known)
-        self.is_affine = self.expressions.is_affine()[: self.m]
+        self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
 
     def _refuse_discrete(self) -> None:
         content = self.content
@@ -106,6 +110,16 @@ class Statement:
             raise UnsupportedModel(f"{name} is an integer variable; only continuous ones are taken")
         if content.logical_rows:
             raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
+
+    def _check_room(self, call: Callable[[int], str], low: FloatVector, high: FloatVector) -> None:
+        """Raise where a lower bound is above an upper one."""
+        crossed = np.flatnonzero(low > high)
+        if crossed.size:
+            k = int(crossed[0])
+            raise UnsupportedModel(
+                f"{call(k)} has the lower bound {low[k]:g} above the upper bound {high[k]:g}: no point satisfies the "
+                "model; correct one of them"
+            )
 
     def name(self, column: int) -> str:
         """Return the name of a variable."""
@@ -143,12 +157,16 @@ class Statement:
     def _known(self) -> FloatVector:
         """Return the values of variables that nothing is left to say of: fixed ones, and those that nothing holds."""
         content, occurs = self.content, self.is_paired.copy()
-        for trees in (content.trees, content.objective_trees, content.defined_trees):
-            used = trees.values[trees.kinds == Token.VARIABLE].astype(np.int64)
-            occurs[used[used < self.n]] = True
-        for linear in (content.linear, content.objective_linear, content.defined_linear):
-            columns = linear.indices[linear.data != 0.0]
-            occurs[columns[columns < self.n]] = True
+        parts = (
+            (content.trees, content.linear, self.says_nothing),
+            (content.objective_trees, content.objective_linear, np.zeros(content.is_maximized.size, dtype=bool)),
+            (content.defined_trees, content.defined_linear, np.zeros(content.defined_trees.size, dtype=bool)),
+        )
+        for trees, linear, is_left_out in parts:
+            is_used = (trees.kinds == Token.VARIABLE) & ~np.repeat(is_left_out, np.diff(trees.starts))
+            used = trees.values[is_used].astype(np.int64)
+            columns = linear.indices[(linear.data != 0.0) & ~np.repeat(is_left_out, np.diff(linear.indptr))]
+            occurs[used[used < self.n]] = occurs[columns[columns < self.n]] = True
         is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
         return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
 

@@ -147,6 +147,22 @@ def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: b
     assert [one.name for one in content.suffixes] == ["scaling", "kind"] * (b"S4" in new)
 
 
+@pytest.mark.parametrize(("announced", "is_there", "is_fine"), [(1, 1, 1), (2, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1)])
+def test_a_gradient_may_be_shorter_than_announced_but_not_missing(
+    tmp_path: Path, announced: int, is_there: bool, is_fine: bool
+) -> None:
+    """AMPL announces more entries of an objective than it writes at times; a file cut before them is damaged."""
+    text = SMALL.replace(b" 2 2 0 0 1 0", b" 2 2 1 0 1 0").replace(b" 4 0\n", b" 4 %d\n" % announced)
+    text = text.replace(b"x1\t", b"O0 1\nn3\nx1\t") + b"G0 1\n1 5\n" * is_there
+    if is_fine:
+        content = read(tmp_path, text)
+        assert content.objective_linear.toarray().tolist() == [[0, 5 * is_there]]
+        assert content.is_maximized.all()
+    else:
+        with pytest.raises(errors.UnreadableFile, match=r"line 8 .*segments G"):
+            read(tmp_path, text)
+
+
 def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
     """Names come from .col and .row; where none are announced or some are missing, such files are left alone."""
     (tmp_path / "m.col").write_text("price\nquantity [a b]\n")

@@ -10,6 +10,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.learn")``: layers for PyTorch and JAX
+- ``help("lcp_plugin.doors")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages
 - ``help("lcp_plugin.communicator")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver

@@ -44,10 +44,11 @@ of equations.
 ``keepfiles=True`` the ``.nl`` file stays. The newer interface of Pyomo knows the solver by the same name.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
-and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision,
-or something beside the pairs does not hold. ``results.solver.message`` says it, ``results.solver.result`` is our
-own result. A ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the
-multipliers of a program; ``rc`` that of its variables.
+and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision
+(where the bounds alone are the answer ``absolute_tolerance`` says how small is small enough), or something beside the
+pairs does not hold. ``results.solver.message`` says it; ``solver.result`` is our own result of the last solve. A
+``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers
+of a program; ``rc`` that of its variables.
 """
 
 from __future__ import annotations
@@ -93,6 +94,7 @@ class LCPPlugin:
 
     def __init__(self, **given: Any) -> None:
         self.options = Bunch(**(given.pop("options", None) or {}))
+        self.result: Any = None
         _refuse({key: value for key, value in given.items() if value is not None and key != "solver_io"})
 
     def __enter__(self) -> LCPPlugin:
@@ -156,6 +158,7 @@ class LCPPlugin:
         if timelimit is not None:
             chosen["max_seconds"] = timelimit
         answer = answered_in_a_folder(model, chosen, keepfiles, symbolic_solver_labels)
+        self.result = answer.found.result
         results = _results_of(answer)
         if load_solutions:
             answer.load(model)
@@ -195,7 +198,7 @@ def _results_of(answer: Answer) -> Any:
         condition = TerminationCondition.unbounded
     results.solver.name, results.solver.message = NAME, answer.message
     results.solver.status, results.solver.termination_condition = status, condition
-    results.solver.time, results.solver.result = found.result.seconds, found.result
+    results.solver.time = found.result.seconds
     problem = results.problem
     problem.number_of_constraints, problem.number_of_variables = content.row_lower.size, content.lower.size
     problem.number_of_objectives, problem.number_of_nonzeros = content.is_maximized.size, content.linear.nnz

@@ -349,8 +349,10 @@ def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_ans
     m.x = pe.Var(range(5), initialize=9.0)
     m.row = pe.Expression(range(5), rule=lambda m, i: pe.exp(m.x[i]) + i * m.x[i])
     m.c = Complementarity(range(5), rule=lambda m, i: complements(m.x[i] >= m.floor, m.row[i] >= m.a))
-    first = SOLVER.solve(m)
-    assert SOLVER.solve(m).solver.result.iterations < first.solver.result.iterations
+    SOLVER.solve(m)
+    first = SOLVER.result
+    SOLVER.solve(m)
+    assert SOLVER.result.iterations < first.iterations
     m.a, m.floor = 0.5, -0.25
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert [m.x[i].value for i in (0, 1)] == pytest.approx([-0.25, -0.25])
@@ -401,7 +403,7 @@ def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
     results = SOLVER.solve(m)
     assert results.solver.termination_condition.value == "infeasible"
     assert m.x.value == 0.5
-    assert results.solver.result.infeasibility.verify()
+    assert SOLVER.result.infeasibility.verify()
     m = program()
     m.o.set_value(-m.x[1])
     m.limit.deactivate()
@@ -409,7 +411,7 @@ def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
     assert SOLVER.solve(m).solver.termination_condition.value == "unbounded"
 
 
-def test_a_solution_may_be_loaded_later() -> None:
+def test_a_solution_may_be_written_and_loaded_later(tmp_path: Path) -> None:
     """With load_solutions=False the model is left alone until ``model.solutions.load_from(results)``."""
     m = program()
     m.x[1].set_value(7.0)
@@ -419,6 +421,8 @@ def test_a_solution_may_be_loaded_later() -> None:
     m.solutions.load_from(results)
     assert m.x[1].value == pytest.approx(2.0)
     assert m.dual[m.limit] == pytest.approx(-2.0)
+    SOLVER.solve(m).write(filename=str(tmp_path / "results.json"), format="json")
+    assert "optimal" in (tmp_path / "results.json").read_text(encoding="utf-8")
 
 
 def test_the_run_is_printed_and_the_file_kept_where_asked_for(
@@ -469,7 +473,8 @@ def test_a_linear_model_becomes_the_linear_problem_as_stated() -> None:
     m.c = Complementarity([0, 1], rule=lambda m, i: complements(
         sum(M[i, j] * m.x[j] for j in m.x) >= 5 - 6 * i, m.x[i] >= 0
     ))
-    result = SOLVER.solve(m).solver.result
+    SOLVER.solve(m)
+    result = SOLVER.result
     problem = result.certificate.problem
     assert isinstance(problem, LCP)
     np.testing.assert_array_equal(problem.M.toarray() if hasattr(problem.M, "toarray") else problem.M, M)

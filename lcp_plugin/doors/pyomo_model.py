@@ -27,7 +27,7 @@ from pyomo.core import (
     Var,
     VarList,
 )
-from pyomo.core.expr.numvalue import is_fixed, is_potentially_variable
+from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.mpec import Complementarity
 from pyomo.network import Port
 from pyomo.repn.plugins.nl_writer import NLWriter
@@ -37,7 +37,7 @@ from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..modeling.nl.content import NLContent, Token, Trees
 from ..modeling.nl.reading import read_content
-from .pyomo_pairs import Pair, Side, number, paired, sides_of
+from .pyomo_pairs import Pair, Side, cannot_vary, number, paired, sides_of
 
 KNOWN = {
     Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
@@ -138,7 +138,7 @@ def _require_known(model: Any) -> None:
 
 def _require_constant(objectives: Sequence[Any]) -> None:
     for objective in objectives:
-        if not is_fixed(objective.expr):
+        if not cannot_vary(objective.expr):
             raise UnsupportedModel(
                 f"the model has complementarities and the objective {objective.name}, which makes it an MPEC, and "
                 f"these are not taken; {objective.name}.deactivate() leaves the question for any point that is feasible"
@@ -166,7 +166,7 @@ class _Draft:
         """Take a constraint: as a row, or beside the problem where it is no equation, or nothing in it can vary."""
         is_equation = row.lb == row.ub and row.lb is not None
         is_row = is_equation or self.takes_inequalities or hasattr(row, "_complementarity")
-        if not is_row or is_fixed(row.body):
+        if not is_row or cannot_vary(row.body):
             self.look_at(row.name, row.body, row.lb, row.ub)
         else:
             self.given.append(row)

@@ -9,7 +9,8 @@ from typing import Any
 
 from pyomo.core import value
 from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression
-from pyomo.core.expr.numvalue import is_fixed, is_potentially_variable
+from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.expr.visitor import identify_variables
 
 from ..errors import UnsupportedModel
 
@@ -35,7 +36,7 @@ class Side:
     @property
     def is_fixed(self) -> bool:
         """True where nothing in the body can change."""
-        return bool(is_fixed(self.body))
+        return cannot_vary(self.body)
 
     @property
     def variable(self) -> Any:
@@ -89,7 +90,7 @@ def sides_of(stated: Any) -> tuple[Side, Side]:
     """
     if getattr(stated, "_args", None) is None:
         raise UnsupportedModel(f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it")
-    first, second = (_side(argument, stated.name) for argument in stated._args)
+    first, second = (_side(argument, stated) for argument in stated._args)
     if first.is_equation or second.is_equation:
         other = second if first.is_equation else first
         if other.bounds:
@@ -105,23 +106,23 @@ def sides_of(stated: Any) -> tuple[Side, Side]:
     return first, second
 
 
-def _side(argument: Any, name: str) -> Side:
+def _side(argument: Any, stated: Any) -> Side:
     if argument is None or isinstance(argument, (bool, str)):
-        raise UnsupportedModel(f"a side of {name} is {argument!r}; it needs an expression of the model's variables")
+        raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; it needs an expression of variables")
     if isinstance(argument, EqualityExpression):
         left, right = argument.args
         return Side(0.0, left - right if _counts(right) else left, 0.0)
     if isinstance(argument, (InequalityExpression, RangedExpression)) and any(_strict(argument)):
-        raise UnsupportedModel(f"a side of {name} is strict, {argument}; write <= or >=")
+        raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
     if isinstance(argument, RangedExpression):
         lower, body, upper = argument.args
-        return Side(_bound(lower, name), body, _bound(upper, name))
+        return Side(_bound(lower, stated), body, _bound(upper, stated))
     if isinstance(argument, InequalityExpression):
         smaller, larger = argument.args
-        if is_fixed(larger):
-            return Side(-math.inf, smaller, _bound(larger, name))
-        if is_fixed(smaller):
-            return Side(_bound(smaller, name), larger, math.inf)
+        if not is_potentially_variable(smaller) or (is_potentially_variable(larger) and cannot_vary(smaller)):
+            return Side(_bound(smaller, stated), larger, math.inf)
+        if cannot_vary(larger):
+            return Side(-math.inf, smaller, _bound(larger, stated))
         return Side(0.0, larger - smaller, math.inf)
     return Side(-math.inf, argument, math.inf)
 
@@ -135,12 +136,18 @@ def _strict(expression: Any) -> tuple[bool, ...]:
     return tuple(strict) if isinstance(strict, (tuple, list)) else (strict,)
 
 
-def _bound(expression: Any, name: str) -> float:
-    if not is_fixed(expression):
+def _bound(expression: Any, stated: Any) -> float:
+    if not cannot_vary(expression):
         raise UnsupportedModel(
-            f"a bound of {name} is {expression}, which varies; state the difference: complements(body - bound >= 0, …)"
+            f"a bound of {stated.name} is {expression}, which varies; state the difference: "
+            "complements(body - bound >= 0, …)"
         )
     return float(value(expression))
+
+
+def cannot_vary(expression: Any) -> bool:
+    """Return whether nothing in an expression is free; the first free variable ends the search."""
+    return not is_potentially_variable(expression) or next(identify_variables(expression, False), None) is None
 
 
 def number(expression: Any) -> float:

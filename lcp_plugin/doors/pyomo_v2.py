@@ -32,6 +32,7 @@ ENDS = {
     Status.INFEASIBLE: TerminationCondition.provenInfeasible,
     Status.NO_SOLUTION: TerminationCondition.provenInfeasible,
 }
+NOT_JUDGED = getattr(SolutionStatus, "unknown", SolutionStatus.infeasible)
 LOADER = getattr(solution_loader, "SolutionLoader", None) or solution_loader.SolutionLoaderBase
 
 
@@ -67,6 +68,13 @@ class Loader(LOADER):  # type: ignore[misc, valid-type]
     def load_solution(self) -> None:
         """Put values and suffixes into the model."""
         self.answer.load(self._pyomo_model)
+
+
+def _told(kind: type[Exception], message: str) -> Exception:
+    """Return Pyomo's exception with a message, which older versions do not take."""
+    error = kind.__new__(kind)
+    Exception.__init__(error, message)
+    return error
 
 
 def _chosen(values: ComponentMap, wanted: Iterable[Any] | None) -> ComponentMap:
@@ -105,10 +113,10 @@ class LCPPlugin(SolverBase):  # type: ignore[misc]
         results.timing_info.start_timestamp, results.timing_info.wall_time = begin, perf_counter() - start
         is_optimal = results.solution_status == SolutionStatus.optimal
         if config.raise_exception_on_nonoptimal_result and not is_optimal:
-            raise NoOptimalSolutionError(answer.message)
+            raise _told(NoOptimalSolutionError, answer.message)
         if config.load_solutions:
             if not answer.has_point:
-                raise NoFeasibleSolutionError(answer.message)
+                raise _told(NoFeasibleSolutionError, answer.message)
             results.solution_loader.load_solution()
         return results
 
@@ -121,7 +129,7 @@ def _results_of(answer: Answer, model: Any) -> Any:
         results.termination_condition = TerminationCondition.unbounded
     elif found.status is Status.SOLVED and answer.violated:
         results.termination_condition = TerminationCondition.unknown
-    results.solution_status = SolutionStatus.optimal if is_solved else SolutionStatus.unknown
+    results.solution_status = SolutionStatus.optimal if is_solved else NOT_JUDGED
     if not answer.has_point:
         results.solution_status = SolutionStatus.noSolution
     results.solution_loader = Loader(answer, model)

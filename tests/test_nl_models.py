@@ -492,6 +492,22 @@ def test_statuses_tell_the_truth() -> None:
     assert "equations do not hold" in outside.message
 
 
+@pytest.mark.parametrize("kind", ["affine", "smooth", "auxiliaries", "program"])
+def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
+    """Rows are evaluated once more as they stand in the file: another number in one of them, and nothing is solved."""
+    M, q, _ = random_pairs()
+    rows = [("+", value, ("sin", X[0])) if kind in ("smooth", "auxiliaries") else value for value in q]
+    content = program("products") if kind == "program" else paired(content_of(6, rows, linear=M))
+    model = model_of(with_auxiliaries(content) if kind == "auxiliaries" else content)
+    assert model.solve().is_solved
+    stated = model.content.trees
+    changed = replace(stated, values=np.where(stated.kinds == Token.NUMBER, 9.0, stated.values))
+    model.content = replace(model.content, trees=changed)
+    answer = model.solve()
+    assert answer.status is Status.STALLED
+    assert re.search("is .* at the answer, where .* was computed", answer.message)
+
+
 def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     """A fixed variable is its value, also as an exponent; one that nothing holds stays at its start."""
     rows = [("-", ("^", X[0], X[1]), 9.0), 0.0]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ... import __version__
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPUnboundedness
 from ...problem.lcp import LCP
@@ -19,6 +20,7 @@ from ...solving.quadratic_program import judged_program
 from ...solving.result import Result
 from ..assembly import Arrangement, solve_from
 from .content import Indices, NLContent
+from .evaluation import contradiction, evaluated
 
 #: AMPL's numbers for the ways a run may end; 300 is an unbounded program.
 CODES = {
@@ -32,6 +34,8 @@ STATUSES = {
     "unbounded": Status.INFEASIBLE, "solver_error": Status.DIVERGED,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
+ROUNDINGS = 100.0  # times the width of an interval that rounding alone leaves
+PROGRAM_GOAL = 1e-6  # of the terms of a row of a program
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -167,9 +171,24 @@ class ComplementarityModel(NLModel):
         result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
-        status = found.status
-        words = STUCK if result.is_solved and not found.is_solved else ""
+        status, words = found.status, STUCK if result.is_solved and not found.is_solved else ""
+        if status is Status.SOLVED and (wrong := self._contradiction(x, duals, found)):
+            status, words = Status.STALLED, wrong
         return NLAnswer(x, duals, status, self._message(status, found, words), found, None, CODES[status])
+
+    def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:
+        """Return what the rows of the file, evaluated as they stand, say against the values computed; else nothing."""
+        content, widths = self.content, np.zeros(self._known.size)
+        if isinstance(self.problem, NonlinearProblem) and self.problem.enclosure is not None:
+            low, high = self.problem.enclosure.interval_F(result.z, result.z)
+            widths[self.unknowns[self.arrangement.elimination.kept]] = high - low
+        is_pair = content.partners >= 0
+        is_equation = ~is_pair & (content.row_lower == content.row_upper)
+        at_equations = np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair)))
+        allowed = np.full(duals.size, ROUNDINGS * widths.max(initial=0.0) + at_equations.max(initial=0.0))
+        allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
+        expected = np.where(is_pair, duals, content.row_lower)
+        return contradiction(content, x, np.where(is_pair | is_equation, expected, np.nan), allowed)
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
@@ -181,11 +200,15 @@ class ComplementarityModel(NLModel):
         x[pairs.variables] = (duals[pairs.folded] - pairs.offsets) / pairs.weights
         return x, duals
 
+    @cached_property
+    def _is_of_pair(self) -> BoolVector:
+        """Which rows of the problem are complementarity rows of the file, shape (n,)."""
+        return np.isin(self.unknowns[self.arrangement.elimination.kept], self.pairs.partners)
+
     def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
         """Return the result, of equations whose unknowns have bounds gone on without these: they excuse no equation."""
         problem = self.problem
-        is_equation = ~np.isin(self.unknowns[self.arrangement.elimination.kept], self.pairs.partners)
-        kept = is_equation & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
+        kept = ~self._is_of_pair & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
         if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
             return result
         lower, upper = np.where(kept, -np.inf, problem.lower), np.where(kept, np.inf, problem.upper)
@@ -241,7 +264,17 @@ class ProgramModel(NLModel):
         objective = self.sign * found.solution.objective + self.constant
         words = "optimal" if status is Status.SOLVED else found.status if status is Status.INFEASIBLE else ""
         code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
+        if status is Status.SOLVED and (wrong := self._contradiction(x, objective, found.goal)):
+            status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
         is_told = found.proof is None
         message = self._message(status, result, words, objective if is_told else None)
         duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)
+
+    def _contradiction(self, x: FloatVector, objective: float, goal: float) -> str:
+        """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
+        content = self.content
+        activity = evaluated(content, x)[0]
+        within = np.clip(activity, content.row_lower, content.row_upper)
+        size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
+        return contradiction(content, x, within, max(goal, PROGRAM_GOAL) * size, objective)

@@ -291,3 +291,19 @@ def test_a_damaged_answer_is_refused_with_its_line(tmp_path: Path, old: bytes) -
     (tmp_path / "m.sol").write_bytes(data.replace(old, b"\n99\n98\n" if old.startswith(b"\n") else b"Opt"))
     with pytest.raises(errors.UnreadableFile, match=r"line \d+: "):
         read_sol(tmp_path / "m.sol")
+
+
+def test_wrong_calls_are_told(tmp_path: Path) -> None:
+    """What is no content, no path, no answer, or lacks its sizes is refused in words."""
+    path = tmp_path / "m.nl"
+    path.write_bytes(SMALL)
+    for call, kind, words in (
+        (lambda: write_nl("m.nl", path), errors.InvalidProblem, "as read_content returns it, got str"),  # type: ignore[arg-type]
+        (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
+        (lambda: read_sol(path), errors.UnreadableFile, "no line says Options"),
+        (lambda: read_sol(tmp_path), errors.UnreadableFile, "directory"),
+        (lambda: write_sol(path, "", None, None, (0,), 0), errors.InvalidProblem, r"give sizes=\(m, n\)"),
+        (lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)), errors.InvalidProblem, r"x must have the shape"),
+    ):
+        with pytest.raises(kind, match=words):
+            call()

@@ -73,7 +73,9 @@ def write_sol(
     """
     target = checked_path(path)
     duals, values = _given(y), _given(x)
-    m, n = sizes or (len(np.atleast_1d(y)), len(np.atleast_1d(x)))
+    if sizes is None and (x is None or y is None):
+        raise InvalidProblem("without x or y the file still says how many there are; give sizes=(m, n)")
+    m, n = sizes or (np.size(y), np.size(x))
     for given, size, what in ((duals, m, "y"), (values, n, "x")):
         if given is not None and given.shape != (size,):
             raise InvalidProblem(f"{what} must have the shape ({size},), got {given.shape}")
@@ -119,6 +121,8 @@ def read_sol(path: str | PathLike[str]) -> SolContent:
     message = "\n".join(line for line in lines[:position] if line.strip())
     rest = enumerate(lines[position + 1:], position + 2)
     try:
+        if position == len(lines):
+            raise ValueError(f"no line says {OPTIONS}")
         count = int(_next(rest))
         options = [int(_next(rest)) for _ in range(2)]
         has_tolerance = options[1] == WITH_TOLERANCE
@@ -133,8 +137,8 @@ def read_sol(path: str | PathLike[str]) -> SolContent:
         code = int(ending[2]) if len(ending) == 3 and ending[0] == "objno" else NO_CODE
     except (ValueError, StopIteration) as error:
         line = next(rest, (len(lines) + 1, ""))[0] - 1
-        raise UnreadableFile(f"cannot read {source}, line {line}: {error or 'it ends here'}; it is damaged or no .sol "
-                             "file in text") from error
+        raise UnreadableFile(f"cannot read {source}, line {line}: {str(error) or 'it ends here'}; it is damaged, or "
+                             "no .sol file in text") from error
     return SolContent(message, (count, *options), tolerance, m, n, duals if m_given or not m else None,
                       values if n_given or not n else None, code)
 

@@ -40,6 +40,8 @@ def write_nl(
     InvalidProblem
         Where the format cannot say it: integer variables that are not the last ones.
     """
+    if not isinstance(content, NLContent):
+        raise InvalidProblem(f"content must be an NLContent, as read_content returns it, got {type(content).__name__}")
     target = checked_path(path)
     writer: _Text = _Binary(content, big_endian) if binary else _Text(content)
     parts = writer.parts()

@@ -15,6 +15,7 @@ from campaigns import pyomo_models as campaign
 from fresh_process import printed_by
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, ComplementarityList, complements
+from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_models import MODELS
 
 import lcp_plugin.pyomo
@@ -281,6 +282,14 @@ def two_objectives(m: Any) -> None:
     m.o, m.p = pe.Objective(expr=m.x), pe.Objective(expr=-m.x)
 
 
+def test_an_abstract_model_is_told_apart() -> None:
+    """A model without data is refused with what to do."""
+    abstract = pe.AbstractModel()
+    abstract.x = pe.Var()
+    with pytest.raises(LCPError, match=r"solve model.create_instance\(…\)"):
+        SOLVER.solve(abstract)
+
+
 REFUSED = {
     integers: "the variable x is integer; give it a continuous domain",
     too_few_rows: "the model has 1 unknowns without a complementarity (y) and 0 equations",
@@ -291,7 +300,7 @@ REFUSED = {
     bound_that_varies: "a bound of c is y, which varies; state the difference",
     strict: "a side of c is strict, 0  <  x; write <= or >=",
     bounded_equation: "write the equation as a Constraint and the bound at the variable",
-    held_twice: "the unknown added for d: its pair holds no variable, or one that another pair holds",
+    held_twice: "the unknown for d: its pair holds no variable, or one that another pair holds",
     disjunction: "Disjunct is not taken, and the model has one, two; apply gdp.bigm or gdp.hull",
     no_variable: "no active constraint, objective or complementarity has a free variable",
     nonconvex: "convex",
@@ -308,6 +317,35 @@ def test_what_is_not_taken_is_refused_by_name(build: Callable[[Any], None]) -> N
         SOLVER.solve(m)
     assert REFUSED[build] in str(caught.value)
     assert campaign.picture(m) == before
+
+
+class PyomosOwn(_PyomosForms):  # type: ignore[misc]
+    """Pyomo's models of every form of a complementarity, each given to the solver."""
+
+    def _test(self, name: str, model: Any) -> None:
+        before = campaign.picture(model)
+        try:
+            self.outcome = SOLVER.solve(model).solver.termination_condition.value
+        except LCPError as error:
+            self.outcome = str(error)
+        assert self.outcome != "optimal" or campaign.residual(model) < 1e-8
+        assert campaign.picture(model) == before
+
+
+OPEN = "it needs as many equations as such unknowns"
+FORMS = {
+    **dict.fromkeys(("t1a", "t1b", "t1c", "t2a", "t2b", "t3a", "t3b", "t11", "t12"), OPEN),
+    **dict.fromkeys(("t4a", "t4b", "t4c", "t4d", "t9", "cov2", "cov4", "cov8", "cov9"), "optimal"),
+    **dict.fromkeys(("t10", "t13", "list1", "list2", "list3", "list4", "list5"), "infeasible"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_pyomos_own_models_of_each_form(form: str) -> None:
+    """Equations are solved or refuted; what leaves unknowns without an equation is refused in words."""
+    case = PyomosOwn()
+    getattr(case, f"test_{form}")()
+    assert case.outcome.endswith(FORMS[form])
 
 
 def simple() -> Any:
@@ -441,6 +479,14 @@ def test_the_run_is_printed_and_the_file_kept_where_asked_for(
     assert str(file) in out
     assert "q[0]" in file.with_suffix(".col").read_text(encoding="utf-8")
     assert read_nl(file).solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
+
+
+def test_a_run_that_is_stopped_says_so_and_loads_its_best_point() -> None:
+    """A callback that ends the run, as Ctrl-C does: userInterrupt, aborted."""
+    m = simple()
+    results = SOLVER.solve(m, options={"callback": lambda sample, _: sample.iteration >= 1})
+    assert (results.solver.termination_condition.value, results.solver.status.value) == ("userInterrupt", "aborted")
+    assert m.x.value is not None
 
 
 def test_an_interrupted_solve_leaves_the_model_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,7 +106,7 @@ def _problem(statement: Statement) -> NLModel:
         return model_of(statement.content)
     except UnsupportedModel as error:
         added = [statement.content.names[j] for j in sorted(statement.added)] if statement.content.names else []
-        if not added:
+        if not added or statement.content.row_lower.size <= statement.content.lower.size:
             raise
         others = ", …" if len(added) > SOME else ""
         raise UnsupportedModel(
@@ -119,7 +119,7 @@ def _multipliers(statement: Statement, found: NLAnswer) -> tuple[ComponentMap, C
     """Return the values of the rows of pairs, by pair and by variable, and the multipliers of constraints."""
     duals, reduced_costs = ComponentMap(), ComponentMap()
     for i, row in enumerate(statement.rows):
-        if row is not None:
+        if not isinstance(row, str):
             duals[row.stated if isinstance(row, Pair) else row] = float(found.duals[i])
         partner = int(statement.content.partners[i])
         if partner >= 0 and partner not in statement.added:

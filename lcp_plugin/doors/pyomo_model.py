@@ -72,7 +72,8 @@ class Statement:
     variables : list of VarData
         As the content numbers them.
     rows : list
-        What each row states: a ConstraintData, a Pair, or None for the equation of an unknown that was added.
+        What each row states: a ConstraintData, a ComplementarityData that is an equation, a Pair, or the name of an
+        unknown that was added, whose equation it is.
     added : frozenset of int
         The numbers of unknowns that were added.
     beside : list of Beside
@@ -104,6 +105,8 @@ def stated(model: Any, path: Path) -> Statement:
     UnsupportedModel
         Naming the component that is not taken.
     """
+    if not model.is_constructed():
+        raise UnsupportedModel("the model is abstract and holds no data yet; solve model.create_instance(…)")
     _require_known(model)
     in_order = SortComponents.deterministic
     conditions = list(model.component_data_objects(Complementarity, active=True, descend_into=True, sort=in_order))
@@ -202,9 +205,9 @@ class _Draft:
         variable = pair.held.variable
         if variable is None or id(variable) in self.partners:
             variable = self.model.added.add()
-            self.named[id(variable)] = f"the unknown added for {pair.stated.name}"
+            self.named[id(variable)] = f"the unknown for {pair.stated.name}"
             variable.set_value(None if math.isnan(start := number(pair.held.body)) else start)
-            self.state(self.model.rows, variable - pair.held.body, None, equation=True)
+            self.state(self.model.rows, variable - pair.held.body, self.named[id(variable)], equation=True)
         self.partners[id(variable)] = variable, pair
         self.state(self.model.rows, pair.row, pair)
 
@@ -311,7 +314,7 @@ def _own_bounds(variable: Any) -> tuple[float, float]:
 
 
 def _name(state: Any) -> str:
-    return "" if state is None else str(getattr(state, "stated", state).name)
+    return state if isinstance(state, str) else str(getattr(state, "stated", state).name)
 
 
 def _excess(found: float, lower: float, upper: float) -> float:

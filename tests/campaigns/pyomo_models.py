@@ -179,7 +179,7 @@ def differences(statement: Statement, rng: np.random.Generator) -> float:
     worst = 0.0
     try:
         for i, row in enumerate(statement.rows):
-            if row is None:
+            if isinstance(row, str):
                 continue
             expression = row.row if isinstance(row, Pair) else getattr(row, "body", None)
             if expression is None:  # the equation of a pair
@@ -222,7 +222,7 @@ def residual(model: Any, with_inequalities: bool = True) -> float:
 def pe_side(side: Any) -> tuple[float, float, float]:
     """(lower, body, upper) of a side by its arguments alone."""
     if not isinstance(side, RelationalExpression):
-        return -math.inf, pe.value(side), math.inf
+        return -math.inf, pe.value(side, exception=False), math.inf
     numbers = [pe.value(argument) for argument in side.args]
     if len(numbers) == 3:
         return numbers[0], numbers[1], numbers[2]

@@ -93,8 +93,8 @@ def main(words: list[str], environment: str = "") -> int:
         Assignments that those of the command line replace.
     """
     try:
-        if (told := _told(words)) is not None:
-            print(told)
+        if (information := _information(words)) is not None:
+            print(information)
             return 0
         return _solve(_call(words, environment))
     except LCPError as error:
@@ -111,8 +111,8 @@ def main(words: list[str], environment: str = "") -> int:
     return EXIT_BAD_INPUT
 
 
-def _told(words: list[str]) -> str | None:
-    """Return what a call asks to be told instead of a solution."""
+def _information(words: list[str]) -> str | None:
+    """Return what a call asks for instead of a solution, or None."""
     first = next((word for word in words if word in ("-=", "-?", "-h", "--help", "-v", "--version")), "")
     if first == "-=":
         width = max(map(len, KEYWORDS)) + 2

@@ -71,8 +71,8 @@ def _place(data: bytes, found: Segments, fault: Fault) -> str:
     line, begin = fault.place if is_in_head else found.line(fault.place), 0
     for _ in range(line - 1):
         begin = data.find(b"\n", begin) + 1 or len(data)
-    said = data[begin:begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
-    return f"line {line} ({said!r})"
+    text = data[begin:begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
+    return f"line {line} ({text!r})"
 
 
 class _Content:
@@ -202,14 +202,14 @@ class _Content:
 
     def _check_column_counts(self, linear: sp.csr_array) -> None:
         """Raise where the segment k contradicts the segments J."""
-        said = self.found.column_counts
-        if said is None:
+        announced = self.found.column_counts
+        if announced is None:
             return
         place, n = self.found.column_place, self.header.variables
-        if said.size != max(n - 1, 0):
-            fail(place, f"{said.size} counts of columns are given, and {max(n - 1, 0)} are needed")
-        counts = np.bincount(linear.indices, minlength=max(n, 1))[:said.size]
-        given = np.diff(said, prepend=0.0) if self.found.is_cumulative else said
+        if announced.size != max(n - 1, 0):
+            fail(place, f"{announced.size} counts of columns are given, and {max(n - 1, 0)} are needed")
+        counts = np.bincount(linear.indices, minlength=max(n, 1))[:announced.size]
+        given = np.diff(announced, prepend=0.0) if self.found.is_cumulative else announced
         wrong = np.flatnonzero(given != counts)
         if wrong.size:
             j = wrong[0]

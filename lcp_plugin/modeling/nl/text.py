@@ -97,11 +97,11 @@ class _Lines:
         letters = self.letters[self.segments]
         for line in self.segments[(letters == ord("F")) | (letters == ord("S"))].tolist():
             begin, end = int(self.begin[line]), int(ends[line])
-            said = text[begin:end].tobytes()
-            pattern, needed = NAMED[said[:1]]
-            names[line] = pattern.fullmatch(said)
+            head = text[begin:end].tobytes()
+            pattern, needed = NAMED[head[:1]]
+            names[line] = pattern.fullmatch(head)
             if names[line] is None:
-                fail(line + FIRST_LINE, f"{needed} are needed, got {said[:40].decode(errors='replace')!r}")
+                fail(line + FIRST_LINE, f"{needed} are needed")
             text[begin:end] = ord(" ")
         return names
 
@@ -132,39 +132,39 @@ class _Lines:
             heads = self.letters[self.segments] == ord(letter)
             if heads.any():
                 self._read_all(letter, self.segments[heads], self.segment_ends[heads])
-        for line, said in self.names.items():
+        for line, head in self.names.items():
             end = int(self.segment_ends[np.searchsorted(self.segments, line)])
-            if said[0][:1] == b"F":
+            if head[0][:1] == b"F":
                 self._require_end(line + 1, end)
-                self.found.functions.append((line + FIRST_LINE, int(said[1]), said[2]))
+                self.found.functions.append((line + FIRST_LINE, int(head[1]), head[2]))
             else:
-                pairs = self._linear(np.array([line]), np.array([end]), np.zeros(1), np.array([float(said[2])]))
-                self.found.suffixes.append(NamedValues(said[3], checked_count(
-                    float(said[1]), 2 * SUFFIX_IS_REAL - 1, line + FIRST_LINE, "the kind of a suffix"), pairs))
+                bits = checked_count(float(head[1]), 2 * SUFFIX_IS_REAL - 1, line + FIRST_LINE, "the kind of a suffix")
+                pairs = self._linear(np.array([line]), np.array([end]), np.zeros(1), np.array([float(head[2])]))
+                self.found.suffixes.append(NamedValues(head[3], bits, pairs))
 
     def _read_all(self, letter: str, heads: Indices, ends: Indices) -> None:
         """Fill in the segments of one letter."""
         self._require_words(heads, HEADER_WORDS[letter], f"the head of a segment {letter}")
-        said = [self.numbers[self.first[heads] + k] for k in range(HEADER_WORDS[letter])]
+        numbers = [self.numbers[self.first[heads] + k] for k in range(HEADER_WORDS[letter])]
         if letter in "CLO":
-            self.found.trees[letter] = self._forest(said[0], heads, heads + 1, ends)
+            self.found.trees[letter] = self._forest(numbers[0], heads, heads + 1, ends)
             if letter == "O":
                 self.found.senses = [checked_count(sense, 1, line + FIRST_LINE, "the sense of an objective")
-                                     for sense, line in zip(said[1].tolist(), heads.tolist(), strict=True)]
+                                     for sense, line in zip(numbers[1].tolist(), heads.tolist(), strict=True)]
         elif letter == "V":
-            pairs = self._linear(heads, ends, said[0], said[1], is_all=False)
+            pairs = self._linear(heads, ends, numbers[0], numbers[1], is_all=False)
             self.found.linear["V"] = pairs
-            self.found.trees["V"] = self._forest(said[0], heads, heads + 1 + pairs.counts, ends)
+            self.found.trees["V"] = self._forest(numbers[0], heads, heads + 1 + pairs.counts, ends)
         elif letter in "JG":
-            self.found.linear[letter] = self._linear(heads, ends, said[0], said[1])
+            self.found.linear[letter] = self._linear(heads, ends, numbers[0], numbers[1])
         elif heads.size > 1 or (letter in "kK" and self.found.column_counts is not None):
             fail(heads[-1] + FIRST_LINE, f"a second segment {letter}; a file has one")
         elif letter in "xd":
-            self.found.linear[letter] = self._linear(heads, ends, np.zeros(1), said[0])
+            self.found.linear[letter] = self._linear(heads, ends, np.zeros(1), numbers[0])
         elif letter in "br":
             self._bounds(letter, int(heads[0]), int(ends[0]))
         else:
-            self._column_counts(int(heads[0]), int(ends[0]), float(said[0][0]))
+            self._column_counts(int(heads[0]), int(ends[0]), float(numbers[0][0]))
             self.found.is_cumulative = letter == "k"
 
     def _words(self, lines: Indices) -> Indices:
@@ -258,16 +258,16 @@ class _Lines:
         self._require(is_known, lines, "there is no operator of this number")
         arity = ARITY[operators.astype(np.int64)]
         self._require(arity != NO_OPERATOR, lines, "there is no operator of this number")
-        is_told = (arity == NARY) | (arity == PIECEWISE)
-        told = lines[is_told] + 1
-        if not np.array_equal(told, others):
-            wrong = np.setxor1d(told, others)[0]
+        has_count = (arity == NARY) | (arity == PIECEWISE)
+        count_lines = lines[has_count] + 1
+        if not np.array_equal(count_lines, others):
+            wrong = np.setxor1d(count_lines, others)[0]
             fail(wrong + FIRST_LINE, "a part of an expression is needed here" if wrong in others else
                  "the number of operands is needed here")
-        self._require_words(told, 1, "the number of operands")
-        counts = self._counts(told, self.first[told])
-        self._require(counts >= 1 + (arity[is_told] == PIECEWISE), told, "an operator needs more operands")
-        arity[is_told] = np.where(arity[is_told] == PIECEWISE, 2 * counts, counts)
+        self._require_words(count_lines, 1, "the number of operands")
+        counts = self._counts(count_lines, self.first[count_lines])
+        self._require(counts >= 1 + (arity[has_count] == PIECEWISE), count_lines, "an operator needs more operands")
+        arity[has_count] = np.where(arity[has_count] == PIECEWISE, 2 * counts, counts)
         return arity
 
     def _require_closed(self, tokens: Indices, counts: Indices, starts: Indices) -> None:

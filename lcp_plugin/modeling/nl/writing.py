@@ -148,15 +148,15 @@ class _Text:
     def _tree(self, trees: Trees, k: int) -> None:
         for kind, value, count in _tokens(trees, k):
             if kind == Token.STRING:
-                said = trees.strings[int(value)]
-                self.out.append(b"h%d:%s\n" % (len(said), said))
+                text = trees.strings[int(value)]
+                self.out.append(b"h%d:%s\n" % (len(text), text))
             elif kind == Token.NUMBER:
                 self.out.append(f"n{value!r}\n".encode())
             else:
                 self.out.append(LETTERS[kind] + b"%d" % value)
                 self.out.append(b" %d\n" % count if kind == Token.CALL else b"\n")
-                if kind == Token.OPERATOR and (told := _told_count(int(value), count)):
-                    self.out.append(b"%d\n" % told)
+                if kind == Token.OPERATOR and (behind := _count_behind(int(value), count)):
+                    self.out.append(b"%d\n" % behind)
 
 
 class _Binary(_Text):
@@ -197,14 +197,14 @@ class _Binary(_Text):
         for kind, value, count in _tokens(trees, k):
             self.out.append(LETTERS[kind])
             if kind == Token.STRING:
-                said = trees.strings[int(value)]
-                self.out.append(self._integers(len(said)) + said)
+                text = trees.strings[int(value)]
+                self.out.append(self._integers(len(text)) + text)
             elif kind == Token.NUMBER:
                 self.out.append(struct.pack(self.order + "d", value))
             else:
-                told = _told_count(int(value), count) if kind == Token.OPERATOR else 0
-                is_told = kind == Token.CALL or told > 0
-                self.out.append(self._integers(int(value), *[told or count] * is_told))
+                behind = _count_behind(int(value), count) if kind == Token.OPERATOR else 0
+                has_count = kind == Token.CALL or behind > 0
+                self.out.append(self._integers(int(value), *[behind or count] * has_count))
 
 
 def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
@@ -217,7 +217,7 @@ def _tokens(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
     return zip(trees.kinds[part].tolist(), trees.values[part].tolist(), trees.counts[part].tolist(), strict=True)
 
 
-def _told_count(operator: int, count: int) -> int:
+def _count_behind(operator: int, count: int) -> int:
     """Return the number that stands behind an operator: of operands, of slopes, or 0 where none does."""
     return {NARY: count, PIECEWISE: count // 2}.get(int(ARITY[operator]), 0)
 

@@ -247,3 +247,25 @@ def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
         assert isinstance(result, ProgramResult)
         assert result.residual <= tolerance
         assert solution.residual <= 1e-12
+
+
+def test_one_criterion_judges_dense_loops_and_solutions() -> None:
+    """At any point, with any multipliers, the loop's five measures are those of a QPSolution, or just above."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        n, m, p = (int(rng.integers(*ends)) for ends in ((1, 7), (0, 6), (0, 3)))
+        factor, C, d = rng.normal(size=(n, n)), rng.normal(size=(m + p, n)), rng.normal(size=m + p)
+        P, c = factor @ factor.T, rng.normal(size=n)
+        P, lower, upper = (P + P.T) / 2 * (seed % 3 > 0), np.zeros(n), np.where(rng.random(n) < 0.5, 1.0, INF)
+        x = np.clip(rng.normal(size=n), lower, upper)
+        y = np.append(np.maximum(rng.normal(size=m), 0.0), rng.normal(size=p))
+        reduced, measures = np.zeros((1, n)), np.zeros((1, 7))
+        small_programs.measure(
+            P[None], c[None], C[None], d[None], np.arange(m + p) >= m, lower[None], upper[None], 0, 0, 0,
+            np.zeros((small_programs.WIDTH, n + m + p)), x[None], y[None], reduced, measures,
+        )
+        program = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
+        solution = QPSolution(program, x, y[:m], y[m:], np.maximum(reduced[0], 0.0), np.maximum(-reduced[0], 0.0))
+        theirs = np.array([getattr(solution, name) for name in MEASURED])
+        assert (theirs[:4] <= measures[0, :4]).all()
+        np.testing.assert_allclose(measures[0, :5], theirs, rtol=1e-12, atol=1e-13)

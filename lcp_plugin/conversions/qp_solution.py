@@ -34,13 +34,14 @@ class Errors(NamedTuple):
         is_equality = program.constraints.is_equality
         signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
         wrong = float((signed - multipliers).max(initial=0.0))
-        primal, dual, product, size, rows, gap, objective = _measured(program, x, multipliers)
-        if not wrong <= 0.0:
-            dual = _measured(program, x, signed)[1] + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
-        return cls(primal, float(dual), product / (1.0 + size), rows, gap / (1.0 + abs(objective)))
+        errors = _measured(program, x, multipliers)
+        if wrong <= 0.0:
+            return errors
+        dual = _measured(program, x, signed).dual + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
+        return errors._replace(dual=float(dual))
 
 
-def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> list[float]:
+def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
     from ..kernels.program_residuals import program_residuals  # numba, which not every run needs
 
     matrices, rows = program.matrices, program.constraints
@@ -49,8 +50,7 @@ def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVecto
         *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
         program.c, rows.limit, rows.unit, program.dual_unit, x, multipliers, columns, worst,
     )
-    found: list[float] = worst.tolist()
-    return found
+    return Errors(*worst[: len(Errors._fields)].tolist())
 
 
 @dataclass(frozen=True, eq=False)

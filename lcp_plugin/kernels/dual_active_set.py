@@ -25,7 +25,7 @@ from .compilation import LONGEST_IN_ORDER, compiled_into_others, compiled_part, 
 from .floats import EPSILON
 from .row_operations import add_row, add_row_of_batch, copy_row
 from .small_problems import USUAL, row_times
-from .small_programs import MEASURES, NUMBERS, WIDTH, measure
+from .small_programs import NUMBERS, WIDTH, measure
 
 # Rows of `real`: the point, its multipliers and limits; a step, what is left of the conditions; units.
 X, Y, LIMIT, STEP, LEFT, SIZE, ROOT, SPREAD, CENTER, ROWS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -381,10 +381,9 @@ def run(  # type: ignore[no-untyped-def]
                     x[k, j] = min(max(real[X, j], lower[k, j]), upper[k, j])
                 for i in range(m):
                     y[k, i] = real[Y, i]
-                measure(P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures)
-                largest = 0.0
-                for i in range(MEASURES):
-                    largest = max(largest, measures[k, i])
+                largest = measure(
+                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
+                )
                 has_converged[k] = largest <= tolerance
                 if largest <= REFINED:
                     break

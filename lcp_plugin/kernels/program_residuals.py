@@ -1,7 +1,9 @@
 """The compiled residuals of a quadratic program, with a proved bound of what rounding did to them; arrays only.
 
-Every sum is one of rounded terms, beside it their rounding errors, beside these what that second sum loses, as in
-:mod:`lcp_plugin.kernels.enclosures`. Columns are summed while rows are read: no matrix is transposed.
+`judge_row` and `judge_column` are the criterion, whoever has made the sums: `program_residuals` here, and
+:func:`~lcp_plugin.kernels.small_programs.measure` on dense arrays. Every sum here is one of rounded terms, beside it
+their rounding errors, beside these what that second sum loses, as in :mod:`lcp_plugin.kernels.enclosures`. Columns are
+summed while rows are read: no matrix is transposed.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from .floats import EPSILON, TINY
 
 TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
 ROUNDED = 16.0 * EPSILON
-PRIMAL, DUAL, PRODUCT, PRODUCT_SIZE, ROW, GAP, OBJECTIVE = range(7)  # of `worst`
+PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
+MEASURES = 5
 
 
 @compiled_into_others
@@ -45,20 +48,20 @@ def _rounded(total, errors, lost, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type: ignore[no-untyped-def]
+def judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type: ignore[no-untyped-def]
     """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst."""
     if abs(limit) < np.inf:
         over = abs(slack) if is_equation else slack
         excess = over + error if over == over else np.inf
         worst[PRIMAL] = _larger(worst[PRIMAL], excess / unit)
         size = max(term, abs(limit))
-        violated = over if not over <= 0.0 else 0.0
+        violated = excess if not excess <= 0.0 else 0.0
         worst[ROW] = _larger(worst[ROW], violated / (1.0 + (size if violated > 0.0 else 0.0)))
         worst[GAP] += abs(y * slack)
         if is_equation:
             return
         wrong = -y if not y >= 0.0 else 0.0
-        product = abs(y * slack)
+        product = abs(y) * (abs(slack) + error)
         worst[ROW] = _larger(_larger(worst[ROW], product / (1.0 + abs(y) * size)), wrong)
         worst[PRODUCT] = _larger(worst[PRODUCT], product)
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], _larger(abs(y * limit), abs(y * (slack + limit))))
@@ -68,7 +71,30 @@ def _judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type:
 
 
 @compiled_into_others
-def far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-def]
+def judge_column(  # type: ignore[no-untyped-def]
+    worst, left, error, x, c, product, curvature, lower, upper, term, unit
+):
+    """Hold what is `left` ± error of the gradient at x_j, its largest term and (P x)_j against the worst."""
+    worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / unit)
+    worst[ROW] = _larger(worst[ROW], (abs(left) + error) / (1.0 + term))
+    bound = lower if left > 0.0 else upper
+    worst[GAP] += max(abs(left * x), _far_gain(left, x, bound, curvature, term))
+    worst[OBJECTIVE] += (c + 0.5 * product) * x
+
+
+@compiled_into_others
+def beside_sizes(worst):  # type: ignore[no-untyped-def]
+    """Put the products and the gap beside their sizes; return the largest measure, NaN where one is NaN."""
+    worst[PRODUCT] /= 1.0 + worst[PRODUCT_SIZE]
+    worst[GAP] /= 1.0 + abs(worst[OBJECTIVE])
+    largest = 0.0
+    for k in range(MEASURES):
+        largest = _larger(largest, worst[k])
+    return largest
+
+
+@compiled_into_others
+def _far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-def]
     """Return what the objective may gain on the way to a bound where `left` of the gradient has no multiplier.
 
     0 where that is the rounding of the largest term; never more than the curvature allows.
@@ -83,7 +109,7 @@ def far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-def
 def program_residuals(  # type: ignore[no-untyped-def]
     of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
 ):
-    """Fill `worst` with the largest errors of any condition, the gap and the objective; NaN where one is not finite.
+    """Fill `worst` with the largest errors of any condition and the gap; NaN where one is not finite.
 
     Parameters
     ----------
@@ -111,8 +137,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
                 )
                 columns[TERM, j] = _larger(columns[TERM, j], abs(a * of_row))
         slack, error = _rounded(total, errors, lost, terms)
-        _judge_row(worst, slack, error, limit, largest, of_row, units[i], i >= equations)
-    moved = 0.0
+        judge_row(worst, slack, error, limit, largest, of_row, units[i], i >= equations)
     for j in range(n):
         total, errors, lost, largest = columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], columns[TERM, j]
         for side in range(2):
@@ -120,7 +145,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
             limit, of_bound = limits[place], y[place]
             value, low = split_sum(sign * x[j], -limit if abs(limit) < np.inf else 0.0)
             slack, error = _rounded(value, low, 0.0, terms)
-            _judge_row(worst, slack, error, limit, abs(x[j]), of_bound, units[place], False)
+            judge_row(worst, slack, error, limit, abs(x[j]), of_bound, units[place], False)
             total, errors, lost = _added(total, errors, lost, sign, of_bound)
             largest = _larger(largest, abs(of_bound))
         total, errors, lost = _added(total, errors, lost, 1.0, c[j])
@@ -134,9 +159,8 @@ def program_residuals(  # type: ignore[no-untyped-def]
             product += a * b
             largest = max(largest, abs(a * b))
         left, error = _rounded(total, errors, lost, terms)
-        worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / dual_units[j])
-        worst[ROW] = _larger(worst[ROW], abs(left) / (1.0 + largest))
-        bound = -limits[rows + j] if left > 0.0 else limits[rows + n + j]
-        moved += max(abs(left * x[j]), far_gain(left, x[j], bound, curvature, largest))
-        worst[OBJECTIVE] += (c[j] + 0.5 * product) * x[j]
-    worst[GAP] += moved
+        judge_column(
+            worst, left, error, x[j], c[j], product, curvature, -limits[rows + j], limits[rows + n + j], largest,
+            dual_units[j],
+        )
+    beside_sizes(worst)

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import compiled_part, interpreted_while_small
 from .condensed_systems import (
     LARGEST,
     PINNED,
@@ -52,7 +52,7 @@ from .interior_steps import (
     begin,
     move,
 )
-from .program_residuals import far_gain
+from .program_residuals import PRODUCT_SIZE, beside_sizes, judge_column, judge_row
 
 SIDE, WIDTH = SYSTEM_ROWS, SYSTEM_ROWS + 1  # a row of `vectors`: the active side
 AT_LOWER, BETWEEN, AT_UPPER = -1.0, 0.0, 1.0
@@ -63,7 +63,6 @@ SETTLED_GAP, CLOSED_GAP = 1e-3, 1e-18  # of the first gap: an active set is trie
 ROUNDS = 5  # corrections of an active set
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
 NUMBERS = 2**17  # in the arrays of a call that may be interpreted: its loops are on rows
-MEASURES = 5  # primal and dual residual, complementarity, the largest error of a row, the duality gap
 
 
 @partial(interpreted_while_small, numbers=NUMBERS)
@@ -245,11 +244,9 @@ def _has_active_set(  # type: ignore[no-untyped-def]
                 if vectors[side_now, i] == BETWEEN:
                     vectors[point, i] -= vectors[FOUND, i]
         _unscale(lower, upper, is_equality, k, vectors, point, n, m, x, y)
-        measure(P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures)
-        largest = 0.0
-        for i in range(MEASURES):
-            largest = max(largest, measures[k, i])
-        if largest <= tolerance:
+        if measure(
+            P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
+        ) <= tolerance:
             return True
         if not _correct(P_scaled, C_scaled, vectors, point, side_now):
             return False
@@ -282,23 +279,18 @@ def _unscale(lower, upper, is_equality, k, vectors, point, n, m, x, y):  # type:
         y[k, i] = multiplier if is_equality[i] else max(multiplier, 0.0)
 
 
-@compiled_into_others
-def _larger(largest, value):  # type: ignore[no-untyped-def]
-    """Return the larger one, ∞ where the value is NaN."""
-    return max(largest, value) if value == value else np.inf
-
-
 @compiled_part
 def measure(  # type: ignore[no-untyped-def]
     P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
 ):
-    """Write upper bounds of what :class:`~lcp_plugin.conversions.qp_solution.QPSolution` measures, rounding included.
+    """Write upper bounds of what :class:`~lcp_plugin.conversions.qp_solution.QPSolution` measures; return the largest.
 
     Of a bound that x is at the multiplier is what stationarity leaves; `reduced` is that of the lower one less that of
     the upper one.
     """
     m, n = C.shape[1], C.shape[2]
-    margin = 2.0 * (n + m + 8) * EPSILON
+    margin, worst = 2.0 * (n + m + 8) * EPSILON, measures[k]
+    worst[:] = 0.0
     slope, right, violated, has_P = 0.0, 0.0, 0.0, False
     for j in range(n):
         vectors[SPARE, j] = 0.0  # the largest entry of each column
@@ -306,7 +298,6 @@ def measure(  # type: ignore[no-untyped-def]
             vectors[SPARE, j] = max(vectors[SPARE, j], abs(P[at_P, i, j]))
         has_P |= vectors[SPARE, j] > 0.0
         vectors[TRIAL, j], vectors[TRIAL + 1, j], vectors[TRIAL + 2, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
-    primal, product, term, row, lost = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(m):
         value, size, largest, coefficient = 0.0, 0.0, 0.0, 0.0
         multiplier, limit = y[k, i], d[k, i]
@@ -323,27 +314,17 @@ def measure(  # type: ignore[no-untyped-def]
             vectors[TRIAL + 1, j] += abs(pull)
             vectors[TRIAL + 2, j] = max(vectors[TRIAL + 2, j], abs(pull))
         coefficient = coefficient if coefficient > 0.0 else 1.0
-        if limit == np.inf:  # it says nothing
-            continue
-        gap, error = limit - value, margin * (size + abs(limit))
-        over = (abs(gap) if is_equality[i] else -gap) + error
-        primal = _larger(primal, over / (coefficient * (1.0 + abs(limit) / coefficient)))
-        largest = max(largest, abs(limit))
-        row = _larger(row, max(over, 0.0) / (1.0 + largest))
-        lost += abs(multiplier * gap)
+        unit, error = coefficient * (1.0 + abs(limit) / coefficient), margin * (size + abs(limit))
+        judge_row(worst, value - limit, error, limit, largest, multiplier, unit, is_equality[i])
         if is_equality[i]:
             right = max(right, abs(limit) / coefficient)
         else:
             violated = max(violated, -limit / coefficient)
-            product = _larger(product, multiplier * (abs(gap) + error))
-            term = max(term, multiplier * abs(limit))
-            row = _larger(row, multiplier * (abs(gap) + error) / (1.0 + multiplier * largest))
     for j in range(n):
         column = vectors[SPARE, j] if vectors[SPARE, j] > 0.0 else 1.0
         vectors[SPARE, j] = column
         slope = max(slope, abs(c[k, j]) / column)
     unit = 1.0 + (max(slope, right, violated) if has_P else slope)
-    dual, objective = 0.0, 0.0
     for j in range(n):
         value, size, largest = 0.0, 0.0, vectors[TRIAL + 2, j]
         for i in range(n):
@@ -351,14 +332,13 @@ def measure(  # type: ignore[no-untyped-def]
             value += summand
             size += abs(summand)
             largest = max(largest, abs(summand))
-        objective += (c[k, j] + 0.5 * value) * x[k, j]
-        left, size = vectors[TRIAL, j] + value, size + vectors[TRIAL + 1, j]
+        left, error = vectors[TRIAL, j] + value, margin * (size + vectors[TRIAL + 1, j])
         reduced[k, j] = 0.0
         if x[k, j] == (lower[k, j] if left > 0.0 else upper[k, j]):  # what is left is the multiplier of that bound
-            reduced[k, j], term, left = left, max(term, abs(left * x[k, j])), 0.0
-        dual = _larger(dual, (abs(left) + margin * size) / (vectors[SPARE, j] * unit))
-        row = _larger(row, (abs(left) + margin * size) / (1.0 + largest))
-        gain = far_gain(left, x[k, j], lower[k, j] if left > 0.0 else upper[k, j], P[at_P, j, j], largest)
-        lost += max(abs(left * x[k, j]), gain)
-    measures[k, 0], measures[k, 1], measures[k, 2] = primal, dual, product / (1.0 + term)
-    measures[k, 3], measures[k, 4] = row, lost / (1.0 + abs(objective))
+            worst[PRODUCT_SIZE] = max(worst[PRODUCT_SIZE], abs(left * x[k, j]))
+            reduced[k, j], left = left, 0.0
+        judge_column(
+            worst, left, error, x[k, j], c[k, j], value, P[at_P, j, j], lower[k, j], upper[k, j], largest,
+            vectors[SPARE, j] * unit,
+        )
+    return beside_sizes(worst)

@@ -11,7 +11,7 @@ from ...checks import BoolVector, FloatVector
 
 UP_TO, ROWS_UP_TO, WORK_UP_TO = 400, 1500, 2.5e7  # unknowns, rows, multiplications of a step
 SEARCHED_UP_TO = 80  # unknowns of a program whose active set is found before interior points, called alone, are there
-MEASURES = 5  # of an answer
+MEASURES = 7  # of an answer
 MOST_STEPS = 100  # with a smaller limit they are taken one by one
 SPARSE, SPARSE_UP_TO = 0.3, 1.5e6  # share of entries; multiplications of a step that sparse factors take more quickly
 LARGEST = 1e100  # numbers whose products stay in range
@@ -129,9 +129,9 @@ class SmallAnswers(NamedTuple):
         Multipliers of the rows, ≥ 0 where these are inequalities.
     reduced : ndarray, shape (count, n)
         Multipliers of lower bounds less those of upper ones; 0 where x is at neither.
-    measures : ndarray, shape (count, 5)
+    measures : ndarray, shape (count, 7)
         Proved upper bounds of the primal and the dual residual, then complementarity, the largest error of a row and
-        the duality gap, as :class:`~lcp_plugin.conversions.qp_solution.QPSolution` has them.
+        the duality gap, as :class:`~lcp_plugin.conversions.qp_solution.QPSolution` has them; two sizes.
     steps : ndarray of int, shape (count,)
     has_converged : ndarray of bool, shape (count,)
         Where all measures are within the tolerance.

@@ -703,7 +703,7 @@ def test_exit_codes_of_the_command(tmp_path: Path) -> None:
         (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
         (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
         (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
-        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "an .npz, .qps or .mps file"),
+        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "an .npz, .qps, .mps or .nl file"),
         (["two.npz", "--solver", ","], "at least"),
     ):
         done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])

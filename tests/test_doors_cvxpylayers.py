@@ -128,6 +128,8 @@ def test_what_is_unsolved_is_an_error() -> None:
     with pytest.raises(NotConverged, match="program 1 of the batch gives the layer no solution: it is infeasible"):
         layer(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
     with pytest.raises(InvalidOption, match="did you mean 'tolerance'"):
+        LCPSolver(tolerence=1e-9)
+    with pytest.raises(InvalidOption, match=r"^algorithm=.auto. has no options.*did you mean 'tolerance'"):
         layer(torch.tensor([0.0, 1.0], dtype=torch.float64), solver_args={"tolerence": 1e-9})
     layer = CvxpyLayer(cp.Problem(cp.Minimize(h @ x), [x >= 0]), [h], [x], solver=LCPSolver())
     with pytest.raises(NotConverged, match="the program gives the layer no solution: it is unbounded"):

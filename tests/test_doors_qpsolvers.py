@@ -12,6 +12,7 @@ from fresh_process import printed_by
 from hypothesis import given
 from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
 from qpsolvers import problems as published
+from scipy.optimize import nnls
 
 import lcp_plugin
 from lcp_plugin import certify
@@ -66,6 +67,15 @@ def test_duals_have_the_signs_of_qpsolvers() -> None:
     solution = solve_problem(Problem(P, Q, G, H), NAME)
     assert (solution.x.tolist(), solution.z.tolist()) == ([0.5, 1.5], [1.0])
     assert solution.z_box.shape == (0,)
+
+
+@pytest.mark.parametrize("sparse", [None, True, False])
+def test_least_squares(sparse: bool | None) -> None:
+    """``solve_ls`` within bounds, by either of its conversions: what scipy's nnls finds."""
+    rng = np.random.default_rng(2)
+    R, s = rng.standard_normal((9, 4)), rng.standard_normal(9)
+    x = qpsolvers.solve_ls(R, s, lb=np.zeros(4), solver=NAME, sparse_conversion=sparse)
+    np.testing.assert_allclose(x, nnls(R, s)[0], atol=1e-9)
 
 
 def test_linear_and_unconstrained_programs() -> None:

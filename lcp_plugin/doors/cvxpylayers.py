@@ -27,6 +27,7 @@ from ..conversions.program import QuadraticProgram
 from ..errors import LCPError, NotConverged, UnsupportedModel
 from ..modeling.program_derivative import conditions, in_words_of_programs
 from ..solving.derivative import Derivative
+from ..solving.driver import asked_of_solve
 from ..solving.quadratic_program import judged_program
 
 __all__ = ["LCPSolver"]
@@ -113,6 +114,8 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
 
     Raises
     ------
+    InvalidOption, UnknownAlgorithm
+        For an option that does not exist.
     UnsupportedModel
         By ``CvxpyLayer``: the problem needs other cones, or integers.
     NotConverged
@@ -143,7 +146,7 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
     _SINGLE: ClassVar[str] = "the program"
 
     def __init__(self, **options: Any) -> None:
-        self.options = options
+        self.options = _known(options)
         self._layouts: WeakKeyDictionary[Any, Layout] = WeakKeyDictionary()  # of each layer, by its cones
 
     def setup(self, ctx: Any) -> None:
@@ -155,7 +158,7 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         self, P: Any, q: Any, A: Any, dims: Any, solver_args: dict[str, Any], needs_grad: bool
     ) -> tuple[Any, Any, Any]:
         """Return x and the multipliers, a row a program, and what the derivatives need."""
-        layout, options = self._layouts[dims], {**self.options, **solver_args}
+        layout, options = self._layouts[dims], _known({**self.options, **solver_args})
         numbers = [None if one is None else np.asarray(one, dtype=np.float64) for one in (P, q, A)]
         found = [
             self._solved(layout, [None if one is None else one[k] for one in numbers], options, k, len(q))
@@ -199,6 +202,13 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         dx, dy = dprimal.detach().cpu().numpy(), ddual.detach().cpu().numpy()
         by_P, by_q, by_A = self.derivative_numpy_batch(dx, dy, saved_state)
         return None if by_P is None else _like(dprimal, by_P), _like(dprimal, by_q), _like(dprimal, by_A)
+
+
+def _known(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options, or raise where one does not exist."""
+    others = {name: value for name, value in options.items() if name != "algorithm"}
+    asked_of_solve(options.get("algorithm", "auto"), others)
+    return options
 
 
 class _TorchAlone:

@@ -16,7 +16,10 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
-HEAVY = ("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax")
+HEAVY = (
+    "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
+    "qpsolvers", "quantecon", "cvxpylayers",
+)
 FRONT_DOORS = ("__init__", "__main__")
 
 

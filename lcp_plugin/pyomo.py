@@ -36,8 +36,8 @@ of equations.
   looked at afterwards, and where one does not hold the answer is not optimal and the message names it.
 - A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
 - Refused in words: objectives beside complementarities, integers, disjunctions, functions that are not smooth.
-- Pyomo's own ``mpec.nl`` is not used: it moves bounds of variables, drops tighter ones where they are looser and fails
-  on ranges. Who applied it to a model before can still solve the model.
+- Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on a range beside an expression, states another problem for a
+  range beside a variable, and loosens upper bounds. A model to which it was applied is solved as it left it.
 
 **Options** are those of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
@@ -59,7 +59,7 @@ from typing import Any
 
 try:
     from pyomo.common.collections import Bunch
-    from pyomo.core import SymbolMap
+    from pyomo.core import SymbolMap, maximize
     from pyomo.core.base.label import NumericLabeler
     from pyomo.opt import Solution, SolverFactory, SolverResults, SolverStatus, TerminationCondition
 except ImportError as error:
@@ -202,6 +202,8 @@ def _results_of(answer: Answer) -> Any:
     problem = results.problem
     problem.number_of_constraints, problem.number_of_variables = content.row_lower.size, content.lower.size
     problem.number_of_objectives, problem.number_of_nonzeros = content.is_maximized.size, content.linear.nnz
+    if content.is_maximized.any():
+        problem.sense = maximize
     if found.objective is not None and condition is TerminationCondition.optimal:
         problem.lower_bound = problem.upper_bound = found.objective
     return results

@@ -806,3 +806,62 @@ def pies() -> Published:
         [11.7, 13.7, 15.8, 16, 11.9, 12.4], np.ones(10),
     ])
     return by_rows(rows, 42, lower, upper, start)
+
+
+ANALGESICS = """
+0 .5 0 0 .4 | .4 0 .032 0 .1328 | 0 .5 0 0 .4 | .325 0 0 .15 .1275 | .325 0 0 0 .0975 | .324 0 0 .1 .1172
+.421 0 .032 .075 .1541 | .5 0 0 .1 .17 | 0 .5 0 0 .4 | .25 .25 .065 0 .301 | 0 .5 0 0 .4 | 0 .5 0 0 .4
+0 .325 0 0 .26 | .227 .194 0 .075 .2383
+"""  # a brand each: its four ingredients and its cost
+SUBJECTS = """
+0 .0835 0 .0331 15.13539 -4.42859 3.86546 | 0 .543 .0075 .0204 4.62777 -2.04758 1 | 0 .4889 .0055 0 2.21225 -1.82057 1
+.479 .0568 0 .0725 0 -3.22572 4.07059 | .3202 0 .0013 0 0 -2.13139 2.95369 | 0 .1395 0 0 10.58941 -2.75795 1.52444
+0 .4805 0 0 5.0178 -1.97219 1 | .0649 .3759 .0022 0 3.51912 -2.79767 3.03524 | 0 .3834 0 0 9.10098 -3.17282 3.06484
+.3431 .0908 0 .0695 0 -2.22797 2.60511 | .0484 .3229 .0351 0 10.53417 -5.16751 7.67621
+.2696 .0741 .0005 .111 0 -4.40669 7.52461 | .4348 .0276 .0013 .0605 0 -3.08085 5.39522
+.2634 0 .0022 0 0 -3.46886 5.77346
+.3163 .0581 0 0 0 -2.66754 3.28809 | .0859 .0488 0 .1355 7.46487 -4.11384 4.94403
+.3197 .032 .0424 .063 .64571 -1.83466 2.07788 | .1872 .7724 0 .0186 4.8654 -3.56241 1
+.4398 .0235 .023 .0765 .53507 -2.31347 3.91686 | 0 .196 0 .0604 5.31825 -2.28169 1.98819
+.0242 .5938 .0016 .0002 6.86056 -4.38702 5.20269 | .0016 .5157 .0399 .0079 5.69439 -1.85474 1
+.2584 .0761 .0024 .0065 0 -2.75502 4.7539 | 0 .5171 0 0 5.98602 -2.61935 2.34962
+.1094 .1291 0 .0934 14.47467 -2.65956 1 | .0153 .2855 0 0 13.5548 -2.95081 1
+.1851 .0874 .0322 .0903 13.01291 -2.50123 1
+.1289 .262 .1226 0 22.7317 -3.65221 1.96784 | .0472 .2513 .0059 0 5.13727 -2.87451 3.41328
+.2752 .0199 .0003 .0224 .07553 -2.78712 5.10606
+"""  # a subject each: the four it prefers, the weight of these, a constant, the weight of the price
+
+
+@published
+def choi() -> Published:
+    """S. C. Choi, W. S. DeSarbo, P. T. Harker, Management Sci. 36 (1990) 175–199: 14 analgesics; Pyomo's mcplib."""
+    brands, subjects = (
+        np.array([row.split() for row in table.replace("\n", "|").split("|") if row.strip()], dtype=float)
+        for table in (ANALGESICS, SUBJECTS)
+    )
+    cost, slope = brands[:, 4], -3.0 * subjects[:, 6]
+    distance = ((subjects[:, None, :4] - brands[None, :, :4]) ** 2).sum(axis=2)
+    constant = -3.0 * (subjects[:, 4:5] * distance + subjects[:, 5:6])
+    lower, upper = cost.copy(), np.full(14, np.inf)
+    lower[7] = upper[7] = 0.199  # the market leader's price is given
+    m = pe.ConcreteModel()
+    m.I, m.J = pe.RangeSet(0, 29), pe.RangeSet(0, 13)
+    m.p = pe.Var(m.J, initialize=lambda m, j: cost[j] + 0.01)
+    m.pull = pe.Expression(m.I, m.J, rule=lambda m, i, j: pe.exp(slope[i] * m.p[j] + constant[i, j]))
+    m.all = pe.Expression(m.I, rule=lambda m, i: 1 + sum(m.pull[i, j] for j in m.J))
+
+    def marginal(m: Any, j: int) -> Any:
+        share = {i: m.pull[i, j] / m.all[i] for i in m.I}
+        return -sum(share[i] * (1 + (m.p[j] - cost[j]) * slope[i] * (1 - share[i])) for i in m.I) / 30
+
+    m.profit = Complementarity(m.J, rule=lambda m, j: complements(
+        pe.inequality(lower[j], m.p[j], upper[j]) if np.isfinite(upper[j]) else lower[j] <= m.p[j],
+        marginal(m, j) if np.isfinite(upper[j]) else marginal(m, j) >= 0,
+    ))
+
+    def F(p: np.ndarray) -> np.ndarray:
+        pull = np.exp(slope[:, None] * p + constant)
+        share = pull / (1 + pull.sum(axis=1, keepdims=True))
+        return -(share * (1 + (p - cost) * slope[:, None] * (1 - share))).mean(axis=0)
+
+    return Published(m, each(m.p), NonlinearProblem(F, lower=lower, upper=upper), np.maximum(cost + 0.01, lower))

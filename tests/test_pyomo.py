@@ -73,6 +73,10 @@ def ranged(m: Any) -> None:
     pair(m, pe.inequality(0, m.x, 5), m.x - 7)
 
 
+def range_of_one_point(m: Any) -> None:
+    pair(m, m.x + 7, pe.inequality(3, m.x, 3))
+
+
 def range_of_an_expression(m: Any) -> None:
     m.y = pe.Var()
     m.e = pe.Constraint(expr=m.y == 1)
@@ -157,7 +161,7 @@ def without_pairs(m: Any) -> None:
 
 
 STATED = {
-    ranged: 5.0, range_of_an_expression: 4.0, range_of_a_variable_beside_another: 2.0,
+    ranged: 5.0, range_of_one_point: 3.0, range_of_an_expression: 4.0, range_of_a_variable_beside_another: 2.0,
     slack_with_bounds_of_its_own: 1.5, wide_bounds_of_its_own: 7.0, numeraire: 1.0, fixed_and_another_freed: 2.0,
     constant_row: 1.0, equation_as_a_pair: 4.0,
     inequality_that_holds: 2.0, objective_that_is_constant: 2.0, upper_and_swapped: 2.0, deactivated: 2.0, nested: 4.0,
@@ -432,6 +436,7 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
     assert sign * m.dual[m.limit] == pytest.approx(-2.0)
     assert (sign * m.rc[m.x[2]], m.rc[m.x[1]]) == pytest.approx((3.0, 0.0), abs=1e-8)
     assert results.problem.upper_bound == pytest.approx(sign)
+    assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
 
 
 def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:

@@ -188,7 +188,8 @@ class _Draft:
         for condition, pair, _ in sorted(zip(conditions, sides, choices, strict=True), key=lambda each: each[2] != 1):
             equation = next((side for side in pair if side.is_equation), None)
             if equation is not None:
-                self.state(self.model.rows, equation.body, condition, equation=True)
+                body = equation.body - equation.lower if equation.lower else equation.body
+                self.state(self.model.rows, body, condition, equation=True)
             else:
                 self.hold(paired(condition, pair, lambda variable: id(variable) in self.partners))
             for side in pair:

@@ -30,7 +30,7 @@ class Side:
 
     @property
     def is_equation(self) -> bool:
-        """True for body == number."""
+        """True for body == number; a range with equal bounds holds its body, and leaves the row any sign."""
         return self.lower == self.upper
 
     @property

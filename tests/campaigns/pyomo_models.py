@@ -232,8 +232,9 @@ def pe_side(side: Any) -> tuple[float, float, float]:
 
 
 def pair_residual(first: tuple[float, float, float], second: tuple[float, float, float]) -> float:
-    if first[0] == first[2] or second[0] == second[2]:
-        return abs(first[1] if first[0] == first[2] else second[1])
+    for side in (first, second):
+        if side[0] == side[2]:
+            return abs(side[1] - side[0])
     if math.isinf(first[0]) and math.isinf(first[2]):
         first, second = second, first
     if math.isfinite(second[0]):  # two slacks

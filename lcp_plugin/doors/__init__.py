@@ -53,10 +53,9 @@ the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
 >>> solution.x, solution.z, solution.extras["status"]
 (array([0.5, 1.5]), array([1.]), 'optimal')
 
-What any other of its solvers has found, `certify` judges:
+What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
 
->>> found = qpsolvers.solve_problem(program, solver="clarabel")
->>> lcp_plugin.certify(lcp_plugin.QuadraticProgram(*program.unpack()[:6]), found.x).verdict
+>>> lcp_plugin.certify(lcp_plugin.QuadraticProgram(*program.unpack()[:6]), [0.5, 1.5]).verdict
 'proved'
 
 **cvxpylayers** from 1.2 on, in PyTorch: quadratic and linear programs as layers, batched::

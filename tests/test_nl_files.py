@@ -183,6 +183,13 @@ def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
         read_content(tmp_path / "other")
 
 
+def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
+    """A second row that goes with the same variable is refused with its line."""
+    text = SMALL.replace(b" 2 0 0 1 0 0", b" 2 0 0 2 0 0").replace(b"4 1.0", b"5 3 1")
+    with pytest.raises(errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"):
+        read(tmp_path, text)
+
+
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(20))
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
@@ -285,6 +292,20 @@ def test_a_damaged_answer_is_refused_with_its_line(tmp_path: Path, old: bytes) -
     (tmp_path / "m.sol").write_bytes(data.replace(old, b"\n99\n98\n" if old.startswith(b"\n") else b"Opt"))
     with pytest.raises(errors.UnreadableFile, match=r"line \d+: "):
         read_sol(tmp_path / "m.sol")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_mutilated_answer_is_refused_or_valid(tmp_path: Path, seed: int) -> None:
+    """Whatever happened to a .sol file, reading it gives a content or an UnreadableFile with its line."""
+    rng = np.random.default_rng(seed)
+    write_sol(tmp_path / "m.sol", "one\ntwo", rng.standard_normal(4), rng.standard_normal(3), (3, 1, 1, 0), 0)
+    (tmp_path / "m.sol").write_bytes(mutilated((tmp_path / "m.sol").read_bytes(), rng))
+    refused = ""
+    try:
+        found = read_sol(tmp_path / "m.sol")
+    except errors.UnreadableFile as error:
+        refused = str(error)
+    assert re.search(r"line \d+: ", refused) if refused else (found.rows >= 0 and found.variables >= 0)
 
 
 def test_wrong_calls_are_told(tmp_path: Path) -> None:

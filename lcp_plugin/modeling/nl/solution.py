@@ -15,7 +15,7 @@ import numpy as np
 from ...checks import FloatVector
 from ...errors import InvalidProblem, UnreadableFile
 from ...problem.files import checked_path, write_whole
-from .header import WITH_TOLERANCE
+from .header import MOST_OPTIONS, WITH_TOLERANCE
 
 OPTIONS = "Options"
 NO_CODE = -1
@@ -124,24 +124,29 @@ def read_sol(path: str | PathLike[str]) -> SolContent:
         if position == len(lines):
             raise ValueError(f"no line says {OPTIONS}")
         count = int(_next(rest))
+        if not 2 <= count <= MOST_OPTIONS:
+            raise ValueError(f"{count} options are announced, and 2 to {MOST_OPTIONS} are possible")
         options = [int(_next(rest)) for _ in range(2)]
         has_tolerance = options[1] == WITH_TOLERANCE
         count -= 2 * has_tolerance
         options += [int(_next(rest)) for _ in range(count - 2)]
         m, m_given, n, n_given = (int(_next(rest)) for _ in range(4))
-        if m_given not in (0, m) or n_given not in (0, n) or m_given + n_given > len(lines):
+        if min(m, n) < 0 or m_given not in (0, m) or n_given not in (0, n) or m_given + n_given > len(lines):
             raise ValueError(f"{m_given} of {m} dual and {n_given} of {n} primal values are announced")
         tolerance = float(_next(rest)) if has_tolerance else None
         duals, values = (np.array([float(_next(rest)) for _ in range(k)]) for k in (m_given, n_given))
         ending = next(rest, (0, ""))[1].split()
         code = int(ending[2]) if len(ending) == 3 and ending[0] == "objno" else NO_CODE
-    except (ValueError, StopIteration) as error:
+    except ValueError as error:
         line = next(rest, (len(lines) + 1, ""))[0] - 1
-        raise UnreadableFile(f"cannot read {source}, line {line}: {str(error) or 'it ends here'}; it is damaged, or "
+        raise UnreadableFile(f"cannot read {source}, line {line}: {error}; it is damaged, or "
                              "no .sol file in text") from error
     return SolContent(message, (count, *options), tolerance, m, n, duals if m_given or not m else None,
                       values if n_given or not n else None, code)
 
 
 def _next(lines: Iterator[tuple[int, str]]) -> str:
-    return next(lines)[1]
+    _, line = next(lines, (0, None))
+    if line is None:
+        raise ValueError("the file ends here")
+    return line

@@ -238,6 +238,16 @@ def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
             require_refused_or_valid(tmp_path, SMALL.replace(old, new)) or read(tmp_path, SMALL.replace(old, new))
 
 
+@pytest.mark.parametrize(("line", "word"), [(2, 0), (2, 1), (2, 2), (2, 5), (6, 1), (8, 0), (8, 1), (10, 0)])
+def test_counts_that_a_long_file_could_hold_allocate_little(tmp_path: Path, line: int, word: int) -> None:
+    """A file long by its comments announces as much as it has bytes: within ten times its size all the same."""
+    lines = SMALL.replace(b"C1\n", b"C1\t#" + b"x" * 200_000 + b"\n").split(b"\n")
+    words = lines[line - 1].split()
+    words[word] = b"190000"
+    lines[line - 1] = b" ".join(words)
+    require_refused_or_valid(tmp_path, b"\n".join(lines))
+
+
 def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
     """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
     text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(

@@ -85,6 +85,7 @@ class _Content:
         """Return the content."""
         header, found = self.header, self.found
         n, d = header.variables, header.defined
+        self._check_announced()
         _, lower, upper, _ = self._bounds("b", n)
         row_kinds, row_lower, row_upper, raw = self._bounds("r", header.rows)
         partners, partner_bounds = self._partners(row_kinds, raw)
@@ -93,7 +94,9 @@ class _Content:
         self._check_defined()
         start, has_start = self._start("x", n)
         trees = {letter: self._trees(letter, count, first) for letter, count, first in (
-            ("C", header.rows, 0), ("O", header.objectives, 0), ("V", d, n), ("L", header.logical_rows, 0))}
+            ("C", header.rows, 0), ("O", header.objectives, 0), ("V", d, n))}
+        if "L" in found.trees:  # checked, not kept
+            self._trees("L", header.logical_rows, 0)
         is_maximized = np.zeros(header.objectives, dtype=bool)
         if "O" in found.trees:
             is_maximized[found.trees["O"].owners] = np.array(found.senses, dtype=bool)
@@ -216,13 +219,23 @@ class _Content:
             fail(place, f"the segment says that variable {j} is in {given[j]:g} rows, and the segments J have it in "
                  f"{counts[j]}")
 
+    def _check_announced(self) -> None:
+        """Raise where the head announces what is not there, before anything of that size is allocated."""
+        header, trees = self.header, self.found.trees
+        for line, announced, what, count in (
+            (2, header.objectives, "objectives", trees["O"].owners.size if "O" in trees else 0),
+            (6, header.functions, "functions", len(self.found.functions)),
+            (10, header.defined, "defined variables", trees["V"].owners.size if "V" in trees else 0),
+        ):
+            if announced != count:
+                raise HeadFault(line, f"{announced} {what} are announced, {count} are there")
+        if "L" in trees and (count := trees["L"].owners.size) != header.logical_rows:
+            raise HeadFault(2, f"{header.logical_rows} logical constraints are announced, {count} are there")
+
     def _check_defined(self) -> None:
-        """Raise where a defined variable is missing, or uses itself or one behind it."""
-        n, d = self.header.variables, self.header.defined
+        """Raise where a defined variable uses itself or one behind it."""
+        n = self.header.variables
         forest, pairs = self.found.trees.get("V"), self.found.linear.get("V")
-        count = 0 if forest is None else forest.owners.size
-        if count != d:
-            raise HeadFault(10, f"{d} defined variables are announced, {count} are there")
         if forest is None or pairs is None:
             return
         owners = np.repeat(pairs.owners, pairs.counts)
@@ -289,8 +302,6 @@ class _Content:
             if not 0 <= number < len(names) or names[number]:
                 fail(place, f"there are {len(names)} functions, numbered from 0, each with one segment F")
             names[number] = name.decode(errors="replace") or "?"
-        if not all(names):
-            raise HeadFault(6, f"{len(names)} functions are announced, and number {names.index('')} has no segment F")
         return tuple(names)
 
     def _start(self, letter: str, count: int) -> tuple[FloatVector, Any]:

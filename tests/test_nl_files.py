@@ -248,6 +248,17 @@ def test_counts_that_a_long_file_could_hold_allocate_little(tmp_path: Path, line
     require_refused_or_valid(tmp_path, b"\n".join(lines))
 
 
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FF0000000000000])
+def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int) -> None:
+    """A NaN of either kind and an infinity in an expression are refused with their byte, without a warning."""
+    write_nl(read(tmp_path, SMALL), tmp_path / "m.nl", binary=True)
+    data = (tmp_path / "m.nl").read_bytes()
+    old = b"n" + struct.pack("<d", -2.0)
+    assert data.count(old) == 1
+    with pytest.raises(errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"):
+        read(tmp_path, data.replace(old, b"n" + struct.pack("<Q", bits)))
+
+
 def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
     """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
     text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(

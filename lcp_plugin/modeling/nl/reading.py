@@ -54,8 +54,9 @@ def read_content(path: str | PathLike[str]) -> NLContent:
     found = Segments()
     try:
         header, begin = read_header(data)
-        (read_binary if header.is_binary else read_text)(data, begin, header, found)
-        return _Content(source, header, found).content()
+        with np.errstate(invalid="ignore"):  # of a signalling NaN, which is refused
+            (read_binary if header.is_binary else read_text)(data, begin, header, found)
+            return _Content(source, header, found).content()
     except Fault as fault:
         raise UnreadableFile(
             f"cannot read {source}, {_place(data, found, fault)}: {fault}; the file is damaged, or no .nl file: "

@@ -1,7 +1,23 @@
-"""AMPL's ``.nl`` files, which Pyomo, AMPL and JuMP write: read, written, solved, answered by ``.sol``.
+r"""AMPL's ``.nl`` files, which Pyomo, AMPL and JuMP write: read, written, solved, answered by ``.sol``.
 
-``read_nl(path)`` gives the model, its ``solve()`` the answer in the file's own variables and rows, ``write_sol`` writes
-it. `read_content` and `write_nl` read and write what the file says, text or binary.
+``lcp-plugin-ampl stub -AMPL`` reads ``stub.nl`` and writes ``stub.sol``, which is how those languages call a solver;
+its options are ``key=value`` on the command line or in the environment variable ``lcp_plugin_options``, and
+``lcp-plugin-ampl -=`` lists them. The same in Python:
+
+>>> import tempfile
+>>> from pathlib import Path
+>>> head = ["g3 1 1 0", " 2 2 0 0 0", " 0 0 2 0 0 0", " 0 0", " 0 0 0", " 0 0 0 1", " 0 0 0 0 0", " 4 0", " 0 0"]
+>>> rows = [" 0 0 0 0 0", "C0", "n-5", "C1", "n1", "r", "5 1 1", "5 1 2", "b", "2 0", "2 0", "k1", "2"]
+>>> pairs = ["J0 2", "0 2", "1 1", "J1 2", "0 1", "1 2", ""]
+>>> with tempfile.TemporaryDirectory() as folder:
+...     path = Path(folder, "m.nl")
+...     _ = path.write_text("\n".join([*head, *rows, *pairs]))
+...     model = read_nl(path)
+>>> model
+ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
+>>> answer = model.solve()
+>>> answer.x, answer.duals, answer.code
+(array([2.5, 0. ]), array([0. , 3.5]), 0)
 
 | the file states | it becomes |
 |---|---|
@@ -20,52 +36,10 @@ Variables that only name the value of such a row, which Pyomo adds, are put in. 
 keep the bounds of variables; SOLVED means that they hold. Every answer is held against the rows as they stand in the
 file, by an evaluation of its own.
 
-The file of exp(x) + y ≥ 3 ⟂ x ≥ 0, x y = ½ ⟂ y free:
-
->>> import pathlib, tempfile
->>> text = '''g3 1 1 0
-... 2 2 0 0 1
-... 2 0 1 0 0 0
-... 0 0
-... 2 0 0
-... 0 0 0 1
-... 0 0 0 0 0
-... 4 0
-... 0 0
-... 0 0 0 0 0
-... C0
-... o0
-... o44
-... v0
-... n-3
-... C1
-... o2
-... v0
-... v1
-... r
-... 5 1 1
-... 4 0.5
-... b
-... 2 0
-... 3
-... k1
-... 2
-... J0 2
-... 0 0
-... 1 1
-... J1 2
-... 0 0
-... 1 0
-... '''
->>> with tempfile.TemporaryDirectory() as folder:
-...     path = pathlib.Path(folder) / "m.nl"
-...     _ = path.write_text(text)
-...     model = read_nl(path)
->>> model
-ComplementarityModel(NonlinearProblem(n=2, jacobian given, enclosure given))
->>> answer = model.solve(tolerance=1e-12, z0=[1, 1])
->>> answer.status.name, answer.x.round(6), answer.code
-('SOLVED', array([0.8917  , 0.560727]), 0)
+**Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
+complementarity rows, expressions, defined variables, starts, suffixes, names from ``.col`` and ``.row``. What is
+damaged, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is believed before
+it is compared with the file's length.
 """
 
 from .answers import NLAnswer, NLModel

@@ -37,7 +37,7 @@ from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..modeling.nl.content import NLContent, Token, Trees
 from ..modeling.nl.reading import read_content
-from .pyomo_pairs import Pair, Side, cannot_vary, number, paired, sides_of
+from .pyomo_pairs import Pair, Side, cannot_vary, difference, number, paired, sides_of
 
 KNOWN = {
     Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
@@ -188,7 +188,7 @@ class _Draft:
         for condition, pair, _ in sorted(zip(conditions, sides, choices, strict=True), key=lambda each: each[2] != 1):
             equation = next((side for side in pair if side.is_equation), None)
             if equation is not None:
-                body = equation.body - equation.lower if equation.lower else equation.body
+                body = difference(equation.body, equation.lower) if equation.lower else equation.body
                 self.state(self.model.rows, body, condition, equation=True)
             else:
                 self.hold(paired(condition, pair, lambda variable: id(variable) in self.partners))
@@ -208,13 +208,13 @@ class _Draft:
             variable = self.model.added.add()
             self.named[id(variable)] = f"the unknown for {pair.stated.name}"
             variable.set_value(None if math.isnan(start := number(pair.held.body)) else start)
-            self.state(self.model.rows, variable - pair.held.body, self.named[id(variable)], equation=True)
+            self.state(self.model.rows, difference(variable, pair.held.body), self.named[id(variable)], equation=True)
         self.partners[id(variable)] = variable, pair
         self.state(self.model.rows, pair.row, pair)
 
     def state(self, rows: Any, body: Any, what: Any, equation: bool = False) -> None:
         """Add a row body ≥ 0, or an equation body == 0."""
-        body = body if is_potentially_variable(body) else body + self.model.zero
+        body = body if is_potentially_variable(body) else difference(body, self.model.zero)
         self.states[id(rows.add((0.0, body, 0.0 if equation else None)))] = what
 
     def written(self, objectives: Sequence[Any], has_pairs: bool, path: Path) -> Statement:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pyomo.core import value
-from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression
+from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
 from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import identify_variables
 
@@ -48,8 +48,8 @@ class Side:
     def slack(self) -> Any:
         """What is ≥ 0 at the one finite bound: body − lower or upper − body."""
         if math.isfinite(self.upper):
-            return self.upper - self.body
-        return self.body - self.lower if self.lower else self.body
+            return difference(self.upper, self.body)
+        return difference(self.body, self.lower) if self.lower else self.body
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def _side(argument: Any, stated: Any) -> Side:
         raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; it needs an expression of variables")
     if isinstance(argument, EqualityExpression):
         left, right = argument.args
-        return Side(0.0, left - right if _counts(right) else left, 0.0)
+        return Side(0.0, difference(left, right) if _counts(right) else left, 0.0)
     if isinstance(argument, (InequalityExpression, RangedExpression)) and any(_strict(argument)):
         raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
     if isinstance(argument, RangedExpression):
@@ -123,7 +123,7 @@ def _side(argument: Any, stated: Any) -> Side:
             return Side(_bound(smaller, stated), larger, math.inf)
         if cannot_vary(larger):
             return Side(-math.inf, smaller, _bound(larger, stated))
-        return Side(0.0, larger - smaller, math.inf)
+        return Side(0.0, difference(larger, smaller), math.inf)
     return Side(-math.inf, argument, math.inf)
 
 
@@ -143,6 +143,11 @@ def _bound(expression: Any, stated: Any) -> float:
             "complements(body - bound >= 0, …)"
         )
     return float(value(expression))
+
+
+def difference(first: Any, second: Any) -> Any:
+    """Return first − second as a sum of its own: Pyomo's ``+`` may append to the list of a sum that the user holds."""
+    return SumExpression([first, -second])
 
 
 def cannot_vary(expression: Any) -> bool:

@@ -9,7 +9,9 @@ parameters, defined variables, indexed and nested blocks. Of each model it is lo
   the terms of a row, read from the file that Pyomo wrote;
 - whether the answer is optimal and satisfies every pair, equation and inequality by Pyomo's own expressions; it may be
   another solution than x*, which some nonlinear terms allow; then an inequality beside the pairs may fail, in words;
-- whether the model is what it was.
+- whether the model is what it was;
+- where Pyomo's own ``mpec.nl`` can state the model (no ranges, no bounds of a variable's own): whether the file that it
+  writes is solved, and its answer satisfies the model.
 
 Exit code 1 where anything is wrong.
 """
@@ -38,6 +40,7 @@ import lcp_plugin.pyomo  # noqa: F401 - it registers the solver
 from lcp_plugin.doors.pyomo_model import Statement, stated
 from lcp_plugin.doors.pyomo_pairs import Pair
 from lcp_plugin.expressions.program import Program
+from lcp_plugin.modeling.nl import read_nl
 from lcp_plugin.modeling.nl.content import NLContent
 from lcp_plugin.modeling.nl.expressions import UNKNOWNS, Expressions
 
@@ -207,10 +210,21 @@ def slopes_of(expression: Any, variables: list[Any]) -> np.ndarray | None:
 
 def residual(model: Any, with_inequalities: bool = True) -> float:
     """The largest violation of all that is active in the model, by Pyomo's own expressions."""
+    return residual_of(*parts_of(model), with_inequalities)
+
+
+def parts_of(model: Any) -> tuple[list[Any], list[Any]]:
+    """The sides of each pair, and the constraints."""
+    pairs = [condition._args for condition in model.component_data_objects(Complementarity, active=True)]
+    return pairs, list(model.component_data_objects(pe.Constraint, active=True))
+
+
+def residual_of(pairs: list[Any], constraints: list[Any], with_inequalities: bool = True) -> float:
+    """The largest violation of these."""
     worst = 0.0
-    for condition in model.component_data_objects(Complementarity, active=True):
-        worst = max(worst, pair_residual(*(pe_side(side) for side in condition._args)))
-    for row in model.component_data_objects(pe.Constraint, active=True):
+    for sides in pairs:
+        worst = max(worst, pair_residual(*(pe_side(side) for side in sides)))
+    for row in constraints:
         if not (row.equality or with_inequalities):
             continue
         body = pe.value(row.body)
@@ -246,7 +260,12 @@ def picture(model: Any) -> list[Any]:
     """What may not change by a solve."""
     components = [(block.name, sorted(block.component_map())) for block in model.block_data_objects(active=None)]
     return [components, [(v.name, v.lb, v.ub, v.fixed) for v in model.component_data_objects(pe.Var)],
-            [(c.name, c.active, str(c._args)) for c in model.component_data_objects(Complementarity)]]
+            [(c.name, c.active, str(c._args), hidden(c._args)) for c in model.component_data_objects(Complementarity)]]
+
+
+def hidden(expressions: Any) -> list[Any]:
+    """How many arguments each node holds: sums share their lists, which may hold more than the sum shows."""
+    return [[len(e._args_), hidden(e.args)] for e in expressions if hasattr(e, "_args_")]
 
 
 def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
@@ -268,6 +287,28 @@ def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
         yield f"residual in Pyomo {off:.1e}"
     if picture(model) != before:
         yield "the model has changed"
+    if not case.features & {"both", "own bounds", "inequality beside"} and case.features & {"lower", "upper"}:
+        case.features.add("by mpec.nl")
+        yield from faults_by_file(model)
+
+
+def faults_by_file(model: Any) -> Iterator[str]:
+    """What is wrong with the answer to the file that Pyomo writes after its own transformation."""
+    names = {variable.name: variable for variable in model.component_data_objects(pe.Var)}
+    parts = parts_of(model)
+    pe.TransformationFactory("mpec.nl").apply_to(model)  # in place: a clone loses the sides of its pairs
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.nl"
+        model.write(str(path), io_options={"symbolic_solver_labels": True})
+        file = read_nl(path)
+    found = file.solve(**OPTIONS)
+    for name, number in zip(file.content.names, found.x, strict=True):
+        if name in names:
+            names[name].set_value(float(number), skip_validation=True)
+    if not found.is_solved:
+        yield f"by file: {found.message}"
+    elif not (off := residual_of(*parts)) <= HOLDS:
+        yield f"by file: residual in Pyomo {off:.1e}"
 
 
 def main(cases: int, seed: int) -> int:

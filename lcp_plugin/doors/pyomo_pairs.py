@@ -152,6 +152,8 @@ def difference(first: Any, second: Any) -> Any:
 
 def cannot_vary(expression: Any) -> bool:
     """Return whether nothing in an expression is free; the first free variable ends the search."""
+    if hasattr(expression, "is_variable_type") and expression.is_variable_type():
+        return bool(expression.fixed)  # up to Pyomo 6.8 the search finds a fixed variable in itself
     return not is_potentially_variable(expression) or next(identify_variables(expression, False), None) is None
 
 

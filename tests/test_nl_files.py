@@ -190,8 +190,9 @@ def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
         read(tmp_path, text)
 
 
+@pytest.mark.sampled(60)
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(170))
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
     """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
     rng = np.random.default_rng([seed, len(form)])

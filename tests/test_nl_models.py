@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, Status, UnsupportedModel, complements
+from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, Status, UnsupportedModel, complements, solve
 from lcp_plugin.commands.cli import app
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.program import Program
@@ -278,6 +278,39 @@ def test_defined_variables_are_computed_once() -> None:
     few = content_of(2, [("x", 2), ("neg", ("x", 2))], defined=[("+", ("x", 0), ("x", 1))])
     twice = Expressions(few, np.full(2, np.nan))
     np.testing.assert_array_equal(twice.matrix[[0, 1]].toarray(), [[1, 1], [-1, -1]])
+
+
+def stocks(n: int) -> tuple[list[Tree], list[Tree], np.ndarray]:
+    """Stocks v_k = v_(k−1)/2 + x_k as defined variables, rows v_k + x_k − 1, and the matrix of these."""
+    defined = [("+", ("*", 0.5, ("x", n + k - 1)), ("x", k)) if k else ("x", 0) for k in range(n)]
+    rows = [("+", ("x", n + k), ("-", ("x", k), 1.0)) for k in range(n)]
+    distance = np.subtract.outer(np.arange(n), np.arange(n))
+    return rows, defined, np.where(distance >= 0, 0.5 ** np.maximum(distance, 0), 0.0) + np.eye(n)
+
+
+def test_long_chains_of_affine_defined_variables_stay_affine() -> None:
+    """What would fill the matrix is put in as an unknown with an equation: the LCP stays one, and sparse."""
+    rows, defined, M = stocks(500)
+    model = model_of(paired(content_of(500, rows, defined=defined)))
+    assert isinstance(model.problem, LCP)
+    assert model.problem.nonzeros < 60 * 500
+    answer = model.solve(tolerance=1e-12)
+    assert answer.x.shape == (500,)
+    np.testing.assert_allclose(answer.x, solve(LCP(M, -np.ones(500)), tolerance=1e-12).z, atol=1e-9)
+    np.testing.assert_allclose(answer.duals, M @ answer.x - 1.0, atol=1e-9)
+
+
+def test_programs_put_affine_defined_variables_in() -> None:
+    """A program has no unknowns but its variables: rows and objective are what the defined variables say."""
+    rows, defined, M = stocks(100)
+    content = content_of(
+        100, rows, defined=defined, row_upper=[INFINITY] * 100, objective=("x", 199), objective_linear=[[1.0] * 100],
+        lower=[0.0] * 100,
+    )
+    problem = model_of(content).problem
+    assert isinstance(problem, QuadraticProgram)
+    np.testing.assert_allclose(-problem.G.toarray(), M, rtol=1e-15)
+    np.testing.assert_allclose(problem.c, 1.0 + M[-1] - np.eye(100)[-1], rtol=1e-15)
 
 
 def random_pairs(seed: int = 3, n: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

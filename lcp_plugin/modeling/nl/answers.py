@@ -146,7 +146,7 @@ class ComplementarityModel(NLModel):
     content : NLContent
     arrangement : Arrangement
     unknowns : ndarray of int
-        The variable that each unknown of the arrangement is.
+        The variable that each unknown of the arrangement is; from n on, a defined variable.
     known : ndarray, shape (n,)
         The values of variables that are no unknowns.
     pairs : PairRows
@@ -157,13 +157,13 @@ class ComplementarityModel(NLModel):
     ) -> None:
         self.content, self.arrangement, self.unknowns, self.pairs = content, arrangement, unknowns, pairs
         self.problem: LCP | NonlinearProblem = arrangement.problem
-        self._known = known
+        self._known, self._size = known, known.size + content.defined_trees.size
 
     @property
     def start(self) -> FloatVector:
         """The start in the unknowns of the problem; 0 where the file names none."""
-        start: FloatVector = self.content.start[self.unknowns][self.arrangement.elimination.kept]
-        return start
+        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
+        return start[self.unknowns][self.arrangement.elimination.kept]
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
@@ -178,7 +178,7 @@ class ComplementarityModel(NLModel):
 
     def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:
         """Return what the rows of the file, evaluated as they stand, say against the values computed; else nothing."""
-        content, widths = self.content, np.zeros(self._known.size)
+        content, widths = self.content, np.zeros(self._size)
         if isinstance(self.problem, NonlinearProblem) and self.problem.enclosure is not None:
             low, high = self.problem.enclosure.interval_F(result.z, result.z)
             widths[self.unknowns[self.arrangement.elimination.kept]] = high - low
@@ -193,12 +193,13 @@ class ComplementarityModel(NLModel):
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination, pairs = self.arrangement.elimination, self.pairs
-        x, slack, duals = self._known.copy(), np.zeros(self._known.size), np.zeros(self.content.row_lower.size)
+        n, duals = self._known.size, np.zeros(self.content.row_lower.size)
+        x, slack = np.append(self._known, np.zeros(self._size - n)), np.zeros(self._size)
         x[self.unknowns] = elimination.expand(z)
         slack[self.unknowns] = elimination.expand_slack(w)
         duals[pairs.rows] = slack[pairs.partners]
         x[pairs.variables] = (duals[pairs.folded] - pairs.offsets) / pairs.weights
-        return x, duals
+        return x[:n], duals
 
     @cached_property
     def _is_of_pair(self) -> BoolVector:

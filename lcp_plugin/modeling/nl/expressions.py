@@ -18,7 +18,7 @@ from ...expressions import functions
 from ...expressions.rows import Compiler, Rows
 from .content import Indices, NLContent
 from .operators import OPERATORS, Arithmetic
-from .tokens import INLINE, NONE, OWN, PUT_IN, VARIABLE, Tokens
+from .tokens import INLINE, NONE, OWN, PUT_IN, UNKNOWN, VARIABLE, Tokens
 
 UNKNOWNS = 0  # the key of the only source that is no function
 
@@ -75,6 +75,8 @@ class Combinations:
             target, factor = self._held_by[number] if is_inline else (tokens.results + number, 1.0)
             if target == NONE or not tokens.uses[number]:
                 return
+            if tokens.ways[number] == UNKNOWN:
+                self._add(target, tokens.n + number, -1.0)
             self._add_linear(number, target, factor)
         place, stop, waiting = tokens.starts[tree], tokens.starts[tree + 1], self._waiting
         waiting.append((target, factor))
@@ -158,21 +160,28 @@ class Expressions:
     content : NLContent
     known : ndarray, shape (n,)
         The values of the variables that have one, NaN for the unknowns.
+    lifts : bool
+        Whether affine defined variables may become unknowns where to put them in would cost much.
 
     Attributes
     ----------
     unknowns : ndarray of int
-        The variables that are unknowns.
+        The variables that are unknowns; from n on, defined variables.
+    definitions : ndarray of int
+        The combinations that are zero, one for each defined variable among the unknowns.
     matrix : CSR array
         Of the rows, of the objectives, then of arguments of functions: over the unknowns, then the functions.
     offset : ndarray
     """
 
-    def __init__(self, content: NLContent, known: FloatVector) -> None:
+    def __init__(self, content: NLContent, known: FloatVector, *, lifts: bool = True) -> None:
         is_known = ~np.isnan(known)
-        tokens = Tokens(content, [value if one else None for value, one in zip(known.tolist(), is_known, strict=True)])
+        values = [value if one else None for value, one in zip(known.tolist(), is_known, strict=True)]
+        tokens = Tokens(content, values, lifts=lifts)
         found = Combinations(tokens)
-        self.unknowns = np.flatnonzero(np.isnan(known))
+        defined = np.array([k for k, way in enumerate(tokens.ways) if way == UNKNOWN], dtype=np.int64)
+        self.definitions = tokens.results + defined
+        self.unknowns = np.concatenate([np.flatnonzero(~is_known), content.lower.size + defined])
         keys = list(zip(tokens.levels, (one.name for one in tokens.functions), strict=True))
         order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
         self._arguments = found.first_arguments()[order], found.second_arguments()[order]
@@ -297,7 +306,7 @@ def _summed(found: Combinations, content: NLContent) -> tuple[sp.csr_array, Floa
     whole, added = _put_into_each_other(matrix, offset, put_in, tokens)
     share = matrix[:, n : n + tokens.defined]
     keep = np.ones(shape[1])
-    keep[n : n + tokens.defined] = 0.0
+    keep[n + np.array(put_in)] = 0.0
     return sp.csr_array(matrix @ sp.diags_array(keep) + share @ whole), offset + share @ added
 
 
@@ -305,12 +314,13 @@ def _put_into_each_other(
     matrix: sp.csr_array, offset: FloatVector, numbers: list[int], tokens: Tokens
 ) -> tuple[sp.csr_array, FloatVector]:
     """Return the defined variables with these numbers, one after the other, over all that is none of them."""
-    n, stop = tokens.n, tokens.n + tokens.defined
+    n, is_put_in = tokens.n, np.zeros(matrix.shape[1], dtype=bool)
+    is_put_in[n + np.array(numbers)] = True
     found: dict[int, tuple[Any, Any, float]] = {}
     for k in numbers:
         entries = slice(matrix.indptr[tokens.results + k], matrix.indptr[tokens.results + k + 1])
         columns, data, shift = matrix.indices[entries], matrix.data[entries], float(offset[tokens.results + k])
-        is_defined = (columns >= n) & (columns < stop)
+        is_defined = is_put_in[columns]
         if is_defined.any():
             below = [(found[j - n], factor) for j, factor in zip(columns[is_defined], data[is_defined], strict=True)]
             shift += sum(factor * one[2] for one, factor in below)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from os import PathLike
 from typing import Any
 
@@ -100,7 +101,8 @@ class Statement:
         if self.pairs.size:
             self._check_partners()
         self.known = self._known()
-        self.expressions = Expressions(content, self.known)
+        lifts = bool(self.pairs.size) or not (self.inequalities.size or content.is_maximized.size)
+        self.expressions = Expressions(content, self.known, lifts=lifts)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
 
     def _refuse_discrete(self) -> None:
@@ -124,6 +126,13 @@ class Statement:
     def name(self, column: int) -> str:
         """Return the name of a variable."""
         return f"variable {column}" if self.content.names is None else self.content.names[column]
+
+    @cached_property
+    def right(self) -> FloatVector:
+        """The right-hand sides of equations, 0 for those of defined variables."""
+        right = np.zeros(self.expressions.offset.size)
+        right[: self.m] = self.content.row_lower
+        return right
 
     def row(self, row: Any) -> str:
         """Return the name of a row."""
@@ -189,7 +198,7 @@ class Statement:
             return False
         if not self.is_affine.all():
             return True
-        unknowns = self.expressions.unknowns
+        unknowns = np.flatnonzero(np.isnan(self.known))
         is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
 
@@ -199,6 +208,8 @@ class Statement:
 
     def program(self) -> ProgramModel:
         """Return the quadratic program."""
+        if self.expressions.definitions.size:
+            self.expressions = Expressions(self.content, self.known, lifts=False)
         content, found, m = self.content, self.expressions, self.m
         if not self.is_affine.all():
             row = self.row(np.flatnonzero(~self.is_affine)[0])
@@ -227,11 +238,11 @@ class Statement:
         content, found = self.content, self.expressions
         pairs, equations, folded = self._put_in_auxiliaries()
         shift = np.zeros(found.offset.size)
-        shift[equations] = content.row_lower[equations]
+        shift[equations] = self.right[equations]
         found.offset = found.offset - shift
         equations = self._without_empty(equations)
         assembly = _Assembly(content, found, keeps_bounds=not pairs.size)
-        place = np.full(self.n, -1)
+        place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
         for rows, takes in ((pairs, assembly.take_pairs), (equations, assembly.take_equations)):
             is_affine = found.is_affine()[rows]
@@ -246,7 +257,7 @@ class Statement:
         """Leave out the equations that hold no unknown; raise where they do not hold."""
         found = self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
-        offsets, right = found.offset[equations], self.content.row_lower[equations]
+        offsets, right = found.offset[equations], self.right[equations]
         wrong = np.flatnonzero(is_empty & (np.abs(offsets) > ROUNDING * (1.0 + np.abs(right))))
         if wrong.size:
             raise UnsupportedModel(
@@ -270,6 +281,7 @@ class Statement:
         matrix, columns = found.matrix, sp.csc_array(found.matrix)
         lengths = np.diff(matrix.indptr)
         is_free = np.isneginf(content.lower) & np.isposinf(content.upper) & ~self.is_paired
+        is_free = np.append(is_free, np.zeros(content.defined_trees.size, dtype=bool))
         may_go = np.zeros(matrix.shape[1], dtype=bool)
         may_go[:n] = is_free[found.unknowns] & (np.diff(columns.indptr)[:n] == 2)
         rows = self.pairs[lengths[self.pairs] == 1]
@@ -287,22 +299,22 @@ class Statement:
         first = np.zeros(fits.size, dtype=bool)
         first[np.unique(np.where(fits, definitions, -1), return_index=True)[1]] = True
         taken = np.flatnonzero(fits & first)
-        rows, own, weights, definitions, pivots = (
-            one[taken] for one in (rows, own, weights, definitions, pivots)
-        )
+        rows, own, weights, definitions, pivots = (one[taken] for one in (rows, own, weights, definitions, pivots))
         variables, offsets = found.unknowns[own], found.offset[rows]
-        found.offset[definitions] -= content.row_lower[definitions]
+        found.offset[definitions] -= self.right[definitions]
         if taken.size:
             found.put_in(rows, definitions, own, -weights / pivots)
-        return self.pairs, np.setdiff1d(self.equations, definitions), (rows, variables, weights, offsets)
+        left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
+        return self.pairs, left, (rows, variables, weights, offsets)
 
 
 class _Assembly(Assembly):
     """The model of a file."""
 
     def __init__(self, content: NLContent, found: Expressions, *, keeps_bounds: bool) -> None:
-        bounds = content.lower[found.unknowns], content.upper[found.unknowns]
-        super().__init__(found.compiler, {UNKNOWNS: 0}, *bounds)
+        free = np.full(content.defined_trees.size, np.inf)
+        lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
+        super().__init__(found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns])
         self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
 
     def take_pairs(self, rows: Indices, place: Indices) -> None:
@@ -326,5 +338,7 @@ class _Assembly(Assembly):
 
     def entry(self, column: np.int64) -> str:
         """Return the name of an unknown."""
-        variable = int(self.found.unknowns[column])
+        variable, n = int(self.found.unknowns[column]), self.content.lower.size
+        if variable >= n:
+            return f"defined variable {variable - n}"
         return f"variable {variable}" if self.content.names is None else self.content.names[variable]

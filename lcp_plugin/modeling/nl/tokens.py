@@ -21,8 +21,9 @@ MOST_NESTED = 1000  # functions in one another: each level is one more that deri
 NUMBER, VARIABLE, OPERATOR = int(Token.NUMBER), int(Token.VARIABLE), int(Token.OPERATOR)
 SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
 NONE = -1
-#: What becomes of a defined variable: its only user holds it, or all users do, or it is a quantity of its own.
-INLINE, PUT_IN, OWN = range(3)
+#: What becomes of a defined variable: its only user holds it, or all users do, or it is a quantity of its own: a
+#: function, or where it is affine, one more unknown with an equation.
+INLINE, PUT_IN, OWN, UNKNOWN = range(4)
 
 
 class Tokens:
@@ -33,6 +34,8 @@ class Tokens:
     content : NLContent
     known : list of float or None
         The values of the variables that have one.
+    lifts : bool
+        Whether there may be more unknowns; otherwise affine defined variables are put in at any cost.
 
     Attributes
     ----------
@@ -60,8 +63,8 @@ class Tokens:
         Naming the row and the operator that is not taken.
     """
 
-    def __init__(self, content: NLContent, known: list[float | None]) -> None:
-        self.content, self.n, self._known = content, content.lower.size, known
+    def __init__(self, content: NLContent, known: list[float | None], *, lifts: bool) -> None:
+        self.content, self.n, self._known, self._lifts = content, content.lower.size, known, lifts
         self.results, self.defined = content.trees.size + content.objective_trees.size, content.defined_trees.size
         self._flatten()
         size = len(self.kinds)
@@ -165,11 +168,15 @@ class Tokens:
         uses = self.uses[number]
         if uses > 1:
             added = (uses - 1) * terms
-            fits = added <= self._room and (level == 0 or terms <= 1)
-            self.ways[number] = PUT_IN if fits else OWN
-            if fits:
+            if level == 0 and not self._lifts:
+                self.ways[number] = PUT_IN
+            elif added <= self._room and (level == 0 or terms <= 1):
+                self.ways[number] = PUT_IN
                 self._room -= added
+            elif level == 0:
+                self.ways[number], terms = UNKNOWN, 1
             else:
+                self.ways[number] = OWN
                 self.nodes[number], level, terms = self._new_node(functions.SAME, level, root), level + 1, 1
         self._of_defined[number] = (None, level, terms)
 

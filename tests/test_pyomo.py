@@ -439,6 +439,34 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
     assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
 
 
+def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_and_nonlinear_rows() -> None:
+    """They are slopes of the Lagrangian by every variable, also where equal bounds make one a number."""
+    m = program()
+    m.rate = pe.Var(bounds=(2, 2))
+    m.o.set_value(m.o.expr + 5 * m.rate * m.x[2])
+    m.product = pe.Constraint(expr=m.rate * m.x[2] >= 1)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert [m.x[1].value, m.x[2].value] == pytest.approx([1.5, 0.5], abs=1e-8)
+    assert (m.dual[m.limit], m.dual[m.product]) == pytest.approx((-3.0, 7.5))
+    assert (m.rc[m.rate], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx((2.5 - 7.5 * 0.5, 0.0, 0.0), abs=1e-8)
+
+
+def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
+    """Not unbounded, as the rest would be, nor optimal with a remark; one that holds but for rounding is none."""
+    m = model(lambda m: None)
+    m.y = pe.Var([1, 2])
+    m.y[1].fix(0.1)
+    m.y[2].fix(0.2)
+    m.row = pe.Constraint(expr=m.y[1] + m.y[2] == 0.3)
+    m.low = pe.Constraint(expr=m.x >= 2)
+    m.o = pe.Objective(expr=m.x)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    m.y[2].fix(0.3)
+    assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
+    m.low.deactivate()
+    assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
+
+
 def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
     """Infeasible and unbounded are proved, and the variables keep their values."""
     m = model(lambda m: pair(m, m.x >= 0, -m.x - 3 >= 0))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,10 @@ from pyomo.core.staleflag import StaleFlagManager
 
 from ..checks import FloatVector
 from ..errors import UnsupportedModel
+from ..expressions.program import Program
 from ..modeling.nl.answers import NLAnswer, NLModel, ProgramModel
+from ..modeling.nl.content import NLContent
+from ..modeling.nl.expressions import UNKNOWNS, Expressions
 from ..modeling.nl.model import model_of
 from ..modeling.nl.writing import write_nl
 from ..settings import Settings, Status
@@ -34,17 +39,18 @@ class Answer:
     ----------
     statement : Statement
     found : NLAnswer
-    values, duals, reduced_costs : ComponentMap
-        Of variables, of constraints and pairs, of variables.
+    problem : NLModel
+    values, duals : ComponentMap
+        Of variables, of constraints and pairs.
     violated : str
         What was stated beside the problem and does not hold at the answer; empty where all of it does.
     """
 
     statement: Statement
     found: NLAnswer
+    problem: NLModel
     values: ComponentMap
     duals: ComponentMap
-    reduced_costs: ComponentMap
     violated: str
 
     @property
@@ -56,6 +62,16 @@ class Answer:
     def message(self) -> str:
         """How it ended, in a line."""
         return f"{self.found.message}; but {self.violated}" if self.violated else self.found.message
+
+    @cached_property
+    def reduced_costs(self) -> ComponentMap:
+        """The multipliers of the variables' bounds: the rows of their pairs, or slopes of the Lagrangian."""
+        variables, partners = self.statement.variables, self.statement.content.partners.tolist()
+        found = {j: float(self.found.duals[i]) for i, j in enumerate(partners) if j >= 0}
+        if isinstance(self.problem, ProgramModel):
+            found = dict(enumerate(_slopes(self.statement.content, self.found).tolist()))
+        own = [j for j in found if j not in self.statement.added and math.isfinite(found[j])]
+        return ComponentMap((variables[j], found[j]) for j in own)
 
     def load(self, model: Any) -> None:
         """Put values and suffixes into the model."""
@@ -92,13 +108,13 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> Answer:
     found = problem.solve(**options)
     own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
     values = ComponentMap((variable, float(found.x[j])) for j, variable in own)
-    duals, reduced_costs = _multipliers(statement, found)
-    if isinstance(problem, ProgramModel):
-        slopes = _slopes(problem, found)
-        reduced_costs = ComponentMap((variable, float(slopes[j])) for j, variable in own)
+    duals = ComponentMap(
+        (row.stated if isinstance(row, Pair) else row, float(dual))
+        for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
+    )
     tolerance = max(FEASIBLE, 10.0 * Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance)
     violated = _violated(statement, values, tolerance) if found.status not in NO_POINT else ""
-    return Answer(statement, found, values, duals, reduced_costs, violated)
+    return Answer(statement, found, problem, values, duals, violated)
 
 
 def _problem(statement: Statement) -> NLModel:
@@ -115,24 +131,17 @@ def _problem(statement: Statement) -> NLModel:
         ) from error
 
 
-def _multipliers(statement: Statement, found: NLAnswer) -> tuple[ComponentMap, ComponentMap]:
-    """Return the values of the rows of pairs, by pair and by variable, and the multipliers of constraints."""
-    duals, reduced_costs = ComponentMap(), ComponentMap()
-    for i, row in enumerate(statement.rows):
-        if not isinstance(row, str):
-            duals[row.stated if isinstance(row, Pair) else row] = float(found.duals[i])
-        partner = int(statement.content.partners[i])
-        if partner >= 0 and partner not in statement.added:
-            reduced_costs[statement.variables[partner]] = float(found.duals[i])
-    return duals, reduced_costs
+def _slopes(content: NLContent, found: NLAnswer) -> FloatVector:
+    """Return the gradient of the objective less the rows' multipliers times their gradients, shape (n,).
 
-
-def _slopes(problem: ProgramModel, found: NLAnswer) -> FloatVector:
-    """Return the gradient of the objective less the rows' multipliers times their gradients."""
-    program, unknowns = problem.program, problem.unknowns
-    slopes: FloatVector = -(problem.content.linear.T @ found.duals)
-    sign = -1.0 if problem.content.is_maximized.any() else 1.0
-    slopes[unknowns] += sign * (program.P @ found.x[unknowns] + program.c)
+    By all variables, also those whose equal bounds make them numbers in the program.
+    """
+    n, m = content.lower.size, content.row_lower.size
+    rows = Expressions(content, np.full(n, np.nan))
+    results = np.arange(m + content.is_maximized.size)
+    jacobian = Program.of(rows.compiler, [rows.rows(results)], {UNKNOWNS: 0}, n).jacobian(found.x)
+    weights = np.append(-found.duals, np.ones(content.is_maximized.size))
+    slopes: FloatVector = jacobian.T @ weights
     return slopes
 
 

@@ -166,10 +166,10 @@ class _Draft:
         self.beside: list[Beside] = []
 
     def constrain(self, row: Any) -> None:
-        """Take a constraint: as a row, or beside the problem where it is no equation, or nothing in it can vary."""
+        """Take a constraint as a row of a program, or an equation; beside it what is neither, or cannot vary."""
         is_equation = row.lb == row.ub and row.lb is not None
         is_row = is_equation or self.takes_inequalities or hasattr(row, "_complementarity")
-        if not is_row or cannot_vary(row.body):
+        if not is_row or (not self.takes_inequalities and cannot_vary(row.body)):
             self.look_at(row.name, row.body, row.lb, row.ub)
         else:
             self.given.append(row)

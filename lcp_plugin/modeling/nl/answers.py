@@ -107,12 +107,8 @@ class NLModel(ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.problem!r})"
 
-    def _message(self, status: Status, result: Result, words: str, objective: float | None = None) -> str:
-        value = "" if objective is None else f", objective {objective:.9g}"
-        return (
-            f"lcp_plugin {__version__}: {words or status.name.lower()}{value}; residual {result.residual:.1e}, "
-            f"{result.iterations} iterations"
-        )
+    def _message(self, words: str, residual: float, iterations: int) -> str:
+        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {iterations} iterations"
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +167,11 @@ class ComplementarityModel(NLModel):
         result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
-        status, words = found.status, STUCK if result.is_solved and not found.is_solved else ""
+        status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
         if status is Status.SOLVED and (wrong := self._contradiction(x, duals, found)):
             status, words = Status.STALLED, wrong
-        return NLAnswer(x, duals, status, self._message(status, found, words), found, None, CODES[status])
+        message = self._message(words, found.residual, found.iterations)
+        return NLAnswer(x, duals, status, message, found, None, CODES[status])
 
     def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:
         """Return what the rows of the file, evaluated as they stand, say against the values computed; else nothing."""
@@ -263,12 +260,14 @@ class ProgramModel(NLModel):
         x = self._known.copy()
         x[self.unknowns] = found.solution.x
         objective = self.sign * found.solution.objective + self.constant
-        words = "optimal" if status is Status.SOLVED else found.status if status is Status.INFEASIBLE else ""
+        words = found.status if status in (Status.SOLVED, Status.INFEASIBLE) else status.name.lower()
         code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
         if status is Status.SOLVED and (wrong := self._contradiction(x, objective, found.goal)):
             status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
         is_told = found.proof is None
-        message = self._message(status, result, words, objective if is_told else None)
+        words += f", objective {objective:.9g}" if is_told else ""
+        # The program's own residuals, which the status is made of, not those of its optimality conditions.
+        message = self._message(words, max(found.solution.residual, found.solution.row_residual), result.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)
 

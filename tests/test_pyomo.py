@@ -13,6 +13,7 @@ import pyomo.environ as pe
 import pytest
 from campaigns import pyomo_models as campaign
 from fresh_process import printed_by
+from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
@@ -272,6 +273,13 @@ def disjunction(m: Any) -> None:
     m.either = Disjunction(expr=[m.one, m.two])
 
 
+def derivative(m: Any) -> None:
+    m.t = ContinuousSet(bounds=(0, 2))
+    m.y = pe.Var(m.t)
+    m.slope = DerivativeVar(m.y, wrt=m.t)
+    pair(m, m.x >= 0, m.x >= 2)
+
+
 def no_variable(m: Any) -> None:
     m.x.fix(1.0)
     m.e = pe.Constraint(expr=m.x <= 2)
@@ -306,6 +314,7 @@ REFUSED = {
     bounded_equation: "write the equation as a Constraint and the bound at the variable",
     held_twice: "the unknown for d: its pair holds no variable, or one that another pair holds",
     disjunction: "Disjunct is not taken, and the model has one, two; apply gdp.bigm or gdp.hull",
+    derivative: "DerivativeVar is not taken, and the model has slope; discretise it, TransformationFactory(",
     no_variable: "no active constraint, objective or complementarity has a free variable",
     nonconvex: "convex",
     two_objectives: "the model has 2 active objectives; deactivate all but one",

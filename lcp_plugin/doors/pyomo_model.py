@@ -46,9 +46,10 @@ KNOWN = {
 INTEGERS = "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
 INSTEAD = {
     "Disjunct": INTEGERS, "Disjunction": INTEGERS, "SOSConstraint": INTEGERS, "LogicalConstraint": INTEGERS,
-    "BooleanVar": INTEGERS, "DerivativeVar": "discretise it: TransformationFactory('dae.collocation')",
-    "ContinuousSet": "discretise it: TransformationFactory('dae.collocation')",
+    "BooleanVar": INTEGERS, "Arc": "expand it: TransformationFactory('network.expand_arcs')",
+    "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
 }
+DISCRETISED = ("DerivativeVar",)
 PLUS = 0  # the number of the operator
 SOME = 5  # names that a message lists
 
@@ -133,6 +134,9 @@ def stated(model: Any, path: Path) -> Statement:
 
 def _require_known(model: Any) -> None:
     unknown = categorize_valid_components(model, active=True, sort=SortComponents.deterministic, valid=KNOWN)[1]
+    for kind in model.collect_ctypes(active=True):
+        if kind.__name__ in DISCRETISED:  # these never report as active
+            unknown[kind] = list(model.component_objects(kind))
     for kind, components in sorted(unknown.items(), key=lambda each: each[0].__name__):
         names = ", ".join(component.name for component in components[:SOME])
         instead = INSTEAD.get(kind.__name__, "deactivate it, or state it as constraints and complementarities")

@@ -10,7 +10,6 @@ from typing import Any
 from pyomo.core import value
 from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.visitor import identify_variables
 
 from ..errors import UnsupportedModel
 
@@ -152,9 +151,16 @@ def difference(first: Any, second: Any) -> Any:
 
 def cannot_vary(expression: Any) -> bool:
     """Return whether nothing in an expression is free; the first free variable ends the search."""
-    if hasattr(expression, "is_variable_type") and expression.is_variable_type():
-        return bool(expression.fixed)  # up to Pyomo 6.8 the search finds a fixed variable in itself
-    return not is_potentially_variable(expression) or next(identify_variables(expression, False), None) is None
+    left = [expression]
+    while left:
+        part = left.pop()
+        if not is_potentially_variable(part):
+            continue
+        if part.is_expression_type():
+            left.extend(part.args)
+        elif not part.fixed:
+            return False
+    return True
 
 
 def number(expression: Any) -> float:

@@ -113,11 +113,11 @@ def value_of(tree: Tree, x: Any, defined: list[Any]) -> Any:
     return IN_PYTHON[tree[0]](*(value_of(one, x, defined) for one in tree[1:]))
 
 
-def values_of(trees: list[Tree], defined: list[Tree], x: Any) -> Any:
+def values_of(trees: list[Tree], defined: list[Tree], linear: np.ndarray, x: Any) -> Any:
     """The values of all trees over x, a list of complex numbers."""
     known: list[Any] = []
-    for tree in defined:
-        known.append(value_of(tree, x, known))
+    for tree, weights in zip(defined, linear, strict=True):
+        known.append(value_of(tree, x, known) + sum(a * v for a, v in zip(weights, [*x, *known], strict=False)))
     return np.array([value_of(tree, x, known) for tree in trees])
 
 
@@ -127,12 +127,12 @@ def program_of(content: NLContent) -> Program:
     return Program.of(found.compiler, [found.rows(np.arange(content.trees.size))], {UNKNOWNS: 0}, content.lower.size)
 
 
-def require_same_derivatives(n: int, rows: list[Tree], defined: list[Tree], x: np.ndarray) -> None:
+def require_same_derivatives(rows: list[Tree], defined: list[Tree], linear: np.ndarray, x: np.ndarray) -> None:
     """F, F′ and their intervals are what complex numbers and complex differentiation give."""
-    program = program_of(content_of(n, rows, defined=defined))
-    steps = x + 1j * STEP * np.eye(n)
-    F = values_of(rows, defined, list(x.astype(complex))).real
-    J = np.array([values_of(rows, defined, list(step)).imag / STEP for step in steps]).T
+    program = program_of(content_of(x.size, rows, defined=defined, defined_linear=linear if defined else None))
+    steps = x + 1j * STEP * np.eye(x.size)
+    F = values_of(rows, defined, linear, list(x.astype(complex))).real
+    J = np.array([values_of(rows, defined, linear, list(step)).imag / STEP for step in steps]).T
     np.testing.assert_allclose(program.value(x), F, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(program.jacobian(x).toarray(), J, rtol=1e-11, atol=1e-12 * (1.0 + np.abs(J).max()))
     low, high = program.interval_F(x, x)
@@ -165,21 +165,23 @@ def trees(leaves: Any = LEAVES) -> Any:
 
 
 @st.composite
-def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray]:
-    """Rows, defined variables, each of which uses those before it, and a point."""
+def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray, np.ndarray]:
+    """Rows, defined variables, each of which uses those before it, with their linear terms, and a point."""
     defined: list[Tree] = []
     for k in range(draw(st.integers(0, 3))):
         defined.append(draw(trees(st.one_of(LEAVES, st.sampled_from([("x", 4 + j) for j in range(k)] or X)))))
     leaves = st.one_of(LEAVES, st.sampled_from([("x", 4 + j) for j in range(len(defined))] or X))
     rows = draw(st.lists(trees(leaves), min_size=1, max_size=3))
-    return rows, defined, np.array(draw(st.lists(st.floats(0.05, 0.95), min_size=4, max_size=4)))
+    d = len(defined)
+    entries = draw(st.lists(st.sampled_from([0, 0, 0, 1, -2]), min_size=d * (4 + d), max_size=d * (4 + d)))
+    linear = np.tril(np.reshape(entries, (d, 4 + d)), 3).astype(float)
+    return rows, defined, linear, np.array(draw(st.lists(st.floats(0.05, 0.95), min_size=4, max_size=4)))
 
 
 @given(systems())
 def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
     """Whatever trees and defined variables say, F and F′ are what Python's complex numbers make of them."""
-    rows, defined, x = system
-    require_same_derivatives(4, rows, defined, x)
+    require_same_derivatives(*system)
 
 
 DOMAINS = {"asin": (-1.0, 1.0), "acos": (-1.0, 1.0), "atanh": (-1.0, 1.0), "acosh": (1.0, 50.0), "log10": (1e-3, 50.0)}

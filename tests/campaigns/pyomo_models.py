@@ -83,6 +83,7 @@ def planted(rng: np.random.Generator) -> Planted:
     home.shared = pe.Expression(range(n), rule=lambda b, i: SMOOTH[int(rng.integers(len(SMOOTH)))](
         x[i] + 0.5 * x[int(rng.integers(n))] - float(rng.normal())
     ))
+    kinds: list[str] = []
     home.list = ComplementarityList()
     home.pairs, home.equations = Complementarity(pe.Any), pe.Constraint(pe.Any)
     for i in range(n):
@@ -93,9 +94,15 @@ def planted(rng: np.random.Generator) -> Planted:
             case.features.add("defined")
         kind = KINDS[int(rng.integers(4))]
         case.features.add(kind)
+        kinds.append(kind)
         state(rng, case, home, i, row, kind, float(spot[i]), value_at(row, x, spot))
     for i in range(n):
         case.answer.append((x[i], float(spot[i])))
+    can_be_fixed = [i for i in range(n) if kinds[i] != "none" and ("extra", i) not in home.equations]
+    if n > 1 and can_be_fixed and rng.random() < 0.2:  # the pair of such a variable has nothing left that gives way
+        case.features.add("fixed")
+        k = int(rng.choice(can_be_fixed))
+        x[k].fix(float(spot[k]), skip_validation=True)
     if rng.random() < 0.2:
         margin = float(rng.random())
         m.beside = pe.Constraint(expr=sum(x[i] ** 2 for i in range(n)) <= float(spot @ spot) + margin)
@@ -287,7 +294,7 @@ def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
         yield f"residual in Pyomo {off:.1e}"
     if picture(model) != before:
         yield "the model has changed"
-    if not case.features & {"both", "own bounds", "inequality beside"} and case.features & {"lower", "upper"}:
+    if not case.features & {"both", "own bounds", "inequality beside", "fixed"} and case.features & {"lower", "upper"}:
         case.features.add("by mpec.nl")
         yield from faults_by_file(model)
 

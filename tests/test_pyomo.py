@@ -157,6 +157,28 @@ def nested(m: Any) -> None:
     m.b[1].c = Complementarity([3, 4], rule=lambda b, i: complements(b.y[i] <= i, b.y[i] - m.x <= 0))
 
 
+def references(m: Any) -> None:
+    m.b = pe.Block([1, 2])
+    m.b[1].y, m.b[2].y = pe.Var(), pe.Var()
+    for i in m.b:
+        m.b[i].c = Complementarity(expr=complements(m.b[i].y >= 0, m.b[i].y - i >= 0))
+    m.all_pairs, m.all_y = pe.Reference(m.b[:].c), pe.Reference(m.b[:].y)
+    m.e = pe.Constraint(expr=m.x == sum(m.all_y[i] for i in m.all_y))
+    m.all_equations = pe.Reference(m.e)
+
+
+def discretised(m: Any) -> None:
+    m.t = ContinuousSet(bounds=(0, 2))
+    m.y, m.push = pe.Var(m.t), pe.Var(m.t)
+    m.slope = DerivativeVar(m.y, wrt=m.t)
+    m.fall = pe.Constraint(m.t, rule=lambda m, t: m.slope[t] == m.push[t] - 1 if t > 0 else pe.Constraint.Skip)
+    m.begin = pe.Constraint(expr=m.y[0] == 1.0)
+    pe.TransformationFactory("dae.collocation").apply_to(m, nfe=4, ncp=2)
+    later = [t for t in m.t if t > 0]
+    m.floor = Complementarity(later, rule=lambda m, t: complements(m.y[t] >= 0, m.push[t] >= 0))
+    m.e = pe.Constraint(expr=m.x == m.y[0.5] + m.y[2])
+
+
 def without_pairs(m: Any) -> None:
     m.e = pe.Constraint(expr=pe.exp(m.x) == 5)
 
@@ -166,7 +188,7 @@ STATED = {
     slack_with_bounds_of_its_own: 1.5, wide_bounds_of_its_own: 7.0, numeraire: 1.0, fixed_and_another_freed: 2.0,
     constant_row: 1.0, equation_as_a_pair: 4.0,
     inequality_that_holds: 2.0, objective_that_is_constant: 2.0, upper_and_swapped: 2.0, deactivated: 2.0, nested: 4.0,
-    without_pairs: np.log(5),
+    without_pairs: np.log(5), references: 3.0, discretised: 0.5,
 }
 
 

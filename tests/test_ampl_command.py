@@ -180,6 +180,22 @@ def test_an_interrupt_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 130
 
 
+def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
+    """An unbounded program is not called infeasible in the same message; nothing else is said to check."""
+    write_nl(UNBOUNDED, tmp_path / "m.nl")
+    assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
+    assert "unbounded: the objective falls for ever" in (message := read_sol(tmp_path / "m.sol").message)
+    assert "no z within" not in message
+
+
+def test_who_has_closed_standard_output_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call without streams, as by a service, writes its .sol."""
+    write_nl(SOLVABLE, tmp_path / "m.nl")
+    monkeypatch.setattr(ampl.sys, "stdout", None)
+    assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
+    assert read_sol(tmp_path / "m.sol").code == 0
+
+
 @pytest.mark.full
 def test_pyomo_solves_through_the_executable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """SolverFactory("asl:lcp-plugin-ampl") finds it on the path, hands options over and loads values."""

@@ -200,7 +200,8 @@ def _solve(call: Call) -> int:
                   sizes=(content.row_lower.size, content.lower.size))
     if not call.is_ampl:
         _print(content, call.of_command("wantsol"), message, x, y)
-    sys.stdout.flush()
+    if sys.stdout is not None:  # nobody may have opened it
+        sys.stdout.flush()
     return EXIT_UNSOLVED if code and not call.writes else 0
 
 
@@ -218,7 +219,8 @@ def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
         return f"lcp_plugin {__version__}: failure: {error}", None, None, FAILURE
     except KeyboardInterrupt:
         return f"lcp_plugin {__version__}: interrupted before there was an answer", None, None, INTERRUPTED
-    advice = [] if answer.is_solved else [answer.result.advice]
+    proof = answer.result.infeasibility
+    advice = [] if answer.is_solved else [answer.result.advice if proof is None else str(proof)]
     message = "\n".join([answer.message, *advice, *(f"warning: {one.message}" for one in warned)])
     return message, answer.x, answer.duals, answer.code
 

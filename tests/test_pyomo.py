@@ -322,6 +322,8 @@ def test_an_abstract_model_is_told_apart() -> None:
     abstract.x = pe.Var()
     with pytest.raises(LCPError, match=r"solve model.create_instance\(…\)"):
         SOLVER.solve(abstract)
+    with pytest.raises(LCPError, match="a Pyomo model or block is needed, got ScalarVar"):
+        SOLVER.solve(simple().x)
 
 
 REFUSED = {
@@ -606,6 +608,10 @@ def test_the_newer_interface_knows_the_solver_by_the_same_name() -> None:
         solver.solve(hopeless)
     told = solver.solve(hopeless, raise_exception_on_nonoptimal_result=False, load_solutions=False)
     assert (told.termination_condition.name, told.solution_status.name) == ("provenInfeasible", "noSolution")
+    for give in ("load_vars", "get_vars", "get_duals", "get_reduced_costs"):
+        with pytest.raises(Exception, match="infeasible"):
+            getattr(told.solution_loader, give)()
+    assert hopeless.x.value is None
     m = program()
     assert solver.solve(m).incumbent_objective == pytest.approx(1.0)
 

@@ -106,6 +106,8 @@ def stated(model: Any, path: Path) -> Statement:
     UnsupportedModel
         Naming the component that is not taken.
     """
+    if not hasattr(model, "component_data_objects"):
+        raise UnsupportedModel(f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model")
     if not model.is_constructed():
         raise UnsupportedModel("the model is abstract and holds no data yet; solve model.create_instance(…)")
     _require_known(model)

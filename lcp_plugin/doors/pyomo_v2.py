@@ -53,21 +53,27 @@ class Loader(LOADER):  # type: ignore[misc, valid-type]
 
     def get_vars(self, vars_to_load: Iterable[Any] | None = None) -> ComponentMap:
         """Return the values of the variables."""
-        return _chosen(self.answer.values, vars_to_load)
+        return self._chosen(self.answer.values, vars_to_load)
 
     get_primals = get_vars
 
     def get_duals(self, cons_to_load: Iterable[Any] | None = None) -> Any:
         """Return the values of pairs' rows, and the multipliers of a program."""
-        return dict(_chosen(self.answer.duals, cons_to_load).items())
+        return dict(self._chosen(self.answer.duals, cons_to_load).items())
 
     def get_reduced_costs(self, vars_to_load: Iterable[Any] | None = None) -> ComponentMap:
         """Return the multipliers of the variables' bounds."""
-        return _chosen(self.answer.reduced_costs, vars_to_load)
+        return self._chosen(self.answer.reduced_costs, vars_to_load)
 
     def load_solution(self) -> None:
         """Put values and suffixes into the model."""
         self.answer.load(self._pyomo_model)
+
+    def _chosen(self, values: ComponentMap, wanted: Iterable[Any] | None) -> ComponentMap:
+        """Return those that are wanted; raise where the model has no solution that they could belong to."""
+        if not self.answer.has_point:
+            raise _told(NoFeasibleSolutionError, self.answer.message)
+        return values if wanted is None else ComponentMap((component, values[component]) for component in wanted)
 
 
 def _told(kind: type[Exception], message: str) -> Exception:
@@ -75,10 +81,6 @@ def _told(kind: type[Exception], message: str) -> Exception:
     error = kind.__new__(kind)
     Exception.__init__(error, message)
     return error
-
-
-def _chosen(values: ComponentMap, wanted: Iterable[Any] | None) -> ComponentMap:
-    return values if wanted is None else ComponentMap((component, values[component]) for component in wanted)
 
 
 class LCPPlugin(SolverBase):  # type: ignore[misc]

@@ -257,6 +257,12 @@ def test_intervals_of_two_arguments_hold_the_true_values(name: str) -> None:
     assert (upper - lower <= 50 * np.spacing(sizes)).all()
 
 
+def test_the_slope_of_a_power_with_a_huge_exponent_is_not_held_positive_at_negative_arguments() -> None:
+    """The exponent less one is odd, and none of the doubles next to it is."""
+    (lower, _), = functions.power(1e17).interval_derivatives((np.array([-1.0]), np.array([-1.0])))
+    assert lower[0] <= -1e17  # 1e17 (-1)^(1e17 - 1)
+
+
 #: Where exponentials, quotients or their sums overflow, and the atom does not; and the point.
 FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
     "log_sum_exp of thousands": (lambda x: cp.log_sum_exp(x + 5000), [1.0, 2.0, 3.0]),

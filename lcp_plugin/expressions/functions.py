@@ -219,7 +219,8 @@ def _power_slope(u: iv.Interval, exponent: float) -> iv.Interval:
         return iv.scaled(iv.power(u, rounded), exponent)
     ends = [iv.power(u, float(np.nextafter(rounded, end))) for end in (-np.inf, np.inf)]
     hull = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
-    return iv.scaled(hull, exponent)
+    # Where the neighbours are even numbers, exponent − 1 is odd, and the sign is that of u.
+    return iv.scaled(iv.nothing_known(hull, ~(u[0] >= 0.0)), exponent)
 
 
 SAME, SQUARE = power(1.0), power(2.0)

@@ -50,6 +50,7 @@ def test_help_tells_what_goes_in_and_what_comes_out(name: str) -> None:
     thing = DESCRIBED[name]
     told, said = sections(thing), entries(thing)
     assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0])
+    assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), "a section's title has run into its text"
     for parameter, annotation in parameters(thing).items():
         assert parameter in said, f"{parameter} is not described"
         if re.search("FloatVector|ArrayLike|NDArray", annotation):

@@ -67,13 +67,15 @@ def bounded_least_squares(
     InvalidProblem, InvalidOption
         Where the data do not state such a problem.
 
-    Notes ----- Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots
-    with a Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an
-    orthogonal factor where rounding leaves AᵀA too little; where they do not converge, interior points and active sets
-    with the same factor. That is for dense A of up to 3000 columns, and for sparse A where AᵀA is about as sparse.
-    Large A come to it after projected gradient and conjugate gradient steps, about a product with A and one with Aᵀ
-    each, that have cost about as much. Where no factor can be had, and for a LinearOperator, the steps go on; an
-    ill-conditioned problem may end STALLED there.
+    Notes
+    -----
+    Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots with a
+    Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an orthogonal
+    factor where rounding leaves AᵀA too little; where they do not converge, interior points and active sets with the
+    same factor. That is for dense A of up to 3000 columns, and for sparse A where AᵀA is about as sparse. Large A come
+    to it after projected gradient and conjugate gradient steps, about a product with A and one with Aᵀ each, that have
+    cost about as much. Where no factor can be had, and for a LinearOperator, the steps go on; an ill-conditioned
+    problem may end STALLED there.
 
     Examples
     --------

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import pytest
-from campaigns import pyomo_models as campaign
+from campaigns import random_pyomo_models as campaign
 from fresh_process import printed_by
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction

@@ -1,8 +1,8 @@
 """Random Pyomo models with a known answer: read back as Pyomo evaluates them, solved, loaded, and judged in Pyomo.
 
-Run as ``python tests/campaigns/random_pyomo_models.py --cases 2000 --seed 0``. A model chooses x* and the value w* of every
-row there, then the constants. It mixes all four kinds of pairs (lower, upper, both bounds, none), sides in either order
-and of either sign, pairs of two expressions, equations, inequalities beside the pairs, fixed variables, mutable
+Run as ``python tests/campaigns/random_pyomo_models.py --cases 2000 --seed 0``. A model chooses x* and the value w* of
+every row there, then the constants. It mixes all four kinds of pairs (lower, upper, both bounds, none), sides in either
+order and of either sign, pairs of two expressions, equations, inequalities beside the pairs, fixed variables, mutable
 parameters, defined variables, indexed and nested blocks. Of each model it is looked at
 
 - whether F and its Jacobian at a random point are what Pyomo's own ``value`` and ``differentiate`` give, to 1e-12 of

@@ -233,6 +233,20 @@ NOT_ALL = {
 }
 
 
+@pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])
+def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size: float) -> None:
+    """An inequality beside the pairs, and the pair of a fixed variable, multiplied by any number."""
+    m = model(lambda m: pair(m, m.x >= 0, m.x - 5 >= 0))
+    m.beside = pe.Constraint(expr=size * m.x <= size)
+    assert "beside does not hold" in SOLVER.solve(m).solver.message
+    m.beside.set_value(size * m.x - size * 5 <= 0)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    m.p = pe.Var(initialize=1.0)
+    m.p.fix()
+    pair(m, m.p >= 0, size * (m.x - m.p) >= 0, "d")
+    assert "d does not hold" in SOLVER.solve(m).solver.message
+
+
 @pytest.mark.parametrize("build", NOT_ALL, ids=lambda build: build.__name__)
 def test_what_holds_only_in_part_is_not_optimal(build: Callable[[Any], None]) -> None:
     """A bound, inequality or pair that the answer violates makes it a warning that names it."""

@@ -37,7 +37,7 @@ from ..checks import FloatVector
 from ..errors import UnsupportedModel
 from ..modeling.nl.content import NLContent, Token, Trees
 from ..modeling.nl.reading import read_content
-from .pyomo_pairs import Pair, Side, cannot_vary, difference, number, paired, sides_of
+from .pyomo_pairs import Pair, Side, cannot_vary, difference, number, paired, sides_of, unit
 
 KNOWN = {
     Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
@@ -186,7 +186,7 @@ class _Draft:
         least, most = -math.inf if lower is None else lower, math.inf if upper is None else upper
         sizes = [abs(bound) for bound in (least, most) if math.isfinite(bound)]
         if sizes:
-            self.beside.append(Beside(name, lambda: _excess(number(body), least, most) / max(1.0, *sizes)))
+            self.beside.append(Beside(name, lambda: _excess(body, least, most, max(sizes))))
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[Side, Side]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -324,12 +324,15 @@ def _name(state: Any) -> str:
     return state if isinstance(state, str) else str(getattr(state, "stated", state).name)
 
 
-def _excess(found: float, lower: float, upper: float) -> float:
-    return math.inf if math.isnan(found) else max(lower - found, found - upper, 0.0)
+def _excess(body: Any, lower: float, upper: float, size: float) -> float:
+    """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
+    found = number(body)
+    excess = math.inf if math.isnan(found) else max(lower - found, found - upper, 0.0)
+    return excess / min(max(1.0, size), unit(body) + size) if excess else 0.0
 
 
 def _pair_excess(pair: Pair) -> float:
-    residual = abs(pair.residual)
+    residual = abs(pair.residual_in(min(1.0, unit(pair.row)) or 1.0))
     return math.inf if math.isnan(residual) else residual / max(1.0, abs(number(pair.held.body)))
 
 

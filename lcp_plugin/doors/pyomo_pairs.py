@@ -9,7 +9,10 @@ from typing import Any
 
 from pyomo.core import value
 from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
+from pyomo.core.expr.calculus.derivatives import differentiate
+from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
 from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.expr.visitor import identify_variables
 
 from ..errors import UnsupportedModel
 
@@ -72,10 +75,9 @@ class Pair:
         """True where the held body is not between its bounds at the present values."""
         return not self.held.lower < number(self.held.body) < self.held.upper
 
-    @property
-    def residual(self) -> float:
-        """The natural residual body − mid(lower, upper, body − row) at the present values, NaN where undefined."""
-        body, row = number(self.held.body), number(self.row)
+    def residual_in(self, unit: float) -> float:
+        """Return body − mid(lower, upper, body − row/unit) at the present values, NaN where undefined."""
+        body, row = number(self.held.body), number(self.row) / unit
         return body - min(max(body - row, self.held.lower), self.held.upper) if math.isfinite(row) else math.nan
 
 
@@ -167,6 +169,19 @@ def number(expression: Any) -> float:
     """Return the value of an expression at the present values of its variables, NaN where it has none."""
     found = value(expression, exception=False)
     return math.nan if found is None or isinstance(found, complex) else float(found)
+
+
+def unit(expression: Any) -> float:
+    """Return Σ |slope| (1 + |x|) over the variables x of an expression: how much it changes where they all do."""
+    variables = list(identify_variables(expression))
+    if not variables:
+        return abs(number(expression))
+    try:
+        slopes = differentiate(expression, wrt_list=variables)
+    except (ArithmeticError, ValueError, DifferentiationException):  # no slope at this point, or none that Pyomo knows
+        return 1.0
+    found = sum(abs(slope) * (1.0 + abs(number(one))) for slope, one in zip(slopes, variables, strict=True))
+    return found if math.isfinite(found) else 1.0
 
 
 def paired(stated: Any, sides: tuple[Side, Side], is_taken: Callable[[Any], bool]) -> Pair:

@@ -524,6 +524,15 @@ def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
         model_of(content)
 
 
+def test_squares_of_differences_from_large_numbers_are_solved_and_told_as_the_file_states_them() -> None:
+    """The sum of (x - 10^6)^2 and (x + y - 10^6 - 0.001)^2: expanded, rounding makes it -5e-4 at the answer."""
+    far, both = ("-", X[0], 1e6), ("-", ("+", X[0], X[1]), 1e6 + 1e-3)
+    answer = model_of(content_of(2, objective=("+", ("*", far, far), ("*", both, both)))).solve()
+    assert answer.is_solved
+    assert answer.x == pytest.approx([1e6, 1e-3], abs=1e-9)
+    assert answer.objective == pytest.approx(0.0, abs=1e-15)
+
+
 def test_a_nonconvex_objective_is_refused_when_it_is_solved() -> None:
     """The eigenvalue that makes it so is in the message."""
     with pytest.raises(UnsupportedModel, match="not convex"):

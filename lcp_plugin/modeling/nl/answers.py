@@ -16,7 +16,7 @@ from ...conversions.qp_proofs import QPUnboundedness
 from ...problem.lcp import LCP
 from ...problem.nonlinear import NonlinearProblem
 from ...settings import Status
-from ...solving.quadratic_program import judged_program
+from ...solving.quadratic_program import ProgramAnswer, judged_program
 from ...solving.result import Result
 from ..assembly import Arrangement, solve_from
 from .content import Indices, NLContent
@@ -185,7 +185,8 @@ class ComplementarityModel(NLModel):
         allowed = np.full(duals.size, ROUNDINGS * widths.max(initial=0.0) + at_equations.max(initial=0.0))
         allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
         expected = np.where(is_pair, duals, content.row_lower)
-        return contradiction(content, x, np.where(is_pair | is_equation, expected, np.nan), allowed)
+        expected = np.where(is_pair | is_equation, expected, np.nan)
+        return contradiction(content, x, evaluated(content, x), expected, allowed)
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
@@ -259,10 +260,12 @@ class ProgramModel(NLModel):
             status = Status.STALLED  # the run is content, the program's own residuals are not
         x = self._known.copy()
         x[self.unknowns] = found.solution.x
-        objective = self.sign * found.solution.objective + self.constant
+        values = evaluated(self.content, x)
+        # As the file states it: expanded, (x - 10⁶)² has lost ten digits.
+        objective = float(values[1][0]) if values[1].size else 0.0
         words = found.status if status in (Status.SOLVED, Status.INFEASIBLE) else status.name.lower()
         code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
-        if status is Status.SOLVED and (wrong := self._contradiction(x, objective, found.goal)):
+        if status is Status.SOLVED and (wrong := self._contradiction(x, values, found)):
             status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
         is_told = found.proof is None
         words += f", objective {objective:.9g}" if is_told else ""
@@ -271,10 +274,11 @@ class ProgramModel(NLModel):
         duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)
 
-    def _contradiction(self, x: FloatVector, objective: float, goal: float) -> str:
+    def _contradiction(self, x: FloatVector, values: tuple[FloatVector, FloatVector], found: ProgramAnswer) -> str:
         """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
-        content = self.content
-        activity = evaluated(content, x)[0]
-        within = np.clip(activity, content.row_lower, content.row_upper)
+        content, program, own = self.content, self.program, np.abs(found.solution.x)
+        within = np.clip(values[0], content.row_lower, content.row_upper)
         size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
-        return contradiction(content, x, within, max(goal, PROGRAM_GOAL) * size, objective)
+        terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)) + abs(self.constant)
+        objective = self.sign * found.solution.objective + self.constant, float(terms)
+        return contradiction(content, x, values, within, max(found.goal, PROGRAM_GOAL) * size, objective)

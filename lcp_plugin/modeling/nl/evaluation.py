@@ -42,7 +42,8 @@ def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVec
 
 
 def contradiction(
-    content: NLContent, x: FloatVector, expected: FloatVector, allowed: FloatVector, objective: float | None = None
+    content: NLContent, x: FloatVector, found: tuple[FloatVector, FloatVector], expected: FloatVector,
+    allowed: FloatVector, objective: tuple[float, float] | None = None,
 ) -> str:
     """Return which row, or the objective, is something else at x than was computed; nothing where all agree.
 
@@ -50,23 +51,25 @@ def contradiction(
     ----------
     content : NLContent
     x : ndarray, shape (n,)
+    found : tuple of ndarray
+        What `evaluated` says of x.
     expected : ndarray, shape (m,)
         NaN for a row that is not asked.
     allowed : ndarray, shape (m,)
         What a row may differ by, beside the rounding of its linear terms.
-    objective : float, optional
-        The first objective.
+    objective : tuple of float, optional
+        The first objective, and the sum of the absolute values of its terms.
     """
-    rows, objectives = evaluated(content, x)
+    rows, objectives = found
     size = 1.0 + np.abs(expected) + abs(content.linear) @ np.abs(x)
     wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= DISAGREEMENT * size + allowed))
     if wrong.size:
         k = int(wrong[0])
         return f"{row_name(content, k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
     if objective is not None and objectives.size:
-        most = DISAGREEMENT * (1.0 + abs(objective) + float((abs(content.objective_linear) @ np.abs(x))[0]))
-        if not abs(objectives[0] - objective) <= most:
-            return f"the objective is {objectives[0]:.9g} at the answer, where {objective:.9g} was computed"
+        computed, terms = objective
+        if not abs(objectives[0] - computed) <= DISAGREEMENT * (1.0 + terms):
+            return f"the objective is {objectives[0]:.9g} at the answer, where {computed:.9g} was computed"
     return ""
 
 

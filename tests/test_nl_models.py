@@ -547,6 +547,20 @@ def test_unknowns_of_different_units_hide_no_row(algorithm: str) -> None:
     assert answer.duals[2] == pytest.approx(0.0, abs=1e-5)
 
 
+def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign() -> None:
+    """z_3 is known to 1e-7 from a row of 10^9, and is all that another row, which must be 0, holds."""
+    M = np.array([
+        [1767.0789394778778, -15.091112263833528, 451.24801270459926, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+        [-0.45124801270459924, 0.6687908158483009, 0.5000000000000001, 0.0],
+        [454324331.64218384, -446874127.90628374, 200637244.7544903, 3.0],
+    ])  # fmt: skip
+    low, high = np.array([[-1.0, -INFINITY, 1.0, -INFINITY], [1.0, 0.0, 3.0, INFINITY]])
+    content = paired(content_of(4, [-2391.777943611688, 0.0, 0.049416058554031486, -1278150608.7731402], linear=M))
+    answer = model_of(replace(content, lower=low, upper=high, partner_bounds=np.array([3, 2, 3, 0]))).solve()
+    assert answer.is_solved
+
+
 def test_squares_of_differences_from_large_numbers_are_solved_and_told_as_the_file_states_them() -> None:
     """The sum of (x - 10^6)^2 and (x + y - 10^6 - 0.001)^2: expanded, rounding makes it -5e-4 at the answer."""
     far, both = ("-", X[0], 1e6), ("-", ("+", X[0], X[1]), 1e6 + 1e-3)

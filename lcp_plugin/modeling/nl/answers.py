@@ -8,11 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ... import __version__
 from ...checks import BoolVector, FloatVector
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPUnboundedness
+from ...kernels.floats import EPSILON
 from ...problem.lcp import LCP
 from ...problem.nonlinear import NonlinearProblem
 from ...settings import Settings, Status
@@ -34,7 +36,7 @@ STATUSES = {
     "unbounded": Status.INFEASIBLE, "solver_error": Status.DIVERGED,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
-ROUNDINGS = 100.0  # times the width of an interval that rounding alone leaves
+ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
 NOISE = 1e-8  # of an unknown, whatever its unit
 SHARPER = 1e-5  # times the tolerance
@@ -197,11 +199,16 @@ class ComplementarityModel(NLModel):
         beside one of 10⁶.
         """
         problem, z, w = self.problem, result.z, result.w
-        matrix = problem.M if isinstance(problem, LCP) else problem.derivative(z)
-        terms = abs(matrix) @ np.abs(z) + np.abs(w - matrix @ z)
-        allowed = PROGRAM_GOAL * terms + NOISE * (abs(matrix) @ np.ones(z.size))
+        matrix = sp.csr_array(problem.M if isinstance(problem, LCP) else problem.derivative(z))
+        sizes = abs(matrix)
+        sizes.eliminate_zeros()
+        terms = sizes @ np.abs(z) + np.abs(w - matrix @ z)
+        noise = np.full(z.size, NOISE)  # of each unknown, and what the rounding of any row leaves open of it
+        rounding = ROUNDINGS * EPSILON * np.repeat(terms, np.diff(sizes.indptr)) / sizes.data
+        np.maximum.at(noise, sizes.indices, rounding)
+        allowed = PROGRAM_GOAL * terms + sizes @ noise
         bound = np.where(w > 0.0, problem.lower, problem.upper)
-        is_elsewhere = ~(np.abs(z - bound) <= NOISE + PROGRAM_GOAL * np.abs(z))
+        is_elsewhere = ~(np.abs(z - bound) <= noise + PROGRAM_GOAL * np.abs(z))
         return bool((is_elsewhere & (np.abs(w) > allowed)).any())
 
     def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:

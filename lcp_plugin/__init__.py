@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .certificates.residuals import Certificate as Certificate
     from .certificates.theorems import Guarantee as Guarantee
     from .conversions.bimatrix_game import lcp_from_bimatrix_game as lcp_from_bimatrix_game
+    from .conversions.equilibrium_program import EquilibriumProgram as EquilibriumProgram
     from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
@@ -65,6 +66,8 @@ if TYPE_CHECKING:
     from .solving.derivative import Gradient as Gradient
     from .solving.derivative import derivative as derivative
     from .solving.driver import solve as solve
+    from .solving.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
+    from .solving.equilibria.result import EquilibriumResult as EquilibriumResult
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
     from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
     from .solving.least_squares import bounded_least_squares as bounded_least_squares
@@ -109,6 +112,9 @@ _HOME = {
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",
     "QuadraticProgramBatch": "conversions.program_batch",
+    "EquilibriumProgram": "conversions.equilibrium_program",
+    "minimize_over_solutions": "solving.equilibria.branch_and_bound",
+    "EquilibriumResult": "solving.equilibria.result",
     "CrossCheck": "evidence.cross_check",
     "cross_validate": "evidence.cross_check",
     "box": "modeling.constraint",

@@ -134,7 +134,7 @@ def solve_quadratic_program(
     checked_callback(options.get("callback"))
     refuse_nonconvex(program)
     try:
-        if (found := _solved_at_once(program, algorithm, tolerance, options)) is not None:
+        if (found := solved_at_once(program, algorithm, tolerance, options)) is not None:
             return found
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
@@ -147,7 +147,7 @@ def solve_quadratic_program(
     return replace(best.result, stages=_stages(runs, best)), best.solution
 
 
-def _solved_at_once(
+def solved_at_once(
     program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
 ) -> tuple[Result, QPSolution] | None:
     """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""

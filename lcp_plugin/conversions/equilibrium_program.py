@@ -1,0 +1,150 @@
+"""Convex quadratic programs with complementarity constraints: the best of the solutions of a complementarity problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import FloatVector, checked_vector, rectangular_matrix
+from ..errors import InvalidProblem
+from .program import QuadraticProgram
+
+Indices = NDArray[np.int64]
+#: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
+Cases = NDArray[np.uint8]
+
+LOWER, BETWEEN, UPPER = 1, 2, 4  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+CASES = (LOWER, BETWEEN, UPPER)
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumProgram:
+    """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
+
+    A *piece* takes one case of every pair and is a convex program; the problem is the least of all pieces.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex.
+    first, second : array of int, shape (k,)
+        Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
+        at its upper bound, w = 0 between them. The bounds of z are those of the program; where it has none, w = 0.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the pairs are not two lists of variables of one length.
+
+    Examples
+    --------
+    Of the solutions of 0 ≤ x₀ ⟂ x₁ ≥ 0 with x₀ + x₁ = 1 that with the least x₀ + 2 x₁:
+
+    >>> program = QuadraticProgram(np.zeros((2, 2)), [1, 2], A=[[1, 1]], b=[1], lower=0)
+    >>> EquilibriumProgram(program, [0], [1])
+    EquilibriumProgram(n=2, 1 pair)
+    """
+
+    program: QuadraticProgram
+    first: Indices
+    second: Indices
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.program, QuadraticProgram):
+            raise InvalidProblem(f"program must be a QuadraticProgram, got {type(self.program).__name__}")
+        for name in ("first", "second"):
+            given = np.asarray(getattr(self, name))
+            n, k = self.program.n, np.size(self.first)
+            if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
+                raise InvalidProblem(
+                    f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
+                    "of each pair the number of z in first, and that of w in second"
+                )
+            if given.size and not (0 <= given.min() and given.max() < n):
+                raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
+            object.__setattr__(self, name, given.astype(np.int64))
+
+    @classmethod
+    def of_rows(cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike) -> EquilibriumProgram:
+        """Return the problem with z = x_columns ⟂ w = M x + q, of which w becomes variables behind x.
+
+        Parameters
+        ----------
+        program : QuadraticProgram
+        columns : array of int, shape (k,)
+        M, q : array or sparse array, shape (k, n), and array, shape (k,)
+
+        Examples
+        --------
+        >>> program = QuadraticProgram([[2, 0], [0, 0]], [-2, 1], lower=[-np.inf, 0])
+        >>> EquilibriumProgram.of_rows(program, [1], [[-1, 1]], [0.5])  # 0 ≤ y ⟂ y − x + ½ ≥ 0
+        EquilibriumProgram(n=3, 1 pair)
+        """
+        n, k = program.n, np.size(columns)
+        rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
+        offset = checked_vector(q, "q", k)
+        nothing = sp.csr_array((k, k))
+        wider = QuadraticProgram(
+            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"), np.append(program.c, np.zeros(k)),
+            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"), program.h,
+            sp.block_array([[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"),
+            np.append(program.b, -offset),
+            np.append(program.lower, np.full(k, -np.inf)), np.append(program.upper, np.full(k, np.inf)),
+        )
+        return cls(wider, np.asarray(columns), np.arange(n, n + k))
+
+    @property
+    def pairs(self) -> int:
+        """The number of pairs."""
+        return int(self.first.size)
+
+    @cached_property
+    def ends(self) -> tuple[FloatVector, FloatVector]:
+        """The bounds of z, shape (k,) each."""
+        return self.program.lower[self.first], self.program.upper[self.first]
+
+    @cached_property
+    def all_cases(self) -> Cases:
+        """The cases that each pair has, shape (k,)."""
+        has_lower, has_upper = (np.isfinite(end) for end in self.ends)
+        cases: Cases = (BETWEEN + LOWER * has_lower + UPPER * has_upper).astype(np.uint8)
+        return cases
+
+    def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
+        """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""
+        lower, upper = np.array(self.program.lower), np.array(self.program.upper)
+        z, w = self.first, self.second
+        np.minimum.at(upper, z, np.where(cases == LOWER, self.ends[0], np.inf))
+        np.maximum.at(lower, z, np.where(cases == UPPER, self.ends[1], -np.inf))
+        np.maximum.at(lower, w, np.where(cases & UPPER, -np.inf, 0.0))
+        np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
+        return lower, upper
+
+    def distances(self, x: FloatVector) -> FloatVector:
+        """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
+        z, w = x[self.first], x[self.second]
+        lower, upper = self.ends
+        found: FloatVector = np.array([
+            np.maximum(np.abs(z - lower), -w), np.abs(w), np.maximum(np.abs(upper - z), w),
+        ])
+        return found
+
+    def violations(self, x: FloatVector) -> FloatVector:
+        """Return how far x is from complementary in each pair, shape (k,)."""
+        nearest: FloatVector = self.distances(x).min(axis=0)
+        return nearest
+
+    def nearest(self, x: FloatVector, cases: Cases) -> Cases:
+        """Return of each pair the open case that x is nearest to, shape (k,)."""
+        choices = np.array(CASES, dtype=np.uint8)
+        is_closed = (cases & choices[:, None]) == 0
+        nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
+        return nearest
+
+    def __repr__(self) -> str:
+        return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

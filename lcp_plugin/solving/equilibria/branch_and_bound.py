@@ -1,0 +1,273 @@
+"""minimize_over_solutions(): branch and bound on the pairs of an equilibrium program.
+
+A node leaves some cases of each pair open; its children take one case each of the pair that its relaxation violates
+most, or by experience moves the bound most. The search dives: of the children it goes on with the lower bound, and when
+a dive ends, with the lowest bound of all.
+
+References
+----------
+J. Hu, J. E. Mitchell, J.-S. Pang, K. P. Bennett, G. Kunapuli, *On the global solution of linear programs with linear
+complementarity constraints*, SIAM Journal on Optimization 19 (2008), doi:10.1137/07068463x.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...communicator.alone import ALONE
+from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
+from ...conversions.program import refuse_nonconvex
+from ...conversions.qp_proofs import QPUnboundedness
+from ...deadline import Clock, is_over, time_limit
+from ...errors import InvalidOption
+from .local_search import LocalSearch
+from .relaxations import Node, Relaxations
+from .result import EquilibriumResult
+
+MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
+SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
+EVERY = 10  # nodes between two starts of the local search
+LEAST_GAIN = 1e-9
+GROWTH = 1.5  # of the nodes from one line of the log to the next
+
+
+def minimize_over_solutions(
+    problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: int | None = None,
+    max_seconds: float | None = None, callback: Callable[[BranchAndBound], Any] | None = None, verbose: bool = False,
+) -> EquilibriumResult:
+    """Return the best solution of a convex program with complementarity constraints, and a proved bound.
+
+    Parameters
+    ----------
+    problem : EquilibriumProgram
+    tolerance : float
+        "optimal" means that the value is proved to be within tolerance · max(1, |value|) of the least.
+    max_nodes : int, optional
+        How many nodes may be branched on.
+    max_seconds : float, optional
+        Wall-clock limit in seconds; the result has what was found until then.
+    callback : callable, optional
+        Gets the search, with ``value``, ``lower_bound`` and ``nodes``, after each node; ends it by something true.
+    verbose : bool
+        Print a line at geometric intervals: nodes, value, bound, gap, seconds.
+
+    Returns
+    -------
+    EquilibriumResult
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the objective is not convex.
+    InvalidOption
+        Where a tolerance or a limit is no positive number, or the problem is of another kind.
+
+    Notes
+    -----
+    Every bound is rigorous for the stored doubles, every infeasible node refuted by multipliers that are checked in
+    rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lcp_plugin import EquilibriumProgram, QuadraticProgram
+    >>> program = QuadraticProgram([[2, 0], [0, 0]], [-2, 1], lower=[-np.inf, 0])  # (x − 1)² + y − 1
+    >>> problem = EquilibriumProgram.of_rows(program, [1], [[-1, 1]], [0.5])       # 0 ≤ y ⟂ y − x + ½ ≥ 0
+    >>> result = minimize_over_solutions(problem)
+    >>> result.status, round(result.value, 9), result.x.round(9), result.verify()
+    ('optimal', -0.75, array([0.5, 0. , 0. ]), True)
+    """
+    if not isinstance(problem, EquilibriumProgram):
+        raise InvalidOption(f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}")
+    limits = {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}
+    for name, value in limits.items():
+        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+        if not (value is None and name != "tolerance") and not (is_number and value > 0):
+            raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
+    refuse_nonconvex(problem.program)
+    with time_limit(math.inf if max_seconds is None else float(max_seconds)):
+        search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
+        log = _Log() if verbose else None
+        return search.run(lambda: bool((log is not None and log(search)) or (callback and callback(search))))
+
+
+class BranchAndBound:
+    """The nodes of a search, the open ones in order of their bounds.
+
+    Attributes
+    ----------
+    nodes : int
+        How many were branched on.
+    """
+
+    def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
+        self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
+        self.clock, self.nodes = Clock(ALONE), 0
+        self.relaxations = Relaxations(problem, tolerance)
+        self.local = LocalSearch(self.relaxations)
+        self.tree: list[Node] = []
+        self.proof_of_descent: QPUnboundedness | None = None
+        self._open: list[tuple[float, int, Node]] = []
+        self._current: Node | None = None  # open, too
+        self._closed_at = math.inf  # the least bound of the leaves that are closed
+        self._is_stuck = False
+        self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
+
+    @property
+    def value(self) -> float:
+        """The objective of the best solution found, ∞ without one."""
+        return self.local.value
+
+    @property
+    def lower_bound(self) -> float:
+        """What no solution is below."""
+        waiting = [bound for bound, _, _ in self._open[:1]] + ([] if self._current is None else [self._current.bound])
+        return min([self._closed_at, self.value, *waiting])
+
+    @property
+    def cutoff(self) -> float:
+        """A bound that closes a node."""
+        return self.value - SHARE * self.tolerance * max(1.0, abs(self.value)) if self.value < math.inf else math.inf
+
+    def run(self, ends: Callable[[], bool]) -> EquilibriumResult:
+        """Return the result, once no node is open, or something ends the search."""
+        is_ended = False
+        try:
+            root = self._added(self.relaxations.node(self.problem.all_cases))
+            if root.point is not None:
+                self.local.descend(self.problem.nearest(root.point, root.cases))
+            self._current = root
+            while self._next() is not None and self.proof_of_descent is None:
+                if is_ended := bool(self.nodes >= self.max_nodes or is_over() or ends()):
+                    break
+                self._branch()
+        except KeyboardInterrupt:
+            is_ended = True
+        return self._result(is_ended)
+
+    def _next(self) -> Node | None:
+        """Return the node to go on with, closing those that cannot hold anything better."""
+        while self._current is not None or self._open:
+            if self._current is None:
+                self._current = heapq.heappop(self._open)[2]
+            if self._current.bound < self.cutoff:
+                return self._current
+            self._close(self._current)
+        return None
+
+    def _close(self, node: Node) -> None:
+        self._closed_at, self._current = min(self._closed_at, node.bound), None
+
+    def _added(self, node: Node) -> Node:
+        self.tree.append(node)
+        return node
+
+    def _branch(self) -> None:
+        node = self._current
+        assert node is not None and node.point is not None
+        pair = self._pair(node)
+        if pair < 0:  # complementary
+            self.local.descend(self.problem.nearest(node.point, node.cases))
+            if node.bound >= self.cutoff:
+                return
+            if node.is_piece:
+                self._settle(node)
+                return
+            pair = int(np.argmax(np.bitwise_count(node.cases)))
+        self.nodes += 1
+        children = []
+        for case in CASES:
+            if node.cases[pair] & case:
+                cases = node.cases.copy()
+                cases[pair] = case
+                child = self.relaxations.node(cases, node)
+                if math.isfinite(node.bound) and math.isfinite(child.bound):
+                    self._gains[pair, case].append(child.bound - node.bound)
+                children.append(child)
+        node.pair = pair
+        children.sort(key=lambda child: child.bound)
+        self.tree += children
+        self._current = None
+        for k, child in enumerate(children):
+            if child.bound >= self.cutoff:
+                self._close(child)
+            else:
+                heapq.heappush(self._open, (child.bound, len(self.tree) + k, child))
+        if children[0].bound < self.cutoff and children[0].point is not None:
+            if self.nodes % EVERY == 0:
+                self.local.descend(self.problem.nearest(children[0].point, children[0].cases))
+            self._open = [entry for entry in self._open if entry[2] is not children[0]]
+            heapq.heapify(self._open)
+            self._current = children[0]
+
+    def _pair(self, node: Node) -> int:
+        """Return the pair to branch on, −1 where the relaxation's point violates none that is open."""
+        x = node.point
+        assert x is not None
+        violations = self.problem.violations(x)
+        is_wrong = violations > MET * (1.0 + np.abs(x[self.problem.first]))
+        wrong = np.flatnonzero((np.bitwise_count(node.cases) > 1) & is_wrong)
+        if not wrong.size:
+            return -1
+        scores = np.array([self._score(int(pair)) for pair in wrong])
+        new = np.flatnonzero(np.isnan(scores))
+        if new.size:
+            return int(wrong[new[np.argmax(violations[wrong[new]])]])
+        return int(wrong[np.argmax(scores)])
+
+    def _score(self, pair: int) -> float:
+        """Return the product of what the cases of a pair have gained on average, NaN where that is not known."""
+        means = [float(np.mean(self._gains[pair, case])) for case in CASES if self._gains.get((pair, case))]
+        return math.prod(max(mean, LEAST_GAIN) for mean in means) if len(means) > 1 else math.nan
+
+    def _settle(self, piece: Node) -> None:
+        """Close a piece that is neither solved to its bound nor refuted: it falls for ever, or nothing is known."""
+        program = self.relaxations.program(piece.cases)
+        proof = None if program is None else program.proof_of_no_minimum
+        if isinstance(proof, QPUnboundedness):
+            self.proof_of_descent = proof
+        self._is_stuck = self._is_stuck or piece.bound < self.cutoff
+        self._close(piece)
+
+    def _result(self, is_ended: bool) -> EquilibriumResult:
+        best, lower = self.local.best, self.lower_bound
+        gap = 0.0 if self.value == lower else self.value - lower
+        if self.proof_of_descent is not None:
+            status, lower = "unbounded", -math.inf
+        elif best is not None and gap <= self.tolerance * max(1.0, abs(self.value)):
+            status = "optimal"
+        elif is_ended:
+            status = "limit"
+        else:
+            status = "infeasible" if best is None and lower == math.inf and not self._is_stuck else "unknown"
+        is_stationary = True if status == "optimal" else None
+        if status in ("limit", "unknown") and not is_over():
+            is_stationary = self.local.is_stationary()
+        value = -math.inf if status == "unbounded" else self.value
+        x = None if best is None or status == "unbounded" else best.point
+        return EquilibriumResult(
+            self.problem, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
+            self.clock.read(), self.tolerance, tuple(self.tree),
+        )
+
+
+class _Log:
+    """Prints a search while it goes on."""
+
+    def __init__(self) -> None:
+        self._next = 0.0
+        print(f"{'nodes':>8} {'open':>7} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
+
+    def __call__(self, search: BranchAndBound) -> bool:
+        if search.nodes >= self._next:
+            self._next = max(search.nodes + 1, search.nodes * GROWTH)
+            gap = (search.value - search.lower_bound) / max(1.0, abs(search.value))
+            print(f"{search.nodes:>8} {len(search._open) + 1:>7} {search.value:>17.9g} {search.lower_bound:>17.9g} "
+                  f"{gap:>9.1e} {search.clock.read():>9.2f}", flush=True)
+        return False

@@ -1,0 +1,97 @@
+"""Good points early: a piece near the relaxation's point, then from piece to piece while that descends."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from ...checks import FloatVector
+from ...conversions.equilibrium_program import CASES, Cases
+from .relaxations import Node, Relaxations
+
+MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
+DESCENT = 1e-9  # of 1 + |f|
+MOST_BIACTIVE = 12
+
+
+class LocalSearch:
+    """The best point found so far.
+
+    Parameters
+    ----------
+    relaxations : Relaxations
+
+    Attributes
+    ----------
+    best : Node or None
+        The piece whose solution has the least objective.
+    """
+
+    def __init__(self, relaxations: Relaxations) -> None:
+        self.relaxations, self.problem = relaxations, relaxations.problem
+        self.best: Node | None = None
+        self._known: dict[bytes, Node] = {}
+
+    @property
+    def value(self) -> float:
+        """Its objective, ∞ as long as there is none."""
+        return math.inf if self.best is None else self.best.value
+
+    def offer(self, cases: Cases) -> Node:
+        """Return the piece of these cases, one a pair, solved; keep it where it is the best."""
+        key = cases.tobytes()
+        if key not in self._known:
+            piece = self._known[key] = self.relaxations.node(cases)
+            if piece.value < self.value:
+                self.best = piece
+        return self._known[key]
+
+    def descend(self, cases: Cases) -> Node:
+        """Return the last of the pieces from these cases on, each a neighbour with a smaller value than the one before.
+
+        Neighbours differ in one pair that is degenerate (z at a bound and w = 0) at the piece's solution.
+        """
+        piece = self.offer(cases)
+        while (better := self._better_neighbour(piece)) is not None:
+            piece = better
+        return piece
+
+    def _better_neighbour(self, piece: Node) -> Node | None:
+        if piece.solution is None or piece.point is None:
+            return None
+        for i, case in self._other_cases(piece.point, piece.cases):
+            cases = piece.cases.copy()
+            cases[i] = case
+            neighbour = self.offer(cases)
+            if neighbour.value < piece.value - DESCENT * (1.0 + abs(piece.value)):
+                return neighbour
+        return None
+
+    def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
+        """Return (pair, case) of the cases that x belongs to as well."""
+        meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
+        rows, pairs = np.nonzero(meets)
+        return [(int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True)
+                if CASES[k] != cases[i] and CASES[k] & self.problem.all_cases[i]]
+
+    def is_stationary(self) -> bool | None:
+        """Return whether the best point is B-stationary: least on every piece that holds it; None where these are many.
+
+        Then it is a local minimum.
+        """
+        if self.best is None or self.best.point is None:
+            return None
+        choices: dict[int, list[int]] = {}
+        for i, case in self._other_cases(self.best.point, self.best.cases):
+            choices.setdefault(i, [int(self.best.cases[i])]).append(case)
+        if len(choices) > MOST_BIACTIVE:
+            return None
+        value = self.best.value
+        for chosen in itertools.product(*choices.values()):
+            cases = self.best.cases.copy()
+            cases[list(choices)] = chosen
+            if self.offer(cases).value < value - DESCENT * (1.0 + abs(value)):
+                return False
+        return True

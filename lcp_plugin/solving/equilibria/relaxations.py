@@ -1,0 +1,142 @@
+"""The convex programs of a branch and bound: solved, bounded from below, or refuted; each with what proves it.
+
+A node leaves some cases of every pair open. What holds in all of them are bounds of variables, so that the programs of
+all nodes differ in these alone. The lower bound of a node is the rigorous one that any multipliers give
+(:mod:`lcp_plugin.certificates.dual_bounds`): whatever the solver did, it holds for every piece below.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...certificates.curvature import Curvature, constrained_curvature
+from ...certificates.dual_bounds import DualBounds, implied_box
+from ...checks import FloatVector
+from ...conversions.equilibrium_program import Cases, EquilibriumProgram
+from ...conversions.program import QuadraticProgram
+from ...conversions.qp_certificates import prove_infeasible
+from ...conversions.qp_proofs import QPInfeasibility
+from ...conversions.qp_solution import QPSolution
+from ..quadratic_program import solve_quadratic_program, solved_at_once
+
+TOLERANCE = 1e-9
+ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
+INSIDE = 1e-3  # beside the size of that box
+FAR = 1e4  # times 1 + the largest number that bounds x: a box for what falls for ever
+
+
+@dataclass(eq=False)
+class Node:
+    """Open cases of all pairs, and what is proved of them.
+
+    Attributes
+    ----------
+    cases : ndarray of uint8, shape (k,)
+    parent : Node or None
+    pair : int
+        On which its children differ, −1 for a leaf.
+    bound : float
+        No x of any piece in it has a smaller objective; ∞ where there is none.
+    point : ndarray or None
+        Where the relaxation is least, or falls.
+    dual : pair of ndarray or None
+        The point and the multipliers that prove the bound.
+    proof : QPInfeasibility or None
+    solution : QPSolution or None
+        Of the relaxation, where it is solved.
+    """
+
+    cases: Cases
+    parent: Node | None = None
+    pair: int = -1
+    bound: float = -math.inf
+    point: FloatVector | None = None
+    dual: tuple[FloatVector, FloatVector] | None = field(default=None, repr=False)
+    proof: QPInfeasibility | None = field(default=None, repr=False)
+    solution: QPSolution | None = field(default=None, repr=False)
+
+    @property
+    def is_piece(self) -> bool:
+        """Whether every pair has one case left."""
+        return bool((np.bitwise_count(self.cases) == 1).all())
+
+    @property
+    def value(self) -> float:
+        """The objective of the relaxation's solution, ∞ without one."""
+        return math.inf if self.solution is None else self.solution.objective
+
+
+class Relaxations:
+    """Solves the programs of nodes.
+
+    Parameters
+    ----------
+    problem : EquilibriumProgram
+    tolerance : float
+        Of the gap that is asked for.
+    """
+
+    def __init__(self, problem: EquilibriumProgram, tolerance: float) -> None:
+        program = problem.program
+        self.problem, self.tolerance, self.solved = problem, tolerance, 0
+        self.curvature: Curvature = constrained_curvature(program.P, program.A)
+        self.box = implied_box(program)
+
+    def program(self, cases: Cases) -> QuadraticProgram | None:
+        """Return the program of some cases; None where their bounds exclude each other."""
+        lower, upper = self.problem.bounds(cases)
+        if (lower > upper).any():
+            return None
+        return self.problem.program.with_vectors(lower=lower, upper=upper)
+
+    def node(self, cases: Cases, parent: Node | None = None) -> Node:
+        """Return the node of some cases, solved, and bounded or refuted."""
+        self.solved += 1
+        node, program = Node(cases, parent), self.program(cases)
+        if parent is not None:
+            node.bound, node.dual = parent.bound, parent.dual
+        if program is None:
+            node.bound = math.inf
+            return node
+        found = solved_at_once(program, "auto", TOLERANCE, {})
+        if found is None and (proof := self._refutation(program)) is not None:
+            node.bound, node.proof = math.inf, proof
+            return node
+        solution = self._within_a_box(program) if found is None else found[1]
+        if solution.program is not program:  # it falls for ever, or nothing is known
+            node.point = np.clip(solution.x, program.lower, program.upper)
+            return node
+        node.point, node.solution = np.clip(solution.x, program.lower, program.upper), solution
+        enough = solution.objective - ENOUGH * self.tolerance * (1.0 + abs(solution.objective))
+        dual = (solution.x, np.concatenate([solution.inequality, solution.equality]))
+        bound = self.bound(program, dual, enough)
+        if bound > node.bound:
+            node.bound, node.dual = bound, dual
+        return node
+
+    def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
+        """Return a lower bound of the program's objective that the point and the multipliers prove."""
+        box = np.maximum(self.box[0], program.lower), np.minimum(self.box[1], program.upper)
+        if (box[0] > box[1]).any():
+            box = program.lower, program.upper
+        return DualBounds(program, self.curvature, box).best(*dual, enough)
+
+    def _refutation(self, program: QuadraticProgram) -> QPInfeasibility | None:
+        proof = prove_infeasible(program)
+        return proof if proof is not None and proof.excludes(self.tolerance) else None
+
+    def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
+        """Return the solution of a program that the compiled call does not take, or else one within a large box.
+
+        Along what falls for ever that one lies far out.
+        """
+        limits = np.concatenate([program.lower, program.upper, program.h, program.b])
+        far = FAR * (1.0 + float(np.abs(limits[np.isfinite(limits)]).max(initial=0.0)))
+        within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
+        found = solved_at_once(within, "auto", TOLERANCE, {})
+        solution = solve_quadratic_program(within, tolerance=TOLERANCE, refute=False)[1] if found is None else found[1]
+        is_inside = bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE)) and solution.is_stationary()
+        return replace(solution, program=program) if is_inside else solution

@@ -1,4 +1,4 @@
-"""Convex quadratic programs with complementarity constraints: the best of the solutions of a complementarity problem."""
+"""Convex programs with complementarity constraints: the best of the solutions of a complementarity problem."""
 
 from __future__ import annotations
 
@@ -35,6 +35,8 @@ class EquilibriumProgram:
     first, second : array of int, shape (k,)
         Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
         at its upper bound, w = 0 between them. The bounds of z are those of the program; where it has none, w = 0.
+    offset : float
+        A constant in the objective.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class EquilibriumProgram:
     program: QuadraticProgram
     first: Indices
     second: Indices
+    offset: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.program, QuadraticProgram):
@@ -65,7 +68,7 @@ class EquilibriumProgram:
                     f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
                     "of each pair the number of z in first, and that of w in second"
                 )
-            if given.size and not (0 <= given.min() and given.max() < n):
+            if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
             object.__setattr__(self, name, given.astype(np.int64))
 
@@ -145,6 +148,10 @@ class EquilibriumProgram:
         is_closed = (cases & choices[:, None]) == 0
         nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
         return nearest
+
+    def objective(self, x: FloatVector) -> float:
+        """Return ½ xᵀP x + cᵀx + offset."""
+        return self.program.objective(x) + self.offset
 
     def __repr__(self) -> str:
         return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import is_number
 from ...communicator.alone import ALONE
-from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
+from ...conversions.equilibrium_program import CASES, EquilibriumProgram
 from ...conversions.program import refuse_nonconvex
 from ...conversions.qp_proofs import QPUnboundedness
 from ...deadline import Clock, is_over, time_limit
@@ -87,8 +88,8 @@ def minimize_over_solutions(
         raise InvalidOption(f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}")
     limits = {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}
     for name, value in limits.items():
-        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-        if not (value is None and name != "tolerance") and not (is_number and value > 0):
+        is_left_out = value is None and name != "tolerance"
+        if not is_left_out and not (is_number(value) and value > 0):  # type: ignore[operator]
             raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
     refuse_nonconvex(problem.program)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
@@ -170,7 +171,8 @@ class BranchAndBound:
 
     def _branch(self) -> None:
         node = self._current
-        assert node is not None and node.point is not None
+        assert node is not None
+        assert node.point is not None
         pair = self._pair(node)
         if pair < 0:  # complementary
             self.local.descend(self.problem.nearest(node.point, node.cases))

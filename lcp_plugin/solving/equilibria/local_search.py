@@ -59,7 +59,7 @@ class LocalSearch:
         return piece
 
     def _better_neighbour(self, piece: Node) -> Node | None:
-        if piece.solution is None or piece.point is None:
+        if piece.point is None or piece.value == math.inf:
             return None
         for i, case in self._other_cases(piece.point, piece.cases):
             cases = piece.cases.copy()

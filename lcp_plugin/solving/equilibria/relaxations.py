@@ -45,8 +45,8 @@ class Node:
     dual : pair of ndarray or None
         The point and the multipliers that prove the bound.
     proof : QPInfeasibility or None
-    solution : QPSolution or None
-        Of the relaxation, where it is solved.
+    value : float
+        The objective at the point where the relaxation is solved, else ∞.
     """
 
     cases: Cases
@@ -56,17 +56,12 @@ class Node:
     point: FloatVector | None = None
     dual: tuple[FloatVector, FloatVector] | None = field(default=None, repr=False)
     proof: QPInfeasibility | None = field(default=None, repr=False)
-    solution: QPSolution | None = field(default=None, repr=False)
+    value: float = math.inf
 
     @property
     def is_piece(self) -> bool:
         """Whether every pair has one case left."""
         return bool((np.bitwise_count(self.cases) == 1).all())
-
-    @property
-    def value(self) -> float:
-        """The objective of the relaxation's solution, ∞ without one."""
-        return math.inf if self.solution is None else self.solution.objective
 
 
 class Relaxations:
@@ -109,8 +104,9 @@ class Relaxations:
         if solution.program is not program:  # it falls for ever, or nothing is known
             node.point = np.clip(solution.x, program.lower, program.upper)
             return node
-        node.point, node.solution = np.clip(solution.x, program.lower, program.upper), solution
-        enough = solution.objective - ENOUGH * self.tolerance * (1.0 + abs(solution.objective))
+        node.point = np.clip(solution.x, program.lower, program.upper)
+        node.value = self.problem.objective(node.point)
+        enough = node.value - ENOUGH * self.tolerance * max(1.0, abs(node.value))
         dual = (solution.x, np.concatenate([solution.inequality, solution.equality]))
         bound = self.bound(program, dual, enough)
         if bound > node.bound:
@@ -122,7 +118,9 @@ class Relaxations:
         box = np.maximum(self.box[0], program.lower), np.minimum(self.box[1], program.upper)
         if (box[0] > box[1]).any():
             box = program.lower, program.upper
-        return DualBounds(program, self.curvature, box).best(*dual, enough)
+        offset = self.problem.offset
+        found = DualBounds(program, self.curvature, box).best(*dual, enough - offset)
+        return math.nextafter(found + offset, -math.inf) if offset else found
 
     def _refutation(self, program: QuadraticProgram) -> QPInfeasibility | None:
         proof = prove_infeasible(program)

@@ -51,10 +51,20 @@ class EquilibriumResult:
 
     @property
     def gap(self) -> float:
-        """value − lower_bound, beside |value| where that exceeds 1."""
+        """The value less the bound, beside |value| where that exceeds 1."""
         if self.value == self.lower_bound:
             return 0.0
         return (self.value - self.lower_bound) / max(1.0, abs(self.value)) if math.isfinite(self.value) else math.inf
+
+    @property
+    def iterations(self) -> int:
+        """The number of nodes."""
+        return self.nodes
+
+    @property
+    def setup_seconds(self) -> float:
+        """0."""
+        return 0.0
 
     @property
     def is_global(self) -> bool:
@@ -74,7 +84,7 @@ class EquilibriumResult:
         program = self.problem.program
         excess = (program.constraints.excess(self.x) / program.constraints.unit).max(initial=0.0)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
-        return is_exact and bool(excess <= FEASIBLE) and program.objective(self.x) <= self.value
+        return is_exact and bool(excess <= FEASIBLE) and self.problem.objective(self.x) <= self.value
 
     def _tree_covers(self) -> bool:
         """Return whether the root has all cases, and the children of every node all that it has."""
@@ -108,5 +118,7 @@ class EquilibriumResult:
         return relaxations.bound(program, leaf.dual, least) >= least
 
     def __str__(self) -> str:
-        bound = "" if self.status in ("infeasible", "unbounded") else f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}"
-        return f"{self.status}: {self.value:.9g}{bound}; {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
+        has_bound = self.status not in ("infeasible", "unbounded")
+        bound = f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}" if has_bound else ""
+        work = f"{self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
+        return f"{self.status}: {self.value:.9g}{bound}; {work}"

@@ -1,0 +1,143 @@
+"""An objective beside complementarity in cvxpy: the best of all solutions, by branch and bound with a proved gap."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from cvxpy import settings
+from cvxpy.problems.problem import SolverStats
+from cvxpy.reductions.solution import Solution
+
+from ..conversions.equilibrium_program import EquilibriumProgram
+from ..conversions.reductions import fold_simple_rows
+from ..errors import UnsupportedModel
+from ..solving.equilibria.branch_and_bound import minimize_over_solutions
+from ..solving.equilibria.result import EquilibriumResult
+from ._compat import attribute_bounds, name_of, statistics
+from .certified_problem import ReducedProblem
+from .constraint import Complements, Side
+from .stated_terms import sense_of
+
+STATUS = {
+    "optimal": settings.OPTIMAL, "infeasible": settings.INFEASIBLE, "unbounded": settings.UNBOUNDED,
+    "limit": settings.USER_LIMIT, "unknown": settings.USER_LIMIT,
+}
+OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback")
+
+
+class StatedPair:
+    """One complementarity as z ⟂ w: two vectors of variables, and the constraints that make them what it says."""
+
+    def __init__(self, pair: Complements) -> None:
+        self.pair, self.constraints = pair, list[Any]()
+        first, second = self._in_order(pair)
+        for side in (first, second):
+            if not side.expression.is_affine():
+                raise UnsupportedModel(
+                    f"the side {side} of {pair!r} is not affine, and the best of all solutions is found among affine "
+                    "ones only: linearise it, or leave out the objective and use requires_grad=True for a local search"
+                )
+        self.lower, self.upper = (np.ravel(bound, order="F") for bound in first.bounds())
+        self.z, self.w = (self._variable(side.expression) for side in (first, second))
+        self.is_equation = second.kind == "zero"
+        if second.kind == "nonnegative" and first.kind != "nonnegative":
+            has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
+            if (has_lower == has_upper).any():
+                raise UnsupportedModel(
+                    f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the "
+                    "expression alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
+                )
+            if has_upper.any():  # w ≤ 0 at an upper bound
+                self.w = self._variable(cp.multiply(np.where(has_upper, -1.0, 1.0), self.w))
+
+    @staticmethod
+    def _in_order(pair: Complements) -> tuple[Side, Side]:
+        """Return the side that has bounds, and the other."""
+        sides = pair.first, pair.second
+        ranks = {"box": 0, "nonnegative": 2, "value": 3, "zero": 4}
+
+        def rank(side: Side) -> int:
+            is_bounded = side.kind == "value" and isinstance(side.expression, cp.Variable) and any(
+                np.isfinite(bound).any() for bound in attribute_bounds(side.expression)
+            )
+            return 1 if is_bounded else ranks[side.kind]
+
+        return sides if rank(sides[0]) <= rank(sides[1]) else sides[::-1]
+
+    def _variable(self, expression: Any) -> Any:
+        """Return a variable that is the expression, column by column."""
+        if isinstance(expression, cp.Variable) and expression.ndim <= 1:
+            return expression
+        variable = cp.Variable(expression.size)
+        self.constraints.append(variable == cp.vec(expression, order="F"))
+        return variable
+
+
+def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, list[StatedPair]]:
+    """Return the equilibrium program of a cvxpy problem, and the ways back.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where it is none: sides that are not affine, an objective that is not convex quadratic or piecewise linear.
+    """
+    pairs = [StatedPair(one) for one in problem.constraints if isinstance(one, Complements)]
+    others = [one for one in problem.constraints if not isinstance(one, Complements)]
+    if not problem.objective.is_dcp():
+        sense = "minimise" if sense_of(problem) > 0.0 else "maximise"
+        shape = "convex" if sense == "minimise" else "concave"
+        raise UnsupportedModel(
+            f"the objective {name_of(problem.objective.args[0])} is not {shape} by cvxpy's rules, as it has to be to "
+            f"{sense} it over complementarities: linearise it, or fix variables; a {shape} quadratic or piecewise "
+            "linear one is taken"
+        )
+    added = [constraint for pair in pairs for constraint in pair.constraints]
+    added += [one == 0 for pair in pairs if pair.is_equation for one in (pair.w,)]
+    reduced = ReducedProblem.of(cp.Problem(problem.objective, [*others, *added]))
+    places = reduced.entries.variables
+    if places is None:
+        raise UnsupportedModel("a variable is not found again in what cvxpy compiled; use plain variables")
+    program = fold_simple_rows(reduced.program).folded
+    lower, upper = np.array(program.lower), np.array(program.upper)
+    paired = [pair for pair in pairs if not pair.is_equation]
+    columns = [[places[side.id].places for side in (pair.z, pair.w)] for pair in paired]
+    for pair, (z, _) in zip(paired, columns, strict=True):
+        lower[z], upper[z] = np.maximum(lower[z], pair.lower), np.minimum(upper[z], pair.upper)
+    first, second = (np.concatenate([*(pair[k] for pair in columns), np.zeros(0, dtype=np.int64)]) for k in (0, 1))
+    bounded = program.with_vectors(lower=lower, upper=upper)
+    return EquilibriumProgram(bounded, first, second, reduced.offset), reduced, pairs
+
+
+def solve_for_the_best(problem: Any, verbose: bool, options: dict[str, Any]) -> Any:
+    """Solve a cvxpy problem with an objective beside complementarities, and write the answer back; return its value."""
+    for name in options:
+        if name not in OPTIONS:
+            raise UnsupportedModel(
+                f"the search for the best of all solutions has no option {name!r}; it has {', '.join(OPTIONS)}"
+            )
+    program, reduced, pairs = stated_program(problem)
+    result = minimize_over_solutions(program, verbose=verbose, **options)
+    write_back(problem, reduced, pairs, result)
+    return problem.value
+
+
+def write_back(problem: Any, reduced: ReducedProblem, pairs: list[StatedPair], result: EquilibriumResult) -> None:
+    """Give the cvxpy problem its status, values, duals and statistics."""
+    sense, status, attributes = sense_of(problem), STATUS[result.status], statistics(result)
+    if result.x is None:
+        value = {settings.INFEASIBLE: math.inf, settings.UNBOUNDED: -math.inf}.get(status)
+        problem.unpack(Solution(status, None if value is None else sense * value, {}, {}, attributes))
+        if value is None:
+            problem._clear_solution()
+            problem._status = status
+    else:
+        places = reduced.entries.variables or {}
+        values = {one.id: places[one.id].taken(result.x) for one in problem.variables()}
+        problem.unpack(Solution(status, sense * result.value, values, {}, attributes))
+        for pair in pairs:
+            w = places[pair.w.id].taken(result.x)
+            pair.pair.save_dual_value(np.reshape(w, pair.pair.shape, order="F"))
+    problem._solver_stats = SolverStats.from_dict(attributes, "LCP")

@@ -37,6 +37,7 @@ from ..matrix.structure import row_numbers
 from .curvature import Curvature
 
 ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
+NOISE = 2.0**-44  # of the largest multiplier
 ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
@@ -78,6 +79,8 @@ class DualBounds:
             return -np.inf
         given = self.admitted(x, y)
         found, points = self.value(given), [given]
+        if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
+            found = max(found, self.value(clean))
         for room in ROOMS:
             if found >= enough or is_over():
                 return found
@@ -259,6 +262,11 @@ class DualBounds:
     @cached_property
     def _exact_stacked(self) -> list[Row]:
         return rational_rows(self._stacked)
+
+
+def _without_rounding(y: FloatVector) -> FloatVector:
+    """Return multipliers with 0 for those that are rounding beside the largest: degenerate ones have to be exactly 0."""
+    return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
 
 
 def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:

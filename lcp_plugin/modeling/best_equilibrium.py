@@ -19,6 +19,7 @@ from ..solving.equilibria.result import EquilibriumResult
 from ._compat import attribute_bounds, name_of, statistics
 from .certified_problem import ReducedProblem
 from .constraint import Complements, Side
+from .reading import Reader
 from .stated_terms import sense_of
 
 STATUS = {
@@ -69,8 +70,11 @@ class StatedPair:
 
     def _variable(self, expression: Any) -> Any:
         """Return a variable that is the expression, column by column."""
-        if isinstance(expression, cp.Variable) and expression.ndim <= 1:
-            return expression
+        rows, own = Reader().rows(expression), {one.id: one for one in expression.variables() if one.ndim <= 1}
+        if len(rows.blocks) == 1 and not rows.offset.any() and (of := next(iter(rows.blocks))) in own:
+            matrix = rows.blocks[of]
+            if matrix.shape[0] == matrix.shape[1] == matrix.nnz and (matrix.diagonal() == 1.0).all():
+                return own[of]
         variable = cp.Variable(expression.size)
         self.constraints.append(variable == cp.vec(expression, order="F"))
         return variable

@@ -265,7 +265,7 @@ class DualBounds:
 
 
 def _without_rounding(y: FloatVector) -> FloatVector:
-    """Return multipliers with 0 for those that are rounding beside the largest: degenerate ones have to be exactly 0."""
+    """Return multipliers with 0 for those that are rounding beside the largest; degenerate ones have to be 0."""
     return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
 
 

@@ -14,6 +14,7 @@ from cvxpy.reductions.solution import Solution
 from ..conversions.equilibrium_program import EquilibriumProgram
 from ..conversions.reductions import fold_simple_rows
 from ..errors import UnsupportedModel
+from ..expressions.rows import as_matrix
 from ..solving.equilibria.branch_and_bound import minimize_over_solutions
 from ..solving.equilibria.result import EquilibriumResult
 from ._compat import attribute_bounds, name_of, statistics
@@ -72,7 +73,7 @@ class StatedPair:
         """Return a variable that is the expression, column by column."""
         rows, own = Reader().rows(expression), {one.id: one for one in expression.variables() if one.ndim <= 1}
         if len(rows.blocks) == 1 and not rows.offset.any() and (of := next(iter(rows.blocks))) in own:
-            matrix = rows.blocks[of]
+            matrix = as_matrix(rows.blocks[of], rows.size)
             if matrix.shape[0] == matrix.shape[1] == matrix.nnz and (matrix.diagonal() == 1.0).all():
                 return own[of]
         variable = cp.Variable(expression.size)

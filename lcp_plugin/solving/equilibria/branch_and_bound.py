@@ -141,8 +141,7 @@ class BranchAndBound:
         is_ended = False
         try:
             root = self._added(self.relaxations.node(self.problem.all_cases))
-            if root.point is not None:
-                self.local.descend(self.problem.nearest(root.point, root.cases))
+            self.local.start(root)
             self._current = root
             while self._next() is not None and self.proof_of_descent is None:
                 if is_ended := bool(self.nodes >= self.max_nodes or is_over() or ends()):
@@ -203,7 +202,7 @@ class BranchAndBound:
                 heapq.heappush(self._open, (child.bound, len(self.tree) + k, child))
         if children[0].bound < self.cutoff and children[0].point is not None:
             if self.nodes % EVERY == 0:
-                self.local.descend(self.problem.nearest(children[0].point, children[0].cases))
+                self.local.start(children[0])
             self._open = [entry for entry in self._open if entry[2] is not children[0]]
             heapq.heapify(self._open)
             self._current = children[0]

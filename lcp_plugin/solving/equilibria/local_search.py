@@ -14,6 +14,7 @@ from .relaxations import Node, Relaxations
 MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
 DESCENT = 1e-9  # of 1 + |f|
 MOST_BIACTIVE = 12
+MOST_STEPS = 10  # linear programs towards complementarity
 
 
 class LocalSearch:
@@ -47,6 +48,34 @@ class LocalSearch:
             if piece.value < self.value:
                 self.best = piece
         return self._known[key]
+
+    def start(self, node: Node) -> Node | None:
+        """Return the last piece of a descent that begins near the point of a node; None where it has none.
+
+        Where that is far from complementary, linear programs min Σ w̄_i (z_i − l_i) + (z̄_i − l_i) w_i over the node, one
+        after the other from its point (z̄, w̄), bring it nearer: the method of Frank and Wolfe for Σ (z_i − l_i) w_i.
+        """
+        point = node.point
+        for _ in range(MOST_STEPS):
+            if point is None:
+                return None
+            if not (self.problem.violations(point) > MEETS * (1.0 + np.abs(point).max(initial=0.0))).any():
+                break
+            if self.offer(self.problem.nearest(point, node.cases)).value < math.inf:
+                break
+            point = self.relaxations.least(node.cases, self._product_gradient(point))
+        return None if point is None else self.descend(self.problem.nearest(point, node.cases))
+
+    def _product_gradient(self, x: FloatVector) -> FloatVector:
+        """Return the gradient of Σ (z_i − l_i) w_i, of Σ (z_i − u_i) w_i where w_i < 0 or z_i has no lower bound."""
+        problem, gradient = self.problem, np.zeros(x.size)
+        z, w = x[problem.first], x[problem.second]
+        lower, upper = problem.ends
+        is_above = np.isfinite(upper) & ((w < 0.0) | ~np.isfinite(lower))
+        end = np.where(is_above, upper, np.where(np.isfinite(lower), lower, z))
+        np.add.at(gradient, problem.first, np.where(is_above, np.minimum(w, 0.0), np.maximum(w, 0.0)))
+        np.add.at(gradient, problem.second, z - end)
+        return gradient
 
     def descend(self, cases: Cases) -> Node:
         """Return the last of the pieces from these cases on, each a neighbour with a smaller value than the one before.

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...certificates.curvature import Curvature, constrained_curvature
 from ...certificates.dual_bounds import DualBounds, implied_box
@@ -112,6 +113,19 @@ class Relaxations:
         if bound > node.bound:
             node.bound, node.dual = bound, dual
         return node
+
+    def least(self, cases: Cases, slope: FloatVector) -> FloatVector | None:
+        """Return a point of a node where slope · x is least; None where none is found."""
+        program = self.program(cases)
+        if program is None:
+            return None
+        self.solved += 1
+        linear = QuadraticProgram(
+            sp.csr_array((slope.size, slope.size)), slope, program.G, program.h, program.A, program.b, program.lower,
+            program.upper,
+        )
+        found = solved_at_once(linear, "auto", TOLERANCE, {})
+        return None if found is None else np.clip(found[1].x, program.lower, program.upper)
 
     def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""

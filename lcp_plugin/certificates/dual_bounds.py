@@ -236,10 +236,9 @@ class DualBounds:
         is_flat, folded = self.curvature.weights <= 0.0, fold_simple_rows(self.program).folded
         return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
 
-    @cached_property
+    @property
     def _rows(self) -> sp.csr_array:
-        rows = sp.vstack([sp.csr_array(self.program.G), sp.csr_array(self.program.A)], format="csr")
-        return sp.csr_array(rows)
+        return self.program.matrices.rows
 
     @cached_property
     def _limit(self) -> FloatVector:
@@ -254,10 +253,9 @@ class DualBounds:
         """Rows of one entry: the box says what they say."""
         return np.asarray(np.diff(self._rows.indptr) <= 1)
 
-    @cached_property
+    @property
     def _stacked(self) -> sp.csr_array:
-        """[P Gᵀ Aᵀ]."""
-        return sp.csr_array(sp.hstack([sp.csr_array(self.program.P), self._rows.T], format="csr"))
+        return self.program.matrices.gradient
 
     @cached_property
     def _exact_stacked(self) -> list[Row]:

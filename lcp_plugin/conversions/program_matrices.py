@@ -57,6 +57,11 @@ class ProgramMatrices:
         return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
 
     @cached_property
+    def gradient(self) -> sp.csr_array:
+        """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
+        return sp.csr_array(sp.hstack([as_csr(self.P), self.rows.T], format="csr"))
+
+    @cached_property
     def rows_of_hessian(self) -> tuple[Any, Any, FloatVector, bool]:
         """Where rows of P begin, their columns, their entries; of an ndarray the columns of one row stand for all."""
         if sp.issparse(self.P):

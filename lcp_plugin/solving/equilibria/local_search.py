@@ -44,7 +44,7 @@ class LocalSearch:
         """Return the piece of these cases, one a pair, solved; keep it where it is the best."""
         key = cases.tobytes()
         if key not in self._known:
-            piece = self._known[key] = self.relaxations.node(cases)
+            piece = self._known[key] = self.relaxations.solved_node(cases)
             if piece.value < self.value:
                 self.best = piece
         return self._known[key]

@@ -90,10 +90,19 @@ class Relaxations:
 
     def node(self, cases: Cases, parent: Node | None = None) -> Node:
         """Return the node of some cases, solved, and bounded or refuted."""
-        self.solved += 1
-        node, program = Node(cases, parent), self.program(cases)
-        if parent is not None:
+        node = self.solved_node(cases)
+        node.parent = parent
+        if node.value < math.inf and (program := self.program(cases)) is not None and node.dual is not None:
+            enough = node.value - ENOUGH * self.tolerance * max(1.0, abs(node.value))
+            node.bound = self.bound(program, node.dual, enough)
+        if parent is not None and parent.bound > node.bound:
             node.bound, node.dual = parent.bound, parent.dual
+        return node
+
+    def solved_node(self, cases: Cases) -> Node:
+        """Return the node of some cases, solved or refuted, but without a bound."""
+        self.solved += 1
+        node, program = Node(cases), self.program(cases)
         if program is None:
             node.bound = math.inf
             return node
@@ -102,16 +111,10 @@ class Relaxations:
             node.bound, node.proof = math.inf, proof
             return node
         solution = self._within_a_box(program) if found is None else found[1]
-        if solution.program is not program:  # it falls for ever, or nothing is known
-            node.point = np.clip(solution.x, program.lower, program.upper)
-            return node
         node.point = np.clip(solution.x, program.lower, program.upper)
-        node.value = self.problem.objective(node.point)
-        enough = node.value - ENOUGH * self.tolerance * max(1.0, abs(node.value))
-        dual = (solution.x, np.concatenate([solution.inequality, solution.equality]))
-        bound = self.bound(program, dual, enough)
-        if bound > node.bound:
-            node.bound, node.dual = bound, dual
+        if solution.program is program:  # otherwise it falls for ever, or nothing is known
+            node.value = self.problem.objective(node.point)
+            node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
         return node
 
     def least(self, cases: Cases, slope: FloatVector) -> FloatVector | None:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import FloatVector, checked_vector, rectangular_matrix
+from ..checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
 from ..errors import InvalidProblem
 from .program import QuadraticProgram
 
@@ -34,7 +34,9 @@ class EquilibriumProgram:
         Convex.
     first, second : array of int, shape (k,)
         Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
-        at its upper bound, w = 0 between them. The bounds of z are those of the program; where it has none, w = 0.
+        at its upper bound, w = 0 between them; where it has none, w = 0.
+    lower, upper : scalar or array, shape (k,), optional
+        The bounds of z that pairs speak of; by default those of the program, of which the others are plain constraints.
     offset : float
         A constant in the objective.
 
@@ -55,6 +57,8 @@ class EquilibriumProgram:
     program: QuadraticProgram
     first: Indices
     second: Indices
+    lower: Any = None
+    upper: Any = None
     offset: float = 0.0
 
     def __post_init__(self) -> None:
@@ -71,6 +75,11 @@ class EquilibriumProgram:
             if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
             object.__setattr__(self, name, given.astype(np.int64))
+        for name in ("lower", "upper"):
+            own = getattr(self.program, name)[self.first]
+            given = own if getattr(self, name) is None else checked_bound(getattr(self, name), name, own.size)
+            object.__setattr__(self, name, given)
+        check_order(self.lower, self.upper)
 
     @classmethod
     def of_rows(cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike) -> EquilibriumProgram:
@@ -107,14 +116,9 @@ class EquilibriumProgram:
         return int(self.first.size)
 
     @cached_property
-    def ends(self) -> tuple[FloatVector, FloatVector]:
-        """The bounds of z, shape (k,) each."""
-        return self.program.lower[self.first], self.program.upper[self.first]
-
-    @cached_property
     def all_cases(self) -> Cases:
         """The cases that each pair has, shape (k,)."""
-        has_lower, has_upper = (np.isfinite(end) for end in self.ends)
+        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         cases: Cases = (BETWEEN + LOWER * has_lower + UPPER * has_upper).astype(np.uint8)
         return cases
 
@@ -122,8 +126,8 @@ class EquilibriumProgram:
         """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""
         lower, upper = np.array(self.program.lower), np.array(self.program.upper)
         z, w = self.first, self.second
-        np.minimum.at(upper, z, np.where(cases == LOWER, self.ends[0], np.inf))
-        np.maximum.at(lower, z, np.where(cases == UPPER, self.ends[1], -np.inf))
+        np.maximum.at(lower, z, np.where(cases == UPPER, self.upper, self.lower))
+        np.minimum.at(upper, z, np.where(cases == LOWER, self.lower, self.upper))
         np.maximum.at(lower, w, np.where(cases & UPPER, -np.inf, 0.0))
         np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
         return lower, upper
@@ -131,9 +135,8 @@ class EquilibriumProgram:
     def distances(self, x: FloatVector) -> FloatVector:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
         z, w = x[self.first], x[self.second]
-        lower, upper = self.ends
         found: FloatVector = np.array([
-            np.maximum(np.abs(z - lower), -w), np.abs(w), np.maximum(np.abs(upper - z), w),
+            np.maximum(np.abs(z - self.lower), -w), np.abs(w), np.maximum(np.abs(self.upper - z), w),
         ])
         return found
 

@@ -106,14 +106,12 @@ def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, li
     if places is None:
         raise UnsupportedModel("a variable is not found again in what cvxpy compiled; use plain variables")
     program = fold_simple_rows(reduced.program).folded
-    lower, upper = np.array(program.lower), np.array(program.upper)
     paired = [pair for pair in pairs if not pair.is_equation]
     columns = [[places[side.id].places for side in (pair.z, pair.w)] for pair in paired]
-    for pair, (z, _) in zip(paired, columns, strict=True):
-        lower[z], upper[z] = np.maximum(lower[z], pair.lower), np.minimum(upper[z], pair.upper)
     first, second = (np.concatenate([*(pair[k] for pair in columns), np.zeros(0, dtype=np.int64)]) for k in (0, 1))
-    bounded = program.with_vectors(lower=lower, upper=upper)
-    return EquilibriumProgram(bounded, first, second, reduced.offset), reduced, pairs
+    lower = np.concatenate([*(pair.lower for pair in paired), np.zeros(0)])
+    upper = np.concatenate([*(pair.upper for pair in paired), np.zeros(0)])
+    return EquilibriumProgram(program, first, second, lower, upper, reduced.offset), reduced, pairs
 
 
 def solve_for_the_best(problem: Any, verbose: bool, options: dict[str, Any]) -> Any:

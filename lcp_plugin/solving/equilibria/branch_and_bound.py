@@ -27,6 +27,7 @@ from ...conversions.program import refuse_nonconvex
 from ...conversions.qp_proofs import QPUnboundedness
 from ...deadline import Clock, is_over, time_limit
 from ...errors import InvalidOption
+from .cuts import strengthened
 from .local_search import LocalSearch
 from .relaxations import Node, Relaxations
 from .result import EquilibriumResult
@@ -108,9 +109,10 @@ class BranchAndBound:
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
-        self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.clock, self.nodes = Clock(ALONE), 0
-        self.relaxations = Relaxations(problem, tolerance)
+        self.strengthened = strengthened(problem)
+        self.problem, self.tolerance, self.max_nodes = self.strengthened.problem, tolerance, max_nodes
+        self.relaxations = Relaxations(self.problem, tolerance)
         self.local = LocalSearch(self.relaxations)
         self.tree: list[Node] = []
         self.proof_of_descent: QPUnboundedness | None = None
@@ -253,7 +255,7 @@ class BranchAndBound:
         value = -math.inf if status == "unbounded" else self.value
         x = None if best is None or status == "unbounded" else best.point
         return EquilibriumResult(
-            self.problem, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
+            self.strengthened, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
             self.clock.read(), self.tolerance, tuple(self.tree),
         )
 

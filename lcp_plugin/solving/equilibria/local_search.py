@@ -70,7 +70,7 @@ class LocalSearch:
         """Return the gradient of Σ (z_i − l_i) w_i, of Σ (z_i − u_i) w_i where w_i < 0 or z_i has no lower bound."""
         problem, gradient = self.problem, np.zeros(x.size)
         z, w = x[problem.first], x[problem.second]
-        lower, upper = problem.ends
+        lower, upper = problem.lower, problem.upper
         is_above = np.isfinite(upper) & ((w < 0.0) | ~np.isfinite(lower))
         end = np.where(is_above, upper, np.where(np.isfinite(lower), lower, z))
         np.add.at(gradient, problem.first, np.where(is_above, np.minimum(w, 0.0), np.maximum(w, 0.0)))

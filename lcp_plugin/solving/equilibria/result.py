@@ -9,6 +9,7 @@ import numpy as np
 
 from ...checks import FloatVector
 from ...conversions.equilibrium_program import CASES, EquilibriumProgram
+from .cuts import Strengthened
 from .relaxations import Node, Relaxations
 
 FEASIBLE = 1e-7
@@ -37,7 +38,7 @@ class EquilibriumResult:
     seconds : float
     """
 
-    problem: EquilibriumProgram = field(repr=False)
+    strengthened: Strengthened = field(repr=False)
     status: str
     x: FloatVector | None = field(repr=False)
     value: float
@@ -48,6 +49,11 @@ class EquilibriumResult:
     seconds: float
     tolerance: float = field(repr=False)
     tree: tuple[Node, ...] = field(repr=False)
+
+    @property
+    def problem(self) -> EquilibriumProgram:
+        """The problem that was given."""
+        return self.strengthened.original
 
     @property
     def gap(self) -> float:
@@ -73,9 +79,9 @@ class EquilibriumResult:
 
     def verify(self) -> bool:
         """Return whether x and the bounds of all leaves hold, from the data alone; some milliseconds a leaf."""
-        if not (self._x_holds() and self._tree_covers()):
+        if not (self._x_holds() and self._tree_covers() and self.strengthened.verify()):
             return False
-        relaxations = Relaxations(self.problem, self.tolerance)
+        relaxations = Relaxations(self.strengthened.problem, self.tolerance)
         return all(self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0)
 
     def _x_holds(self) -> bool:

@@ -8,12 +8,14 @@ import math
 import numpy as np
 
 from ...checks import FloatVector
-from ...conversions.equilibrium_program import CASES, Cases
+from ...conversions.equilibrium_program import BETWEEN, CASES, LOWER, Cases
+from ...deadline import is_over
 from .relaxations import Node, Relaxations
 
 MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
 DESCENT = 1e-9  # of 1 + |f|
 MOST_BIACTIVE = 12
+MOST_NEIGHBOURS = 50
 MOST_STEPS = 10  # linear programs towards complementarity
 
 
@@ -78,9 +80,10 @@ class LocalSearch:
         return gradient
 
     def descend(self, cases: Cases) -> Node:
-        """Return the last of the pieces from these cases on, each a neighbour with a smaller value than the one before.
+        """Return the last of the pieces from these cases on, each with a smaller value than the one before.
 
-        Neighbours differ in one pair that is degenerate (z at a bound and w = 0) at the piece's solution.
+        The next one takes another case of pairs that are degenerate (z at a bound and w = 0) at the piece's solution:
+        of all to which its multipliers promise a descent, or else of one of these after the other.
         """
         piece = self.offer(cases)
         while (better := self._better_neighbour(piece)) is not None:
@@ -88,15 +91,38 @@ class LocalSearch:
         return piece
 
     def _better_neighbour(self, piece: Node) -> Node | None:
-        if piece.point is None or piece.value == math.inf:
+        if piece.value == math.inf:
             return None
-        for i, case in self._other_cases(piece.point, piece.cases):
+        promising = self._promising(piece)
+        for chosen in ([promising] if len(promising) > 1 else []) + [[one] for one in promising[:MOST_NEIGHBOURS]]:
+            if is_over():
+                return None
             cases = piece.cases.copy()
-            cases[i] = case
+            for i, case in chosen:
+                cases[i] = case
             neighbour = self.offer(cases)
             if neighbour.value < piece.value - DESCENT * (1.0 + abs(piece.value)):
                 return neighbour
         return None
+
+    def _promising(self, piece: Node) -> list[tuple[int, int]]:
+        """Return (pair, case) of other cases of degenerate pairs towards which the objective falls, the steepest first.
+
+        By the multipliers of the piece: where there is none, its solution is strongly stationary.
+        """
+        assert piece.point is not None
+        assert piece.dual is not None
+        problem, program = self.problem, self.problem.program
+        slope = program.matrices.gradient @ np.concatenate([piece.point, piece.dual[1]]) + program.c
+        size = MEETS * (1.0 + float(np.abs(program.c).max(initial=0.0)))
+        found = []
+        for i, case in self._other_cases(piece.point, piece.cases):
+            column = problem.second[i] if piece.cases[i] == BETWEEN else problem.first[i]
+            is_rise = piece.cases[i] == LOWER or case == LOWER
+            fall = -slope[column] if is_rise else slope[column]
+            if fall > size:
+                found.append((fall, i, case))
+        return [(i, case) for _, i, case in sorted(found, key=lambda one: (-one[0], *one[1:]))]
 
     def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
         """Return (pair, case) of the cases that x belongs to as well."""
@@ -112,6 +138,8 @@ class LocalSearch:
         """
         if self.best is None or self.best.point is None:
             return None
+        if not self._promising(self.best):
+            return True
         choices: dict[int, list[int]] = {}
         for i, case in self._other_cases(self.best.point, self.best.cases):
             choices.setdefault(i, [int(self.best.cases[i])]).append(case)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -117,10 +119,23 @@ class EquilibriumProgram:
 
     @cached_property
     def all_cases(self) -> Cases:
-        """The cases that each pair has, shape (k,)."""
-        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
-        cases: Cases = (BETWEEN + LOWER * has_lower + UPPER * has_upper).astype(np.uint8)
+        """The cases that each pair has, shape (k,), without those that another one holds."""
+        lower, upper = (np.isfinite(end) & ~self._implies_no_w(end) for end in (self.lower, self.upper))
+        cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
         return cases
+
+    def _implies_no_w(self, end: FloatVector) -> NDArray[np.bool_]:
+        """Return for each pair whether a row a z + b w = d says w = 0 where z = end: that is the case between, too."""
+        A = sp.csr_array(self.program.A)
+        found: NDArray[np.bool_] = (self.first == self.second) & (end == 0.0)
+        pair_of = {(z, w): i for i, (z, w) in enumerate(zip(self.first.tolist(), self.second.tolist(), strict=True))}
+        for row in np.flatnonzero(np.diff(A.indptr) == 2):
+            entries = slice(A.indptr[row], A.indptr[row + 1])
+            (j, k), (a, b) = A.indices[entries].tolist(), A.data[entries].tolist()
+            i, factor = (pair_of[j, k], a) if (j, k) in pair_of else (pair_of.get((k, j), -1), b)
+            if i >= 0 and a and b and math.isfinite(end[i]):
+                found[i] = Fraction(factor) * Fraction(end[i]) == Fraction(self.program.b[row])
+        return found
 
     def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
         """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""

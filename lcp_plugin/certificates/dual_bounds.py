@@ -80,6 +80,7 @@ class DualBounds:
         given = self.admitted(x, y)
         found, points = self.value(given), [given]
         if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
+            points.append(clean)
             found = max(found, self.value(clean))
         for room in ROOMS:
             if found >= enough or is_over():

@@ -1,0 +1,53 @@
+"""The best of all solutions of a complementarity problem: published optima, and what their statements mean."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from macmpec import COLLECTION
+
+from lcp_plugin import box, complements
+
+
+def solved(problem: cp.Problem, **options: Any) -> Any:
+    """The result of a problem that is solved to the end."""
+    problem.solve(method="LCP", max_seconds=60.0, **options)
+    return problem.solver_stats.extra_stats
+
+
+@pytest.mark.parametrize("name", list(COLLECTION))
+def test_published_optima_are_found_and_proved(name: str) -> None:
+    """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
+    published = COLLECTION[name]
+    problem = published.state()
+    result = solved(problem)
+    assert (problem.status, result.is_global) == (cp.OPTIMAL, True)
+    assert result.gap <= 1e-6
+    assert abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
+    assert result.verify()
+
+
+@pytest.mark.parametrize(("bounds", "wanted"), [((-9, 1), 8.0), ((1, 9), 20.0), ((2, 4), 26.0)])
+@pytest.mark.parametrize("is_attribute", [False, True])
+def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
+    bounds: tuple[float, float], wanted: float, is_attribute: bool
+) -> None:
+    """0 ≤ y ⟂ y − x ≥ 0 says y = x wherever y > 0, also at a bound of y that is stated elsewhere."""
+    x, y = cp.Variable(), cp.Variable(bounds=bounds) if is_attribute else cp.Variable()
+    others = [] if is_attribute else [bounds[0] <= y, y <= bounds[1]]
+    far = -3 if bounds[0] > 0 else 3
+    problem = cp.Problem(cp.Minimize((x - far) ** 2 + (y - 3) ** 2), [complements(y >= 0, y - x >= 0), *others])
+    assert solved(problem).verify()
+    np.testing.assert_allclose(problem.value, wanted, atol=1e-9)
+
+
+def test_two_pairs_may_give_one_variable_different_bounds() -> None:
+    """0 ≤ y ⟂ y − x ≥ 0 and 1 ≤ y ≤ 2 ⟂ u: y ≥ 1 > 0, so that y = x, while u > 0 only where y = 1."""
+    x, y, u = cp.Variable(), cp.Variable(), cp.Variable()
+    pairs = [complements(y >= 0, y - x >= 0), complements(box(y, 1, 2), u)]
+    problem = cp.Problem(cp.Minimize((x + 3) ** 2 + (u - 1) ** 2), pairs)
+    assert solved(problem).verify()
+    np.testing.assert_allclose([problem.value, x.value, u.value], [16.0, 1.0, 1.0], atol=1e-9)

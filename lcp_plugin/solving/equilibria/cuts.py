@@ -62,8 +62,8 @@ class Strengthened:
         again, mine = _with_cuts(self.original, {one.column: one.bound for one in self.bounds}), self.problem
         return (
             np.array_equal(again.program.h, mine.program.h)
-            and abs(sp.csr_array(again.program.G) - sp.csr_array(mine.program.G)).nnz == 0
-            and again.program.A is mine.program.A and again.program.P is mine.program.P
+            and all((sp.csr_array(getattr(again.program, name)) != sp.csr_array(getattr(mine.program, name))).nnz == 0
+                    for name in ("P", "A", "G"))
             and all(np.array_equal(getattr(again.program, name), getattr(mine.program, name))
                     for name in ("c", "b", "lower", "upper"))
         )

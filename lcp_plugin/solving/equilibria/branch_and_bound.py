@@ -22,7 +22,7 @@ import numpy as np
 
 from ...checks import is_number
 from ...communicator.alone import ALONE
-from ...conversions.equilibrium_program import CASES, EquilibriumProgram
+from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
 from ...conversions.program import refuse_nonconvex
 from ...conversions.qp_proofs import QPUnboundedness
 from ...deadline import Clock, is_over, time_limit
@@ -115,7 +115,7 @@ class BranchAndBound:
         self.relaxations = Relaxations(self.problem, tolerance)
         self.local = LocalSearch(self.relaxations)
         self.tree: list[Node] = []
-        self.proof_of_descent: QPUnboundedness | None = None
+        self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._open: list[tuple[float, int, Node]] = []
         self._current: Node | None = None  # open, too
         self._closed_at = math.inf  # the least bound of the leaves that are closed
@@ -145,7 +145,7 @@ class BranchAndBound:
             root = self._added(self.relaxations.node(self.problem.all_cases))
             self.local.start(root)
             self._current = root
-            while self._next() is not None and self.proof_of_descent is None:
+            while self._next() is not None and self.descent is None:
                 if is_ended := bool(self.nodes >= self.max_nodes or is_over() or ends()):
                     break
                 self._branch()
@@ -201,7 +201,7 @@ class BranchAndBound:
             if child.bound >= self.cutoff:
                 self._close(child)
             else:
-                heapq.heappush(self._open, (child.bound, len(self.tree) + k, child))
+                heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
         if children[0].bound < self.cutoff and children[0].point is not None:
             if self.nodes % EVERY == 0:
                 self.local.start(children[0])
@@ -234,14 +234,14 @@ class BranchAndBound:
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):
-            self.proof_of_descent = proof
+            self.descent = piece.cases, proof
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff
         self._close(piece)
 
     def _result(self, is_ended: bool) -> EquilibriumResult:
         best, lower = self.local.best, self.lower_bound
         gap = 0.0 if self.value == lower else self.value - lower
-        if self.proof_of_descent is not None:
+        if self.descent is not None:
             status, lower = "unbounded", -math.inf
         elif best is not None and gap <= self.tolerance * max(1.0, abs(self.value)):
             status = "optimal"
@@ -256,7 +256,7 @@ class BranchAndBound:
         x = None if best is None or status == "unbounded" else best.point
         return EquilibriumResult(
             self.strengthened, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
-            self.clock.read(), self.tolerance, tuple(self.tree),
+            self.clock.read(), self.tolerance, tuple(self.tree), self.descent,
         )
 
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...checks import FloatVector
-from ...conversions.equilibrium_program import CASES, EquilibriumProgram
+from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
+from ...conversions.program import QuadraticProgram
+from ...conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from .cuts import Strengthened
 from .relaxations import Node, Relaxations
 
@@ -49,6 +51,7 @@ class EquilibriumResult:
     seconds: float
     tolerance: float = field(repr=False)
     tree: tuple[Node, ...] = field(repr=False)
+    descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
 
     @property
     def problem(self) -> EquilibriumProgram:
@@ -78,19 +81,37 @@ class EquilibriumResult:
         return self.status == "optimal"
 
     def verify(self) -> bool:
-        """Return whether x and the bounds of all leaves hold, from the data alone; some milliseconds a leaf."""
-        if not (self._x_holds() and self._tree_covers() and self.strengthened.verify()):
+        """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf."""
+        if not (self._x_holds() and self.strengthened.verify()):
             return False
         relaxations = Relaxations(self.strengthened.problem, self.tolerance)
-        return all(self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0)
+        if self.status == "unbounded":
+            return self._falls(relaxations)
+        is_proved = {
+            "optimal": self.x is not None and self.gap <= self.tolerance,
+            "infeasible": self.x is None and self.lower_bound == math.inf,
+        }
+        return (
+            is_proved.get(self.status, True) and self._tree_covers()
+            and all(self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0)
+        )
 
     def _x_holds(self) -> bool:
         if self.x is None:
-            return self.value == math.inf or self.status == "unbounded"
+            return self.value == (-math.inf if self.status == "unbounded" else math.inf)
         program = self.problem.program
         excess = (program.constraints.excess(self.x) / program.constraints.unit).max(initial=0.0)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
         return is_exact and bool(excess <= FEASIBLE) and self.problem.objective(self.x) <= self.value
+
+    def _falls(self, relaxations: Relaxations) -> bool:
+        """Return whether the proof of descent is one, of a piece of this problem."""
+        if self.descent is None:
+            return False
+        cases, proof = self.descent
+        is_piece = bool(((np.bitwise_count(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
+        program = relaxations.program(cases)
+        return is_piece and program is not None and _is_of(proof, program) and proof.verify()
 
     def _tree_covers(self) -> bool:
         """Return whether the root has all cases, and the children of every node all that it has."""
@@ -112,19 +133,28 @@ class EquilibriumResult:
 
     def _leaf_holds(self, leaf: Node, relaxations: Relaxations) -> bool:
         program = relaxations.program(leaf.cases)
-        if program is None or leaf.bound == -math.inf:
+        if program is None or self.lower_bound == -math.inf:
             return True
         if leaf.proof is not None:
-            same = (np.array_equal(getattr(leaf.proof.program, name), getattr(program, name))
-                    for name in ("lower", "upper", "h", "b"))
-            return all(same) and leaf.proof.program.matrices is program.matrices and leaf.proof.verify()
+            return _is_of(leaf.proof, program) and leaf.proof.verify()
         if leaf.dual is None:
             return False
-        least = min(leaf.bound, self.lower_bound)
-        return relaxations.bound(program, leaf.dual, least) >= least
+        if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:
+            return True
+        # what holds of more cases than its own holds of them
+        parent = leaf.parent
+        return parent is not None and parent.dual is leaf.dual and self._leaf_holds(parent, relaxations)
 
     def __str__(self) -> str:
         has_bound = self.status not in ("infeasible", "unbounded")
         bound = f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}" if has_bound else ""
         work = f"{self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
         return f"{self.status}: {self.value:.9g}{bound}; {work}"
+
+
+def _is_of(proof: QPInfeasibility | QPUnboundedness, program: QuadraticProgram) -> bool:
+    """Return whether a proof speaks of this program."""
+    mine = proof.program
+    return mine.matrices is program.matrices and all(
+        np.array_equal(getattr(mine, name), getattr(program, name)) for name in ("c", "lower", "upper", "h", "b")
+    )

@@ -151,7 +151,8 @@ class EquilibriumProgram:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
         z, w = x[self.first], x[self.second]
         found: FloatVector = np.array([
-            np.maximum(np.abs(z - self.lower), -w), np.abs(w), np.maximum(np.abs(self.upper - z), w),
+            np.maximum(np.abs(z - self.lower), -w), np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
+            np.maximum(np.abs(self.upper - z), w),
         ])
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from macmpec import COLLECTION
 
-from lcp_plugin import box, complements
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, box, complements, minimize_over_solutions
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -51,3 +52,25 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
     problem = cp.Problem(cp.Minimize((x + 3) ** 2 + (u - 1) ** 2), pairs)
     assert solved(problem).verify()
     np.testing.assert_allclose([problem.value, x.value, u.value], [16.0, 1.0, 1.0], atol=1e-9)
+
+
+def test_random_programs_agree_with_all_their_pieces() -> None:
+    """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
+    pytest.importorskip("highspy", reason="solves the pieces")
+    from campaigns.best_equilibria import complaints, random_problem, truth, undetected
+
+    for case in range(40):
+        problem = random_problem(np.random.default_rng([36, 0, case]), most=5)
+        result = minimize_over_solutions(problem)
+        assert result.status in ("optimal", "infeasible", "unbounded")
+        assert complaints(result, truth(problem)) == [], case
+        if case % 4 == 0:
+            assert undetected(result) == [], case
+
+
+def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
+    """0 ≤ z is said by the pair alone: z = −7 opposite w = 0 is no solution."""
+    program = QuadraticProgram(np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf])
+    result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
+    assert (result.status, result.value, result.verify()) == ("optimal", 1.0, True)
+    assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()

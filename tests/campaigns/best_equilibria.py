@@ -1,0 +1,369 @@
+"""Random programs with complementarity constraints, the truth by all their pieces, solved by HiGHS and Clarabel.
+
+Run ``python tests/campaigns/best_equilibria.py --cases 1000 --seed 0``; ``--show`` prints what is wrong or left open.
+Two to twelve pairs: boxes, one bound, none, bounds beside those of the pairs; linear, convex and semidefinite
+objectives; equations and inequalities; infeasible and unbounded ones among them. Every piece that is not empty is
+solved (the empty ones are cut off by linear programs), and the best point is made rational: where it then satisfies
+everything exactly, no bound may lie above its objective. Counted are
+
+- wrong: a status or a value that the pieces contradict, a bound above the exact objective, a result whose verify() is
+  False, or one that was damaged whose verify() is True;
+- open: "unknown", or a limit.
+
+Exit code 1 where anything is wrong, or more than 1 % are open.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import clarabel
+import highspy
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, minimize_over_solutions
+from lcp_plugin.conversions.equilibrium_program import BETWEEN, CASES, LOWER
+
+INF = np.inf
+ACCURACY = 1e-6
+MOST_PIECES = 4096
+MOST_OPEN = 0.01
+Generator = np.random.Generator
+
+
+# --- The problems ---
+
+
+def small(rng: Generator, *shape: int, most: int = 3, density: float = 0.6) -> np.ndarray:
+    """Small integers, many of them zero."""
+    return rng.integers(-most, most + 1, shape) * (rng.random(shape) < density).astype(float)
+
+
+def matrix_of_pairs(rng: Generator, k: int) -> np.ndarray:
+    """A matrix M of w = M z + …: semidefinite, definite, skew, diagonally dominant, or any."""
+    kind, half = rng.integers(5), small(rng, k, max(k // 2, 1), most=2)
+    if kind == 0:
+        return half @ half.T
+    if kind == 1:
+        return half @ half.T + np.eye(k)
+    if kind == 2:
+        upper = np.triu(small(rng, k, k), 1)
+        return upper - upper.T
+    M = small(rng, k, k, density=0.3)
+    return M + np.diag(np.abs(M).sum(axis=1) + 1.0) if kind == 3 else M
+
+
+def bounds_of_pairs(rng: Generator, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """0 ≤ z mostly; boxes as long as there are few pieces, upper bounds alone, none."""
+    lower, upper = np.zeros(k), np.full(k, INF)
+    kinds = rng.choice(4, k, p=[0.7, 0.15, 0.075, 0.075])
+    for i, kind in enumerate(kinds):
+        if kind == 1 and 3.0 ** (kinds[: i + 1] == 1).sum() * 2.0 ** (k - (kinds[: i + 1] == 1).sum()) <= MOST_PIECES:
+            lower[i], upper[i] = -rng.integers(0, 3), rng.integers(1, 4)
+        elif kind == 2:
+            lower[i], upper[i] = -INF, rng.integers(-1, 3)
+        elif kind == 3:
+            lower[i] = -INF
+    return lower, upper
+
+
+def objective(rng: Generator, n: int, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """P and c: linear, definite, or semidefinite; now and then with the other sides in it."""
+    P, c, reach = np.zeros((n, n)), np.zeros(n), n if rng.random() < 0.2 else n - k
+    c[:reach] = small(rng, reach, most=4, density=0.8)
+    kind = rng.integers(3)
+    if kind:
+        half = small(rng, reach, reach if kind == 1 else max(reach // 2, 1), most=2)
+        P[:reach, :reach] = half @ half.T + (np.eye(reach) if kind == 1 else 0.0)
+    return P, c
+
+
+def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
+    """Variables x, z and w = N x + M z + q with pairs z ⟂ w; usually with a planted solution."""
+    k, free = 2 + int((most - 1) * rng.random() ** 2), int(rng.integers(0, 4))
+    own_lower, own_upper = bounds_of_pairs(rng, k)
+    n, N, M = free + 2 * k, small(rng, k, free), matrix_of_pairs(rng, k)
+    z = np.where(np.isfinite(own_lower), own_lower, np.where(np.isfinite(own_upper), own_upper, rng.integers(-2, 3)))
+    is_between = rng.random(k) < 0.5
+    z = np.where(is_between, np.clip(z + rng.integers(-1, 3, k), own_lower, own_upper), z)
+    sign = np.where(z == own_lower, 1.0, np.where(z == own_upper, -1.0, 0.0))
+    x, w = rng.integers(-2, 3, free).astype(float), sign * rng.integers(0, 4, k)
+    q = w - N @ x - M @ z if rng.random() < 0.75 else small(rng, k, most=4)
+    point = np.concatenate([x, z, w])
+    G, h = small(rng, int(rng.integers(0, 4)), n), np.zeros(0)
+    G[:, n - k :] *= rng.random() < 0.2
+    h = G @ point + rng.integers(0, 3, G.shape[0]) - (rng.random() < 0.1)
+    more = small(rng, int(rng.random() < 0.3), n)
+    A, b = np.vstack([np.hstack([N, M, -np.eye(k)]), more]), np.concatenate([-q, more @ point])
+    lower, upper = np.full(n, -INF), np.full(n, INF)
+    limited = rng.random(free) < 0.8
+    lower[:free][limited], upper[:free][limited] = -3.0, 3.0
+    if rng.random() < 0.3:  # plain bounds beside those of the pairs
+        lower[free:][rng.random(2 * k) < 0.1] = -1.0
+        upper[free:][rng.random(2 * k) < 0.2] = 2.0
+    P, c = objective(rng, n, k)
+    program = QuadraticProgram(P, c, G, h, A, b, lower, upper)
+    first = np.arange(free, free + k)
+    return EquilibriumProgram(program, first, first + k, own_lower, own_upper)
+
+
+# --- The truth ---
+
+
+class Truth(NamedTuple):
+    """Status, value, how many pieces are not empty, and the exact objective of a rational solution, where one is."""
+
+    status: str
+    value: float
+    pieces: int
+    exact: Fraction | None
+
+
+class Pieces:
+    """The pieces of a problem as bounds of its variables, found by linear programs and then solved."""
+
+    def __init__(self, problem: EquilibriumProgram) -> None:
+        self.problem, program = problem, problem.program
+        self.G, self.A = sp.csr_array(program.G), sp.csr_array(program.A)
+        self.P = sp.csr_array(program.P)
+        rows = sp.csr_array(sp.vstack([self.G, self.A]))
+        model = highspy.Highs()
+        for option, value in (("output_flag", False), ("presolve", "off"), ("threads", 1)):
+            model.setOptionValue(option, value)
+        lp = highspy.HighsLp()
+        lp.num_col_, lp.num_row_ = program.n, rows.shape[0]
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.zeros(program.n), program.lower, program.upper
+        lp.row_lower_ = np.concatenate([np.full(program.h.size, -INF), program.b])
+        lp.row_upper_ = np.concatenate([program.h, program.b])
+        lp.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = rows.indptr, rows.indices, rows.data
+        model.passModel(lp)
+        self.model, self.columns = model, np.arange(program.n, dtype=np.int32)
+
+    def bounds(self, cases: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """What holds in the cases of the first pairs, and of the others in all."""
+        problem = self.problem
+        lower, upper = np.array(problem.program.lower), np.array(problem.program.upper)
+        for i, (z, w) in enumerate(zip(problem.first, problem.second, strict=True)):
+            own_lower, own_upper = problem.lower[i], problem.upper[i]
+            lower[z], upper[z] = max(lower[z], own_lower), min(upper[z], own_upper)
+            case = cases[i] if i < len(cases) else 0
+            if case == LOWER:
+                upper[z], lower[w] = min(upper[z], own_lower), max(lower[w], 0.0)
+            elif case == BETWEEN:
+                lower[w], upper[w] = max(lower[w], 0.0), min(upper[w], 0.0)
+            elif case:
+                lower[z], upper[w] = max(lower[z], own_upper), min(upper[w], 0.0)
+        return lower, upper
+
+    def is_feasible(self, lower: np.ndarray, upper: np.ndarray, cost: np.ndarray | None = None) -> bool | None:
+        """Whether there is a point within; with a cost, None where it falls for ever."""
+        if (lower > upper).any():
+            return False
+        self.model.changeColsBounds(self.columns.size, self.columns, lower, upper)
+        zero = np.zeros(self.columns.size) if cost is None else cost
+        self.model.changeColsCost(self.columns.size, self.columns, zero)
+        self.model.run()
+        if (status := self.model.getModelStatus()) == highspy.HighsModelStatus.kUnknown:
+            self.model.clearSolver()
+            self.model.run()
+            status = self.model.getModelStatus()
+        answers = {highspy.HighsModelStatus.kOptimal: True, highspy.HighsModelStatus.kInfeasible: False,
+                   highspy.HighsModelStatus.kUnbounded: None}
+        if status not in answers:
+            raise ArithmeticError(f"HiGHS says {status}")
+        return answers[status]
+
+    def not_empty(self, cases: list[int]) -> Iterator[list[int]]:
+        """Every piece that holds a point."""
+        if not self.is_feasible(*self.bounds(cases)):
+            return
+        if len(cases) == self.problem.pairs:
+            yield cases
+            return
+        i = len(cases)
+        has = (np.isfinite(self.problem.lower[i]), True, np.isfinite(self.problem.upper[i]))
+        for case, is_there in zip(CASES, has, strict=True):
+            if is_there:
+                yield from self.not_empty([*cases, case])
+
+    def least(self, cases: list[int]) -> np.ndarray | None:
+        """The best point of a piece that is not empty; None where its objective falls for ever."""
+        program, (lower, upper) = self.problem.program, self.bounds(cases)
+        if self.P.nnz == 0:
+            if self.is_feasible(lower, upper, program.c) is None:
+                return None
+            return np.array(self.model.getSolution().col_value)
+        eye, fixed = sp.csr_array(sp.eye_array(program.n)), lower == upper
+        below, above = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
+        rows = sp.csc_array(sp.vstack([self.A, eye[fixed], self.G, -eye[below], eye[above]]))
+        limits = np.concatenate([program.b, lower[fixed], program.h, -lower[below], upper[above]])
+        equations = program.b.size + int(fixed.sum())
+        cones = [clarabel.ZeroConeT(equations), clarabel.NonnegativeConeT(limits.size - equations)]
+        settings = clarabel.DefaultSettings()
+        settings.verbose, settings.max_iter = False, 200
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+        solution = clarabel.DefaultSolver(
+            sp.csc_matrix(sp.triu(self.P)), program.c, sp.csc_matrix(rows), limits, cones, settings
+        ).solve()
+        if "DualInfeasible" in str(solution.status):
+            return None
+        if str(solution.status) not in ("Solved", "AlmostSolved"):
+            raise ArithmeticError(f"Clarabel says {solution.status}")
+        return np.array(solution.x)
+
+
+def exact_objective(problem: EquilibriumProgram, x: np.ndarray, cases: list[int]) -> Fraction | None:
+    """The objective at a rational point beside x, where that satisfies everything exactly."""
+    program, (lower, upper) = problem.program, Pieces(problem).bounds(cases)
+    for largest in (60, 2000, 100_000):
+        point = [Fraction(float(value)).limit_denominator(largest) for value in x]
+
+        def product(row: np.ndarray, point: list[Fraction] = point) -> Fraction:
+            return sum((Fraction(float(a)) * v for a, v in zip(row, point, strict=True) if a), Fraction(0))
+
+        is_within = all(
+            (low == -INF or Fraction(float(low)) <= value) and (high == INF or value <= Fraction(float(high)))
+            for low, value, high in zip(lower, point, upper, strict=True)
+        )
+        P, A, G = (sp.csr_array(matrix).toarray() for matrix in (program.P, program.A, program.G))
+        if (
+            is_within and all(product(row) == limit for row, limit in zip(A, program.b, strict=True))
+            and all(product(row) <= limit for row, limit in zip(G, program.h, strict=True))
+        ):
+            bent = [product(row) for row in P]
+            square = sum((a * b for a, b in zip(bent, point, strict=True)), Fraction(0))
+            return square / 2 + product(program.c) + Fraction(problem.offset)
+    return None
+
+
+def truth(problem: EquilibriumProgram) -> Truth:
+    """Return the least of all pieces."""
+    pieces, found, best, where = Pieces(problem), 0, INF, None
+    for cases in pieces.not_empty([]):
+        found += 1
+        x = pieces.least(cases)
+        if x is None:
+            return Truth("unbounded", -INF, found, None)
+        value = problem.objective(x)
+        if value < best:
+            best, where = value, (x, cases)
+    if where is None:
+        return Truth("infeasible", INF, 0, None)
+    return Truth("optimal", best, found, exact_objective(problem, *where))
+
+
+# --- The judgement ---
+
+
+def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
+    """Whether x keeps all constraints to the accuracy, and every pair exactly."""
+    program, z, w = problem.program, x[problem.first], x[problem.second]
+    room = ACCURACY * (1.0 + np.abs(x).max())
+    kept = [
+        program.G @ x <= program.h + room, np.abs(program.A @ x - program.b) <= room, program.lower <= x + room,
+        x <= program.upper + room, problem.lower <= z, z <= problem.upper,
+        ((z == problem.lower) & (w >= 0)) | (w == 0) | ((z == problem.upper) & (w <= 0)),
+    ]
+    return all(bool(np.all(one)) for one in kept)
+
+
+def complaints(result: Any, known: Truth) -> list[str]:
+    """What of a result the truth contradicts."""
+    said = []
+    if result.status in ("optimal", "infeasible", "unbounded") and result.status != known.status:
+        said.append(f"says {result.status}, is {known.status}")
+    room = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
+    if result.x is not None and result.value < known.value - 2.0 * room:
+        said.append(f"value {result.value} below {known.value}")
+    if result.status == "optimal" == known.status and result.value > known.value + 2.0 * room:
+        said.append(f"value {result.value} above {known.value}")
+    if math.isfinite(result.lower_bound) and known.exact is not None and Fraction(result.lower_bound) > known.exact:
+        if result.lower_bound - float(known.exact) > 1e-9 * max(1.0, abs(known.value)):
+            said.append(f"bound {result.lower_bound} above {float(known.exact)}")
+    elif result.lower_bound > known.value + room:
+        said.append(f"bound {result.lower_bound} above {known.value}")
+    if result.x is not None and not is_solution(result.problem, result.x):
+        said.append("x is no solution")
+    if not result.verify():
+        said.append("verify() is False")
+    return said
+
+
+def damaged(result: Any) -> Iterator[tuple[str, Any]]:
+    """The result with what is false in it."""
+    if math.isfinite(result.lower_bound):
+        step = 1e-3 * max(1.0, abs(result.lower_bound))
+        yield "bound raised", replace(result, lower_bound=result.lower_bound + step)
+        if result.x is not None:
+            yield "value lowered", replace(result, value=result.value - step)
+    if result.x is not None:
+        problem = result.problem
+        moves = (("x", np.arange(problem.program.n), 0.5), ("z", problem.first, 0.5), ("z", problem.first, -5.0),
+                 ("w", problem.second, 0.5), ("w", problem.second, -5.0))
+        for name, entries, step in moves:
+            moved = np.array(result.x)
+            moved[entries] += step
+            if not is_solution(problem, moved) or problem.objective(moved) > result.value:
+                yield f"{name} moved", replace(result, x=moved)
+    leaves = [node for node in result.tree if node.pair < 0]
+    if len(result.tree) > 1 and result.status != "unbounded":
+        yield "leaf removed", replace(result, tree=tuple(node for node in result.tree if node is not leaves[-1]))
+    if result.status == "infeasible":
+        yield "unproved", replace(result, tree=tuple(replace(node, proof=None) for node in result.tree))
+    else:
+        yield "called infeasible", replace(result, status="infeasible", x=None, value=INF, lower_bound=INF)
+    if result.status != "unbounded":
+        yield "called unbounded", replace(result, status="unbounded", x=None, value=-INF, lower_bound=-INF)
+
+
+def undetected(result: Any) -> list[str]:
+    """Which damages verify() does not see."""
+    return [f"not seen: {name}" for name, other in damaged(result) if other.verify()]
+
+
+def main() -> int:
+    """Run the campaign, print the tallies, return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--most", type=int, default=12, help="pairs")
+    parser.add_argument("--show", action="store_true")
+    asked = parser.parse_args()
+    kinds: Counter[str] = Counter()
+    wrong = opened = exact = pieces = nodes = 0
+    seconds = 0.0
+    for case in range(asked.cases):
+        problem = random_problem(np.random.default_rng([36, asked.seed, case]), asked.most)
+        try:
+            known = truth(problem)
+        except ArithmeticError as error:
+            kinds[f"not judged: {error}"] += 1
+            continue
+        begin = time.process_time()
+        result = minimize_over_solutions(problem, max_seconds=60.0)
+        seconds += time.process_time() - begin
+        said = complaints(result, known) + undetected(result)
+        is_open = result.status in ("unknown", "limit")
+        kinds[f"{known.status}: {result.status}"] += 1
+        wrong, opened, exact = wrong + bool(said), opened + is_open, exact + (known.exact is not None)
+        pieces, nodes = pieces + known.pieces, nodes + result.nodes
+        if asked.show and (said or is_open):
+            print(case, problem, f"{known.status} {known.value}", result, *said, sep="; ", flush=True)
+    for kind, count in sorted(kinds.items()):
+        print(f"{count:6} {kind}")
+    print(f"{wrong} wrong, {opened} open; {exact} optima exact; {pieces} pieces, {nodes} nodes, {seconds:.1f} s")
+    return int(wrong > 0 or opened > MOST_OPEN * asked.cases)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

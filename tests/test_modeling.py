@@ -316,11 +316,11 @@ def test_models_beyond_complementarity_are_refused(case: str) -> None:
         model(*make(x))
 
 
-def test_an_objective_is_refused() -> None:
-    """Complementarity beside an objective is refused: what is not offered is named, and what is."""
+def test_an_objective_states_no_single_lcp() -> None:
+    """LCP.from_cvxpy refuses an objective beside complementarity, and names the call that takes it."""
     x = cp.Variable(3, name="x")
-    with pytest.raises(UnsupportedModel, match=r"objective Sum\(x.* \(an MPEC\), .*Minimize\(0\).*requires_grad=True"):
-        cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]).solve(method="LCP")
+    with pytest.raises(UnsupportedModel, match=r"objective Sum\(x.* best of all solutions.*solve\(method=\"LCP\"\)"):
+        LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 
 
 def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:

@@ -84,7 +84,9 @@ class EquilibriumProgram:
         check_order(self.lower, self.upper)
 
     @classmethod
-    def of_rows(cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike) -> EquilibriumProgram:
+    def of_rows(
+        cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike, offset: float = 0.0
+    ) -> EquilibriumProgram:
         """Return the problem with z = x_columns ⟂ w = M x + q, of which w becomes variables behind x.
 
         Parameters
@@ -92,6 +94,8 @@ class EquilibriumProgram:
         program : QuadraticProgram
         columns : array of int, shape (k,)
         M, q : array or sparse array, shape (k, n), and array, shape (k,)
+        offset : float
+            A constant in the objective.
 
         Examples
         --------
@@ -101,16 +105,16 @@ class EquilibriumProgram:
         """
         n, k = program.n, np.size(columns)
         rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
-        offset = checked_vector(q, "q", k)
+        right = -checked_vector(q, "q", k)
         nothing = sp.csr_array((k, k))
         wider = QuadraticProgram(
             sp.block_diag([sp.csr_array(program.P), nothing], format="csr"), np.append(program.c, np.zeros(k)),
             sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"), program.h,
             sp.block_array([[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"),
-            np.append(program.b, -offset),
+            np.append(program.b, right),
             np.append(program.lower, np.full(k, -np.inf)), np.append(program.upper, np.full(k, np.inf)),
         )
-        return cls(wider, np.asarray(columns), np.arange(n, n + k))
+        return cls(wider, np.asarray(columns), np.arange(n, n + k), offset=offset)
 
     @property
     def pairs(self) -> int:

@@ -18,7 +18,7 @@ that ``M @ x`` costs one conversion of M.
 **Afterwards** ``pair.dual_value`` is w, of two expressions the second, and ``pair.violation()`` the largest natural
 residual; the inequalities inside carry the duals that a quadratic program would give them. A model that is proved to
 have no solution gets the status "infeasible", and the proof is ``problem.solver_stats.extra_stats.infeasibility``;
-``extra_stats`` is a `Result` always.
+``extra_stats`` is a `Result`, with an objective an `EquilibriumResult`.
 
 >>> import cvxpy as cp
 >>> import numpy as np
@@ -51,6 +51,28 @@ nearby where it can.
 >>> _ = problem.solve(method="LCP", tolerance=1e-12)
 >>> x.value.round(6), pair.dual_value.round(6)
 (array([1.098612, 0.      ]), array([0. , 0.5]))
+
+**The best of all solutions.** A convex quadratic or piecewise linear objective (to be maximised: a concave one) beside
+pairs with affine sides, affine equations and inequalities asks for the best point that satisfies all of it: leader and
+followers, tolls, the best design of a contact, the conditions of an inner problem.
+
+>>> price, sold = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+>>> follower = complements(sold >= 0, price + sold - 4 >= 0)  # buys until a unit is worth its price
+>>> leader = cp.Problem(cp.Minimize(cp.square(sold - 1) + 2 * price), [follower])
+>>> value = leader.solve(method="LCP")
+>>> leader.status, round(value, 6), float(price.value), float(sold.value)
+('optimal', 5.0, 2.0, 2.0)
+>>> best = leader.solver_stats.extra_stats
+>>> best.gap <= 1e-6, best.is_global, best.verify()
+(True, True, True)
+
+- "optimal" is said only with a proved gap of ``tolerance`` (1e-6), beside max(1, |value|). Where ``max_seconds``,
+  ``max_nodes`` or Ctrl-C ends the search first, the status is "user_limit", with the best point found and
+  ``extra_stats.lower_bound``, ``gap``, ``is_b_stationary``; of ``cp.Maximize(f)`` they speak of −f.
+- In every pair of the answer one side is exactly at its bound. "infeasible" and "unbounded" come with proofs;
+  ``extra_stats.verify()`` checks all of them again.
+- State bounds for what the problem leaves open, as the prices and tolls of a network: bounds of both sides of a pair
+  become cuts, without which a search may take long. Arrays: :func:`lcp_plugin.minimize_over_solutions`.
 
 **Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
 included; then ``method="LCP"`` is known too.

@@ -15,7 +15,7 @@ from ..conversions.equilibrium_program import EquilibriumProgram
 from ..conversions.reductions import fold_simple_rows
 from ..errors import UnsupportedModel
 from ..expressions.rows import as_matrix
-from ..solving.equilibria.branch_and_bound import minimize_over_solutions
+from ..solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..solving.equilibria.result import EquilibriumResult
 from ._compat import attribute_bounds, name_of, statistics
 from .certified_problem import ReducedProblem
@@ -27,7 +27,6 @@ STATUS = {
     "optimal": settings.OPTIMAL, "infeasible": settings.INFEASIBLE, "unbounded": settings.UNBOUNDED,
     "limit": settings.USER_LIMIT, "unknown": settings.USER_LIMIT,
 }
-OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback")
 
 
 class StatedPair:
@@ -132,14 +131,14 @@ def write_back(problem: Any, reduced: ReducedProblem, pairs: list[StatedPair], r
     sense, status, attributes = sense_of(problem), STATUS[result.status], statistics(result)
     if result.x is None:
         value = {settings.INFEASIBLE: math.inf, settings.UNBOUNDED: -math.inf}.get(status)
-        problem.unpack(Solution(status, None if value is None else sense * value, {}, {}, attributes))
+        problem.unpack(Solution(status, None if value is None else float(sense * value), {}, {}, attributes))
         if value is None:
             problem._clear_solution()
             problem._status = status
     else:
         places = reduced.entries.variables or {}
         values = {one.id: places[one.id].taken(result.x) for one in problem.variables()}
-        problem.unpack(Solution(status, sense * result.value, values, {}, attributes))
+        problem.unpack(Solution(status, float(sense * result.value), values, {}, attributes))
         for pair in pairs:
             w = places[pair.w.id].taken(result.x)
             pair.pair.save_dual_value(np.reshape(w, pair.pair.shape, order="F"))

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from ... import __version__
 from ...checks import BoolVector, FloatVector
+from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPUnboundedness
 from ...kernels.floats import EPSILON
@@ -56,7 +57,7 @@ class NLAnswer:
     status : Status
     message : str
         One line: how it ended, residual, iterations.
-    result : Result
+    result : Result or EquilibriumResult
     objective : float or None
     code : int
         AMPL's number for the status.
@@ -66,7 +67,7 @@ class NLAnswer:
     duals: FloatVector
     status: Status
     message: str
-    result: Result = field(repr=False)
+    result: Any = field(repr=False)
     objective: float | None
     code: int
 
@@ -86,7 +87,7 @@ class NLModel(ABC):
     """
 
     content: NLContent
-    problem: LCP | NonlinearProblem | QuadraticProgram
+    problem: LCP | NonlinearProblem | QuadraticProgram | EquilibriumProgram
 
     @abstractmethod
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:

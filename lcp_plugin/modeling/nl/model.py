@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...checks import FloatVector
+from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
 from ...errors import UnsupportedModel
 from ...problem.lcp import LCP
@@ -19,6 +20,7 @@ from ..assembly import Assembly, Function
 from ..equations import SMALLEST_PIVOT
 from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
 from .content import Indices, NLContent, Token
+from .equilibria import EquilibriumModel
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
 from .tokens import row_name
@@ -53,6 +55,8 @@ def model_of(content: NLContent) -> NLModel:
         Naming the row or variable that is not taken.
     """
     statement = Statement(content)
+    if statement.pairs.size and statement.has_objective():
+        return statement.equilibrium_program()
     return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
 
 
@@ -181,20 +185,14 @@ class Statement:
 
     def is_complementarity_problem(self) -> bool:
         """Return whether it is one: what has an objective or an inequality is a program, and what is not square."""
-        objective = self._objective_depends()
         if self.pairs.size:
-            if objective:
-                raise UnsupportedModel(
-                    "the model has an objective beside complementarities, which asks for the best of all equilibria "
-                    "(an MPEC): not here yet; leave the objective out for any of them"
-                )
             if self.inequalities.size:
                 raise UnsupportedModel(
                     f"{self.row(self.inequalities[0])} is an inequality without a partner beside complementarities; "
                     "state what gives way at it, as in row complements variable >= 0"
                 )
             return True
-        if objective or self.inequalities.size:
+        if self.has_objective() or self.inequalities.size:
             return False
         if not self.is_affine.all():
             return True
@@ -202,12 +200,31 @@ class Statement:
         is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
 
-    def _objective_depends(self) -> bool:
+    def has_objective(self) -> bool:
+        """Return whether there is an objective that is no constant."""
         row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
         return row is not None and row.nnz > 0
 
     def program(self) -> ProgramModel:
         """Return the quadratic program."""
+        program, sign, constant = self._program_of(np.arange(self.m))
+        return ProgramModel(self.content, program, self.expressions.unknowns, self.known, sign, constant)
+
+    def equilibrium_program(self) -> EquilibriumModel:
+        """Return the program with complementarity constraints."""
+        content, rows = self.content, self.pairs
+        program, sign, constant = self._program_of(np.flatnonzero(content.partners < 0))
+        found = self.expressions
+        place = np.full(self.n, -1)
+        place[found.unknowns] = np.arange(found.unknowns.size)
+        problem = EquilibriumProgram.of_rows(
+            program, place[content.partners[rows]], found.matrix[rows][:, : found.unknowns.size], found.offset[rows],
+            sign * constant,
+        )
+        return EquilibriumModel(content, problem, found.unknowns, self.known, sign, rows)
+
+    def _program_of(self, rows: Indices) -> tuple[QuadraticProgram, float, float]:
+        """Return the program of some rows, to be minimised, its sign and the constant of the objective."""
         if self.expressions.definitions.size:
             self.expressions = Expressions(self.content, self.known, lifts=False)
         content, found, m = self.content, self.expressions, self.m
@@ -226,12 +243,12 @@ class Statement:
             if quadratic is None:
                 raise UnsupportedModel("the objective is neither linear nor quadratic; convex quadratic ones are taken")
             P, c, constant = quadratic
-        A, shift = found.matrix[:m, : unknowns.size], found.offset[:m]
-        rows, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
+        A, shift = found.matrix[rows][:, : unknowns.size], found.offset[rows]
+        limits, bounds = (content.row_lower[rows], content.row_upper[rows]), (content.lower, content.upper)
         program = QuadraticProgram.from_ranges(
-            sign * P, sign * c, A, *(limit - shift for limit in rows), *(bound[unknowns] for bound in bounds)
+            sign * P, sign * c, A, *(limit - shift for limit in limits), *(bound[unknowns] for bound in bounds)
         )
-        return ProgramModel(content, program, unknowns, self.known, sign, constant)
+        return program, sign, constant
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""

@@ -36,6 +36,7 @@ MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
 EVERY = 10  # nodes between two starts of the local search
 LEAST_GAIN = 1e-9
+OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 
 

@@ -60,7 +60,7 @@ followers, tolls, the best design of a contact, the conditions of an inner probl
 >>> follower = complements(sold >= 0, price + sold - 4 >= 0)  # buys until a unit is worth its price
 >>> leader = cp.Problem(cp.Minimize(cp.square(sold - 1) + 2 * price), [follower])
 >>> value = leader.solve(method="LCP")
->>> leader.status, round(value, 6), float(price.value), float(sold.value)
+>>> leader.status, *(round(float(number), 6) for number in (value, price.value, sold.value))
 ('optimal', 5.0, 2.0, 2.0)
 >>> best = leader.solver_stats.extra_stats
 >>> best.gap <= 1e-6, best.is_global, best.verify()

@@ -5,9 +5,9 @@ With flows v of a pair of places, prices π of its nodes, costs c and the incide
 
     v ≥ 0,   c + t − Nᵀπ ≥ 0,   and on every road one of the two is an equation;   N v = demand.
 
-The owner's income Σ t v has products in it. Where the drivers are in equilibrium it is what they pay less what the roads
-cost, Σ demandᵀπ − cᵀv, which is linear: a linear program with linear complementarity constraints. Of several cheapest
-paths the drivers take the one that pays the owner most.
+The owner's income Σ t v has products in it. Where the drivers are in equilibrium it is what they pay less what the
+roads cost, Σ demandᵀπ − cᵀv, which is linear: a linear program with linear complementarity constraints. Of several
+cheapest paths the drivers take the one that pays the owner most.
 
 The same income is found by an integer program with bounds on all prices and flows. And for these tolls, a trifle lower,
 cheapest paths by Dijkstra's method earn it.
@@ -34,7 +34,7 @@ TOWN = [(i, i + 1) for i in range(SIDE**2) if (i + 1) % SIDE] + [(i, i + SIDE) f
 ROADS = np.array(TOWN + [(j, i) for i, j in TOWN])
 PLACES = np.array([(i % SIDE, i // SIDE) for i in range(SIDE**2)])
 HIGHWAY = [(0, 1), (1, 2), (3, 4), (4, 5), (1, 4), (4, 7)]  # the owner's
-TRIPS = {(0, 5): 3.0, (3, 2): 2.0, (1, 7): 4.0, (0, 8): 1.0}  # from, to: how many drive
+TRIPS = {(0, 5): 3.0, (3, 2): 2.0, (1, 7): 4.0}  # from, to: how many drive
 MOST = 20.0  # above every price that matters
 
 
@@ -60,6 +60,7 @@ def main(out: Path = Path()) -> None:
     history: list[tuple[float, float]] = []
     problem.solve(method="LCP", callback=lambda search: history.append((-search.value, -search.lower_bound)))
     result = problem.solver_stats.extra_stats
+    history.append((-result.value, -result.lower_bound))
     print(f"income {problem.value:.6f}, {problem.status}: {result}")
     print("tolls:", {tuple(road): round(float(toll), 3) for road, toll in zip(ROADS.tolist(), tolls.value, strict=True)
                      if toll > 1e-6})
@@ -70,9 +71,9 @@ def main(out: Path = Path()) -> None:
 
 
 def _by_integers(costs: np.ndarray, is_highway: np.ndarray, incidence: sp.csr_array) -> float:
-    """Return the income that a mixed-integer program finds, with MOST as the bound of every slack."""
+    """Return the income that a mixed-integer program finds; no slack exceeds a cost, a toll and two prices."""
     m, n, k = len(ROADS), SIDE**2, len(TRIPS)
-    identity, nothing, whole = np.eye(m), np.zeros((m, m)), incidence.toarray()
+    identity, whole, slack = np.eye(m), incidence.toarray(), costs.max() + 3 * MOST
     size = m + k * (2 * m + n)  # tolls; for each trip: flow, choice, price
     objective, rows, low, high = np.zeros(size), [], [], []
     lower, upper, is_whole = np.zeros(size), np.full(size, MOST), np.zeros(size)
@@ -90,13 +91,12 @@ def _by_integers(costs: np.ndarray, is_highway: np.ndarray, incidence: sp.csr_ar
             ({"flow": whole}, demand, demand),
             ({"toll": identity, "price": -whole.T}, -costs, np.full(m, np.inf)),
             ({"flow": identity, "choice": -number * identity}, np.full(m, -np.inf), np.zeros(m)),
-            ({"toll": identity, "price": -whole.T, "choice": MOST * identity}, np.full(m, -np.inf), MOST - costs),
+            ({"toll": identity, "price": -whole.T, "choice": slack * identity}, np.full(m, -np.inf), slack - costs),
         ):
             block = np.zeros((least.size, size))
             for name, part in parts.items():
                 block[:, {"flow": flow, "choice": choice, "price": price, "toll": np.arange(m)}[name]] = part
             rows.append(block), low.append(least), high.append(most)
-    del nothing
     found = milp(objective, integrality=is_whole, bounds=(lower, upper), options={"mip_rel_gap": 1e-9},
                  constraints=LinearConstraint(np.vstack(rows), np.concatenate(low), np.concatenate(high)))
     return -found.fun
@@ -121,16 +121,17 @@ def _draw(tolls: np.ndarray, is_highway: np.ndarray, history: list[tuple[float, 
     for road, toll, is_owned in zip(ROADS, tolls, is_highway, strict=True):
         (x, y), (dx, dy) = PLACES[road[0]], PLACES[road[1]] - PLACES[road[0]]
         colour = "#D55E00" if is_owned else "#BBBBBB"
-        town.annotate("", (x + 0.9 * dx, y + 0.9 * dy), (x + 0.1 * dx, y + 0.1 * dy),
+        town.annotate("", (x + 0.9 * dx, y + 0.9 * dy), (x + 0.1 * dx, y + 0.1 * dy), zorder=3 if is_owned else 2,
                       arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2.5 if is_owned else 1.2})
         if is_owned:
-            town.text(x + 0.5 * dx, y + 0.5 * dy, f"{toll:.2g}", ha="center", va="center",
+            town.text(x + 0.5 * dx, y + 0.5 * dy, f"{toll:.1f}", ha="center", va="center", zorder=5,
                       bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": colour})
     town.plot(*PLACES.T, "o", color="#0072B2", markersize=9)
-    for start, end in TRIPS:
-        town.annotate(f"{start} → {end}: {TRIPS[start, end]:g}", (0.02, 0.0), visible=False)
+    for place, (x, y) in enumerate(PLACES):
+        town.text(x - 0.07, y + 0.07, str(place), ha="right")
     town.set(xlim=(-0.4, SIDE - 0.6), ylim=(-0.4, SIDE - 0.6), aspect="equal", xticks=[], yticks=[])
     town.set_title("The owner's roads and their tolls")
+    town.set_xlabel(", ".join(f"{number:g} drive {start} → {end}" for (start, end), number in TRIPS.items()))
     incomes, bounds = zip(*history, strict=True)
     search.step(range(len(history)), bounds, where="post", color="#777777", label="no tolls earn more")
     search.step(range(len(history)), incomes, where="post", color="#0072B2", linewidth=2, label="best tolls so far")

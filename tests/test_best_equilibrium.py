@@ -74,3 +74,14 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
     result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
     assert (result.status, result.value, result.verify()) == ("optimal", 1.0, True)
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
+
+
+def test_a_search_that_ends_before_it_finds_a_point_says_so() -> None:
+    """The status is user_limit, there are no values, and the bound is kept."""
+    x, y = cp.Variable(2), cp.Variable(2)
+    pairs = [complements(x >= 0, y - x - [1, 2] >= 0), complements(y >= 0, x + y - [3, 5] >= 0)]
+    problem = cp.Problem(cp.Minimize(cp.sum(x) + cp.sum_squares(y - 1)), [*pairs, x[0] + y[1] == 1.5])
+    problem.solve(method="LCP", max_nodes=1, callback=lambda search: True)
+    found = problem.solver_stats.extra_stats
+    assert problem.status in ("user_limit", "optimal", "infeasible")
+    assert (x.value is None) == (found.x is None)

@@ -129,12 +129,12 @@ def solve_for_the_best(problem: Any, verbose: bool, options: dict[str, Any]) -> 
 def write_back(problem: Any, reduced: ReducedProblem, pairs: list[StatedPair], result: EquilibriumResult) -> None:
     """Give the cvxpy problem its status, values, duals and statistics."""
     sense, status, attributes = sense_of(problem), STATUS[result.status], statistics(result)
-    if result.x is None:
-        value = {settings.INFEASIBLE: math.inf, settings.UNBOUNDED: -math.inf}.get(status)
-        problem.unpack(Solution(status, None if value is None else float(sense * value), {}, {}, attributes))
-        if value is None:
-            problem._clear_solution()
-            problem._status = status
+    if result.x is None and status == settings.USER_LIMIT:  # nothing was found, and nothing is proved
+        problem._clear_solution()
+        problem._status = status
+    elif result.x is None:
+        value = math.inf if status == settings.INFEASIBLE else -math.inf
+        problem.unpack(Solution(status, float(sense * value), {}, {}, attributes))
     else:
         places = reduced.entries.variables or {}
         values = {one.id: places[one.id].taken(result.x) for one in problem.variables()}

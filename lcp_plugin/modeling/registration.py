@@ -209,8 +209,8 @@ def build_from(problem: Any) -> Model:
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} beside complementarity asks for the best of all "
-            "solutions, which no single LCP states: problem.solve(method=\"LCP\") finds it; write cp.Minimize(0) for any "
-            "of them"
+            "solutions, which no single LCP states: problem.solve(method=\"LCP\") finds it; write cp.Minimize(0) for "
+            "any of them"
         )
     return build(problem.constraints, _memos.setdefault(problem, {}))
 

@@ -25,6 +25,7 @@ from ..quadratic_program import solve_quadratic_program, solved_at_once
 
 TOLERANCE = 1e-9
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
+MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
 FAR = 1e4  # times 1 + the largest number that bounds x: a box for what falls for ever
 
@@ -78,6 +79,7 @@ class Relaxations:
     def __init__(self, problem: EquilibriumProgram, tolerance: float) -> None:
         program = problem.program
         self.problem, self.tolerance, self.solved = problem, tolerance, 0
+        self._are_small = False  # whether the compiled call has taken one of the programs
         self.curvature: Curvature = constrained_curvature(program.P, program.A)
         self.box = implied_box(program)
 
@@ -106,11 +108,12 @@ class Relaxations:
         if program is None:
             node.bound = math.inf
             return node
-        found = solved_at_once(program, "auto", TOLERANCE, {})
-        if found is None and (proof := self._refutation(program)) is not None:
+        solution = self._solution(program)
+        if solution is None and (proof := self._refutation(program)) is not None:
             node.bound, node.proof = math.inf, proof
             return node
-        solution = self._within_a_box(program) if found is None else found[1]
+        if solution is None:
+            solution = self._within_a_box(program)
         node.point = np.clip(solution.x, program.lower, program.upper)
         if solution.program is program:  # otherwise it falls for ever, or nothing is known
             node.value = self.problem.objective(node.point)
@@ -127,8 +130,8 @@ class Relaxations:
             sp.csr_array((slope.size, slope.size)), slope, program.G, program.h, program.A, program.b, program.lower,
             program.upper,
         )
-        found = solved_at_once(linear, "auto", TOLERANCE, {})
-        return None if found is None else np.clip(found[1].x, program.lower, program.upper)
+        solution = self._solution(linear)
+        return None if solution is None else np.clip(solution.x, program.lower, program.upper)
 
     def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
@@ -143,8 +146,18 @@ class Relaxations:
         proof = prove_infeasible(program)
         return proof if proof is not None and proof.excludes(self.tolerance) else None
 
+    def _solution(self, program: QuadraticProgram) -> QPSolution | None:
+        """Return the solution of a program, None where a first try finds none: it may have none."""
+        found = solved_at_once(program, "auto", TOLERANCE, {})
+        self._are_small = self._are_small or found is not None
+        if found is None and not self._are_small:
+            found = solve_quadratic_program(
+                program, "interior_point", tolerance=TOLERANCE, max_iterations=MOST_STEPS, refute=False
+            )
+        return found[1] if found is not None and found[1].is_stationary() else None
+
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
-        """Return the solution of a program that the compiled call does not take, or else one within a large box.
+        """Return the solution of a program that a first try does not find, or else one within a large box.
 
         Along what falls for ever that one lies far out.
         """

@@ -251,7 +251,7 @@ class BranchAndBound:
         else:
             status = "infeasible" if best is None and lower == math.inf and not self._is_stuck else "unknown"
         is_stationary = True if status == "optimal" else None
-        if status in ("limit", "unknown") and not is_over():
+        if status in ("limit", "unknown"):
             is_stationary = self.local.is_stationary()
         value = -math.inf if status == "unbounded" else self.value
         x = None if best is None or status == "unbounded" else best.point

@@ -143,7 +143,7 @@ class LocalSearch:
         choices: dict[int, list[int]] = {}
         for i, case in self._other_cases(self.best.point, self.best.cases):
             choices.setdefault(i, [int(self.best.cases[i])]).append(case)
-        if len(choices) > MOST_BIACTIVE:
+        if len(choices) > MOST_BIACTIVE or is_over():
             return None
         value = self.best.value
         for chosen in itertools.product(*choices.values()):

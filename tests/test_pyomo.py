@@ -268,7 +268,7 @@ def too_few_rows(m: Any) -> None:
 
 
 def objective_beside(m: Any) -> None:
-    pair(m, m.x >= 0, m.x - 2 >= 0)
+    pair(m, m.x >= 0, pe.exp(m.x) - 2 >= 0)
     m.o = pe.Objective(expr=m.x**2)
 
 
@@ -343,7 +343,7 @@ def test_an_abstract_model_is_told_apart() -> None:
 REFUSED = {
     integers: "the variable x is integer; give it a continuous domain",
     too_few_rows: "the model has 1 unknowns without a complementarity (y) and 0 equations",
-    objective_beside: "the model has complementarities and the objective o, which makes it an MPEC",
+    objective_beside: "row c is nonlinear",
     absolute_value: "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
     one_bound: "c has 1 finite bounds on its two sides together, and needs two",
     three_bounds: "c has 3 finite bounds on its two sides together, and needs two",

@@ -119,11 +119,10 @@ def stated(model: Any, path: Path) -> Statement:
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
     has_pairs |= any(hasattr(row, "_complementarity") for row in constraints)
     if has_pairs:
-        _require_constant(objectives)
-        objectives = []
-    elif len(objectives) > 1:
+        objectives = [one for one in objectives if not cannot_vary(one.expr)]
+    if len(objectives) > 1:
         raise UnsupportedModel(f"the model has {len(objectives)} active objectives; deactivate all but one")
-    for takes_inequalities in (not has_pairs, False):
+    for takes_inequalities in (not has_pairs or bool(objectives), False):
         draft = _Draft(takes_inequalities)
         for row in constraints:
             draft.constrain(row)
@@ -143,15 +142,6 @@ def _require_known(model: Any) -> None:
         names = ", ".join(component.name for component in components[:SOME])
         instead = INSTEAD.get(kind.__name__, "deactivate it, or state it as constraints and complementarities")
         raise UnsupportedModel(f"{kind.__name__} is not taken, and the model has {names}; {instead}")
-
-
-def _require_constant(objectives: Sequence[Any]) -> None:
-    for objective in objectives:
-        if not cannot_vary(objective.expr):
-            raise UnsupportedModel(
-                f"the model has complementarities and the objective {objective.name}, which makes it an MPEC, and "
-                f"these are not taken; {objective.name}.deactivate() leaves the question for any point that is feasible"
-            )
 
 
 class _Draft:
@@ -215,6 +205,9 @@ class _Draft:
             self.named[id(variable)] = f"the unknown for {pair.stated.name}"
             variable.set_value(None if math.isnan(start := number(pair.held.body)) else start)
             self.state(self.model.rows, difference(variable, pair.held.body), self.named[id(variable)], equation=True)
+        elif self.takes_inequalities and not _is_implied(variable, pair):
+            row = self.model.rows.add((variable.lb, variable, variable.ub))
+            self.states[id(row)] = f"the bounds of {variable.name}"
         self.partners[id(variable)] = variable, pair
         self.state(self.model.rows, pair.row, pair)
 
@@ -267,12 +260,14 @@ class _Draft:
             )
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
-        """Return the content with the pairs' bounds of variables, and no others."""
+        """Return the content with the pairs' bounds of variables, and no others but of a program."""
         number_of = {id(variable): j for j, variable in enumerate(variables)}
         partners, partner_bounds = content.partners.copy(), content.partner_bounds.copy()
         row_lower, row_upper = content.row_lower.copy(), content.row_upper.copy()
         constants = np.zeros(len(rows))
         lower, upper = np.full(len(variables), -np.inf), np.full(len(variables), np.inf)
+        if self.takes_inequalities:
+            lower[:], upper[:] = np.transpose([_own_bounds(variable) for variable in variables])
         for i in np.flatnonzero(content.partners >= 0).tolist():
             j = content.partners[i]
             lower[j] = content.lower[j] if partner_bounds[i] & 1 else -np.inf
@@ -287,7 +282,8 @@ class _Draft:
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = self._within(variable, pair)
             partner_bounds[i] = np.isfinite(lower[j]) + 2 * np.isfinite(upper[j])
-        self._look_at_bounds(variables, set(partners.tolist()))
+        if not self.takes_inequalities:
+            self._look_at_bounds(variables, set(partners.tolist()))
         return replace(
             content, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
             partner_bounds=partner_bounds, trees=with_constants(content.trees, constants),
@@ -297,8 +293,8 @@ class _Draft:
         """Return the bounds of a pair within the variable's own: where these alone hold it, the pair is looked at."""
         own_lower, own_upper = _own_bounds(variable)
         lower, upper = max(pair.held.lower, own_lower), min(pair.held.upper, own_upper)
-        if (lower, upper) == (pair.held.lower, pair.held.upper):
-            return lower, upper
+        if self.takes_inequalities or (lower, upper) == (pair.held.lower, pair.held.upper):
+            return pair.held.lower, pair.held.upper
         why = f"meets bounds that {variable.name} has of its own and the pair does not state"
         self.beside.append(Beside(pair.stated.name, partial(_pair_excess, pair), why))
         if lower <= upper:
@@ -313,6 +309,11 @@ class _Draft:
             least, most = self.held.get(id(variable), (-math.inf, math.inf))
             if j not in partners and (lower > least or upper < most):
                 self.look_at(variable.name, variable, lower, upper)
+
+
+def _is_implied(variable: Any, pair: Pair) -> bool:
+    lower, upper = _own_bounds(variable)
+    return lower <= pair.held.lower and pair.held.upper <= upper
 
 
 def _own_bounds(variable: Any) -> tuple[float, float]:

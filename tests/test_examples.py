@@ -42,9 +42,11 @@ CHECKS = [
     ("cournot_oligopoly", f"alone no firm could earn more than {NUMBER} besides", 1e-6),
     ("elastic_transport", f"sales differ from those of the greatest surplus by {NUMBER} cases", 0.02),
     ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
+    ("network_tolls", f"the income of an integer program differs by {NUMBER};", 1e-4),
+    ("network_tolls", f"tolls lower by a millionth earn less by {NUMBER}, relatively", 1e-5),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {15: "Fifteen", 17: "Seventeen", 18: "Eighteen", 19: "Nineteen", 20: "Twenty"}
+NUMBERS = {15: "Fifteen", 17: "Seventeen", 18: "Eighteen", 19: "Nineteen", 20: "Twenty", 21: "Twenty-one"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,15 +1,15 @@
 """Problems of MacMPEC with affine pairs and a convex objective, from their published statements, with published optima.
 
 S. Leyffer's collection (https://wiki.mcs.anl.gov/leyffer/index.php/MacMPEC) prints for each problem the best value that
-was known; where a smaller one is proved, ``collection`` is the printed one. Left out, as what is not convex quadratic
-over affine pairs as stated:
+was known; where the printed statement has another least value, ``collection`` is the printed one. Left out is what is
+not convex quadratic over affine pairs as stated, and some more:
 
 * an objective that is bilinear or concave: ex9.2.8 (−4xy), ralph2 (−4xy), stackelberg1 (½xy), ralphmod (indefinite),
   gnash, hakonsen, siouxfls1, tap, taxmcp, water (powers);
 * a pair or a constraint with products of variables: bard3, bilevel3 (x², concave objective), dempe, desilva, df1,
-  outrata31…34, scholtes1, scholtes2 (exp); bar-truss, bem-milanc30, design-cent,
-  incid-set, pack-comp, pack-rig (shapes of elements times displacements), siouxfls;
-* data of many pages: flp4, portfl-i, qpec-100, qpec-200, monteiro, liswet1-100, liswet1-200;
+  outrata31…34, scholtes1, scholtes2 (exp); bar-truss, bem-milanc30, design-cent, incid-set, pack-comp, pack-rig
+  (shapes of elements times displacements), siouxfls;
+* data of many pages: flp4, portfl-i, qpec-100, qpec-200, monteiroB, liswet1-100, liswet1-200;
 * TrafficSignalCycle, whose printed values no solution of the printed statement has: the least of TSC-1 is 54.9635, not
   45.15, and TSC-7 has no solution;
 * the same in other words: bard2m (bard2), ex9.1.10 (ex9.1.8), ex9.2.7 (ex9.2.1), nash1b…e (other starting points).
@@ -471,4 +471,69 @@ def sl1() -> cp.Problem:
     return least(
         (x[0] - 2) ** 2 + x[1] ** 2, z >= [10, 0.01, 0], z <= [1e10, 10, 1],
         0.02 * x[0] == 10 * l[0] + l[1], 2 * x[1] == l[0] + l[2], complements(l >= 0, slack >= 0),
+    )
+
+
+# --- B. F. Hobbs, C. Metzler, J.-S. Pang, *Strategic gaming analysis for electric power systems* (2000) ---
+
+#: from: {to: capacity} of the lines between thirty nodes.
+LINES = {
+    1: {2: 78, 3: 78}, 2: {4: 39, 5: 78, 6: 39}, 3: {4: 78}, 4: {12: 39}, 5: {7: 42}, 6: {4: 54, 28: 19.2}, 7: {6: 78},
+    8: {6: 19.2}, 9: {6: 39, 10: 39}, 10: {6: 19.2, 17: 19.2}, 11: {9: 39}, 12: {13: 39, 14: 19.2, 15: 19.2, 16: 19.2},
+    15: {14: 9.6, 18: 9.6, 23: 9.6}, 17: {16: 9.6}, 18: {19: 9.6}, 19: {20: 19.2}, 20: {10: 19.2}, 21: {10: 19.2},
+    22: {10: 19.2, 21: 19.2}, 24: {22: 9.6, 23: 9.6, 25: 9.6}, 25: {26: 9.6}, 27: {25: 9.6, 28: 39, 30: 39},
+    28: {8: 19.2}, 29: {27: 39, 30: 39},
+}
+#: node: (intercept and slope of its cost, least and largest bid, capacity) of six plants, the last three of one firm.
+PLANTS = {
+    1: (20, 0.0375, 20, 20, 200), 2: (17.5, 0.175, 17.5, 17.5, 80), 5: (10, 0.625, 10, 10, 50),
+    8: (32.5, 0.0834, 0, 40, 35), 11: (30, 0.25, 0, 40, 30), 13: (30, 0.25, 0, 40, 40),
+}
+#: node: slope of its demand, which begins at a price of 40.
+DEMANDS = {
+    2: 0.461, 3: 4.167, 4: 1.316, 5: 0.106, 7: 0.439, 8: 0.333, 10: 1.724, 12: 0.893, 14: 1.613, 15: 1.220, 16: 2.857,
+    17: 1.111, 18: 3.125, 19: 1.053, 20: 4.545, 21: 0.571, 23: 3.125, 24: 1.149, 26: 2.857, 29: 4.167, 30: 0.943,
+}
+#: {line: signed reactance} of the twelve loops.
+LOOPS: list[dict[tuple[int, int], float]] = [
+    {(2, 6): 0.1763, (6, 4): 0.0414, (2, 4): -0.1737},
+    {(6, 28): 0.0599, (28, 8): 0.2, (8, 6): 0.042},
+    {(9, 6): -0.208, (9, 10): 0.11, (10, 6): 0.556},
+    {(22, 10): -0.1499, (22, 21): 0.0236, (21, 10): 0.0749},
+    {(12, 14): 0.2559, (15, 14): -0.1997, (12, 15): -0.1304},
+    {(27, 30): 0.6027, (29, 30): -0.4533, (29, 27): 0.4153},
+    {(1, 2): 0.0575, (2, 4): 0.1737, (3, 4): -0.0379, (1, 3): -0.1852},
+    {(2, 5): 0.1983, (5, 7): 0.116, (7, 6): 0.082, (2, 6): -0.1763},
+    {(6, 4): -0.0414, (10, 6): -0.556, (10, 17): 0.0845, (17, 16): 0.1932, (12, 16): -0.1987, (4, 12): -0.256},
+    {(6, 28): 0.0599, (27, 28): -0.396, (27, 25): 0.2087, (24, 25): -0.3292, (24, 22): 0.179, (22, 10): 0.1499,
+     (10, 6): 0.556},
+    {(20, 10): -0.209, (19, 20): -0.068, (18, 19): -0.1292, (15, 18): -0.2185, (12, 15): -0.1304, (12, 16): 0.1987,
+     (17, 16): -0.1932, (10, 17): -0.0845},
+    {(22, 10): -0.1499, (24, 22): -0.179, (24, 23): 0.27, (15, 23): -0.202, (15, 18): 0.2185, (18, 19): 0.1292,
+     (19, 20): 0.068, (20, 10): 0.209},
+]  # fmt: skip
+
+
+@published(-37.53, accuracy=5e-3)
+def monteiro() -> cp.Problem:
+    lines = [(i, j) for i, ends in LINES.items() for j in ends]
+    capacity = np.array([LINES[i][j] for i, j in lines])
+    node = np.eye(31)[1:].T  # its row is the unit vector of a node
+    leaving = np.array([node[i] - node[j] for i, j in lines])
+    around = np.array([[loop.get(line, 0.0) for line in lines] for loop in LOOPS])
+    a, b, least_bid, largest_bid, most = np.array(list(PLANTS.values())).T
+    plants, buyers, d = node[list(PLANTS)], node[list(DEMANDS)], np.array(list(DEMANDS.values()))
+    mine, others = slice(3, 6), slice(0, 3)
+    bid, supply, demand, price = cp.Variable(6), cp.Variable(6), cp.Variable(d.size), cp.Variable(30)
+    flow, scarcity, full, voltage = cp.Variable(len(lines)), cp.Variable(6), cp.Variable(len(lines)), cp.Variable(12)
+    profit = 40 * cp.sum(demand) - d @ cp.square(demand) - capacity @ full - a @ supply
+    profit -= b[mine] / 2 @ cp.square(supply[mine]) + b[others] @ cp.square(supply[others])
+    profit -= most[others] @ scarcity[others]
+    return least(
+        -profit, bid >= least_bid, bid <= largest_bid, around @ flow == 0,
+        buyers.T @ demand - plants.T @ supply + leaving.T @ flow == 0,
+        complements(scarcity >= 0, most - supply >= 0), complements(full >= 0, capacity - flow >= 0),
+        complements(supply >= 0, bid - plants @ price + scarcity + cp.multiply(b, supply) >= 0),
+        complements(demand >= 0, buyers @ price - 40 + cp.multiply(d, demand) >= 0),
+        complements(flow >= 0, leaving @ price + full + around.T @ voltage >= 0),
     )

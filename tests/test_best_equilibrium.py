@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from macmpec import COLLECTION
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, box, complements, minimize_over_solutions
+from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, box, complements, minimize_over_solutions, solve
+from lcp_plugin.solving.equilibria.monotone import ellipsoid, separating_points, with_points
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -85,3 +86,27 @@ def test_a_search_that_ends_before_it_finds_a_point_says_so() -> None:
     found = problem.solver_stats.extra_stats
     assert problem.status in ("user_limit", "optimal", "infeasible")
     assert (x.value is None) == (found.x is None)
+
+
+def test_cuts_of_a_monotone_lower_level_keep_every_solution() -> None:
+    """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ⪰ 0 keeps z in an ellipsoid, and its cuts every solution."""
+    rng = np.random.default_rng(5)
+    k = 12
+    half, turned, N = rng.standard_normal((k, k)), rng.standard_normal((k, k)), rng.standard_normal((k, 2))
+    M, q = half @ half.T / k + 0.1 * np.eye(k) + turned - turned.T, rng.standard_normal(k)
+    program = QuadraticProgram(
+        np.zeros((k + 2, k + 2)), rng.standard_normal(k + 2),
+        lower=np.append([-1, -1], np.zeros(k)), upper=np.append([1, 1], np.full(k, np.inf)),
+    )
+    problem = EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
+    within = ellipsoid(problem)
+    points = separating_points(problem, within)
+    cut = with_points(problem, within, points).program
+    for x in rng.uniform(-1, 1, (30, 2)):
+        z = solve(LCP(M, N @ x + q)).z
+        v = np.concatenate([x, z, M @ z + N @ x + q])
+        assert (cut.G @ v <= cut.h + 1e-9 * (1 + np.abs(v).max())).all()
+    result = minimize_over_solutions(problem)
+    assert (result.status, result.verify()) == ("optimal", True)
+    moved = tuple(0.5 * point for point in result.strengthened.kept)
+    assert not replace(result, strengthened=replace(result.strengthened, kept=moved)).verify()

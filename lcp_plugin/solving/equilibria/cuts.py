@@ -20,6 +20,7 @@ from ...conversions.equilibrium_program import BETWEEN, LOWER, EquilibriumProgra
 from ...conversions.program import QuadraticProgram
 from ...deadline import is_over
 from ..quadratic_program import solved_at_once
+from .monotone import ellipsoid, separating_points, tight_points, with_points
 
 MOST_PROGRAMS = 400
 LARGEST = 1e7  # times the smallest: a bound that is farther cuts nothing off
@@ -44,22 +45,30 @@ class Strengthened:
         With the cuts among the inequalities.
     original : EquilibriumProgram
     bounds : tuple of ProvedBound
+    points : tuple of ndarray
+        Of the cuts from the ellipsoid of a monotone lower level that prove the bounds.
+    kept : tuple of ndarray
+        Those among them whose cuts the problem has.
     """
 
     problem: EquilibriumProgram
     original: EquilibriumProgram
     bounds: tuple[ProvedBound, ...]
+    points: tuple[FloatVector, ...] = ()
+    kept: tuple[FloatVector, ...] = ()
 
     def verify(self) -> bool:
         """Return whether all bounds hold, and the cuts are those that they give."""
-        sides = _Sides(self.original)
+        within = ellipsoid(self.original) if self.points else None
+        sides = _Sides(with_points(self.original, within, self.points))
         for found in self.bounds:
             if found.dual is None:
                 if not sides.implied[found.column] <= found.bound:
                     return False
             elif not sides.proved(found.column, found.dual) <= found.bound:
                 return False
-        again, mine = _with_cuts(self.original, {one.column: one.bound for one in self.bounds}), self.problem
+        base = with_points(self.original, within, self.kept)
+        again, mine = _with_cuts(base, {one.column: one.bound for one in self.bounds}), self.problem
         return (
             np.array_equal(again.program.h, mine.program.h)
             and all((sp.csr_array(getattr(again.program, name)) != sp.csr_array(getattr(mine.program, name))).nnz == 0
@@ -103,8 +112,10 @@ class _Sides:
 
 
 def strengthened(problem: EquilibriumProgram) -> Strengthened:
-    """Return the problem with a cut for each pair of which both sides are bounded."""
-    sides = _Sides(problem)
+    """Return the problem with cuts from its lower level, and one for each pair of which both sides are bounded."""
+    within = ellipsoid(problem)
+    points = () if within is None else separating_points(problem, within)
+    sides = _Sides(with_points(problem, within, points))
     is_plain = problem.all_cases == LOWER + BETWEEN
     columns = np.unique(np.concatenate([problem.first[is_plain], problem.second[is_plain]]))
     bounds = []
@@ -116,7 +127,9 @@ def strengthened(problem: EquilibriumProgram) -> Strengthened:
             found = ProvedBound(column, float(sides.implied[column]), None)
         if found is not None:
             bounds.append(found)
-    return Strengthened(_with_cuts(problem, {one.column: one.bound for one in bounds}), problem, tuple(bounds))
+    proved = {one.column: one.bound for one in bounds}
+    kept = () if within is None else tight_points(_with_cuts(problem, proved), within, points)
+    return Strengthened(_with_cuts(with_points(problem, within, kept), proved), problem, tuple(bounds), points, kept)
 
 
 def _with_cuts(problem: EquilibriumProgram, bounds: dict[int, float]) -> EquilibriumProgram:

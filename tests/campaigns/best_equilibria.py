@@ -315,6 +315,10 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
             moved[entries] += step
             if not is_solution(problem, moved) or problem.objective(moved) > result.value:
                 yield f"{name} moved", replace(result, x=moved)
+    stronger = result.strengthened
+    if stronger.bounds and stronger.bounds[0].bound > 0.0:
+        tighter = (stronger.bounds[0]._replace(bound=0.5 * stronger.bounds[0].bound), *stronger.bounds[1:])
+        yield "a side's bound tightened", replace(result, strengthened=replace(stronger, bounds=tighter))
     leaves = [node for node in result.tree if node.pair < 0]
     if len(result.tree) > 1 and result.status != "unbounded":
         yield "leaf removed", replace(result, tree=tuple(node for node in result.tree if node is not leaves[-1]))

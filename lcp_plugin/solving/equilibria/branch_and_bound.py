@@ -271,7 +271,8 @@ class _Log:
     def __call__(self, search: BranchAndBound) -> bool:
         if search.nodes >= self._next:
             self._next = max(search.nodes + 1, search.nodes * GROWTH)
-            gap = (search.value - search.lower_bound) / max(1.0, abs(search.value))
+            is_found = math.isfinite(search.value)
+            gap = (search.value - search.lower_bound) / max(1.0, abs(search.value)) if is_found else math.inf
             print(f"{search.nodes:>8} {len(search._open) + 1:>7} {search.value:>17.9g} {search.lower_bound:>17.9g} "
                   f"{gap:>9.1e} {search.clock.read():>9.2f}", flush=True)
         return False

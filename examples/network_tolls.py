@@ -67,8 +67,8 @@ def main(out: Path = Path()) -> None:
     print("all bounds checked again:", result.verify())
     by_integers = _by_integers(costs, is_highway, incidence)
     earned = _earned(costs, tolls.value * (1 - 1e-6))
-    print(f"check: the income of an integer program differs by {abs(problem.value - by_integers):.1e}; cheapest paths at "
-          f"tolls lower by a millionth earn less by {(problem.value - earned) / problem.value:.1e}, relatively")
+    print(f"check: the income of an integer program differs by {abs(problem.value - by_integers):.1e}; cheapest paths "
+          f"at tolls lower by a millionth earn less by {(problem.value - earned) / problem.value:.1e}, relatively")
     _draw(tolls.value, is_highway, history, out)
 
 

@@ -16,7 +16,8 @@ MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
 DESCENT = 1e-9  # of 1 + |f|
 MOST_BIACTIVE = 12
 MOST_NEIGHBOURS = 50
-MOST_STEPS = 10  # linear programs towards complementarity
+MOST_STEPS = 12  # programs towards complementarity
+FIRST_WEIGHT, WEIGHT_GROWTH = 0.1, 3.0  # of products beside the objective
 
 
 class LocalSearch:
@@ -54,18 +55,19 @@ class LocalSearch:
     def start(self, node: Node) -> Node | None:
         """Return the last piece of a descent that begins near the point of a node; None where it has none.
 
-        Where that is far from complementary, linear programs min Σ w̄_i (z_i − l_i) + (z̄_i − l_i) w_i over the node, one
-        after the other from its point (z̄, w̄), bring it nearer: the method of Frank and Wolfe for Σ (z_i − l_i) w_i.
+        Where that is far from complementary, programs min f(x) + ρ (Σ w̄_i (z_i − l_i) + (z̄_i − l_i) w_i) over the node,
+        one after the other from its point (z̄, w̄), bring it nearer while ρ grows: the products are linearised.
         """
-        point = node.point
+        point, weight, program = node.point, FIRST_WEIGHT, self.problem.program
         for _ in range(MOST_STEPS):
-            if point is None:
+            if point is None or is_over():
                 return None
             if not (self.problem.violations(point) > MEETS * (1.0 + np.abs(point).max(initial=0.0))).any():
                 break
-            if self.offer(self.problem.nearest(point, node.cases)).value < math.inf:
-                break
-            point = self.relaxations.least(node.cases, self._product_gradient(point))
+            gradient = self._product_gradient(point)
+            size = float(np.abs(program.P @ point + program.c).max(initial=0.0)) / np.abs(gradient).max(initial=0.0)
+            nearer = self.relaxations.least(node.cases, weight * (size or 1.0) * gradient)
+            point, weight = point if nearer is None else nearer, weight * WEIGHT_GROWTH
         return None if point is None else self.descend(self.problem.nearest(point, node.cases))
 
     def _product_gradient(self, x: FloatVector) -> FloatVector:

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...certificates.curvature import Curvature, constrained_curvature
 from ...certificates.dual_bounds import DualBounds, implied_box
@@ -121,16 +120,12 @@ class Relaxations:
         return node
 
     def least(self, cases: Cases, slope: FloatVector) -> FloatVector | None:
-        """Return a point of a node where slope · x is least; None where none is found."""
+        """Return a point of a node where the objective + slope · x is least; None where none is found."""
         program = self.program(cases)
         if program is None:
             return None
         self.solved += 1
-        linear = QuadraticProgram(
-            sp.csr_array((slope.size, slope.size)), slope, program.G, program.h, program.A, program.b, program.lower,
-            program.upper,
-        )
-        solution = self._solution(linear)
+        solution = self._solution(program.with_vectors(program.c + slope))
         return None if solution is None else np.clip(solution.x, program.lower, program.upper)
 
     def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:

@@ -44,9 +44,11 @@ CHECKS = [
     ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
     ("network_tolls", f"the income of an integer program differs by {NUMBER};", 1e-4),
     ("network_tolls", f"tolls lower by a millionth earn less by {NUMBER}, relatively", 1e-5),
+    ("cheapest_bolts", f"the same lift up to {NUMBER} mm", 1e-8),
+    ("cheapest_bolts", f"the cost of an integer program differs by {NUMBER}", 1e-5),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {15: "Fifteen", 17: "Seventeen", 18: "Eighteen", 19: "Nineteen", 20: "Twenty", 21: "Twenty-one"}
+NUMBERS = {19: "Nineteen", 20: "Twenty", 21: "Twenty-one", 22: "Twenty-two", 23: "Twenty-three"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

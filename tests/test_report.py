@@ -346,7 +346,7 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
     """A class below `Section` is on the page, in the summary, beside it and in its plan, and nobody lists it."""
 
     class Sizes(Section):
-        place = 9
+        place = 10
         title = short = "Sizes"
         template = "<p>{{ largest }} unknowns</p>"
 
@@ -370,7 +370,7 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
     for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
         assert words in page
     assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 8
+    assert len(sections()) == 9
 
 
 def test_unknown_scene_is_refused_before_anything_runs() -> None:

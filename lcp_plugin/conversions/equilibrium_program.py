@@ -28,7 +28,7 @@ CASES = (LOWER, BETWEEN, UPPER)
 class EquilibriumProgram:
     """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
 
-    A *piece* takes one case of every pair and is a convex program; the problem is the least of all pieces.
+    Each piece, one case of every pair, is a convex program; the problem is the least of all pieces.
 
     Parameters
     ----------

@@ -143,9 +143,9 @@ class BranchAndBound:
         """Return the result, once no node is open, or something ends the search."""
         is_ended = False
         try:
-            root = self._added(self.relaxations.node(self.problem.all_cases))
-            self.local.start(root)
-            self._current = root
+            self._current = self.relaxations.node(self.problem.all_cases)
+            self.tree.append(self._current)
+            self.local.start(self._current)
             while self._next() is not None and self.descent is None:
                 if is_ended := bool(self.nodes >= self.max_nodes or is_over() or ends()):
                     break
@@ -166,10 +166,6 @@ class BranchAndBound:
 
     def _close(self, node: Node) -> None:
         self._closed_at, self._current = min(self._closed_at, node.bound), None
-
-    def _added(self, node: Node) -> Node:
-        self.tree.append(node)
-        return node
 
     def _branch(self) -> None:
         node = self._current
@@ -194,9 +190,9 @@ class BranchAndBound:
                 if math.isfinite(node.bound) and math.isfinite(child.bound):
                     self._gains[pair, case].append(child.bound - node.bound)
                 children.append(child)
-        node.pair = pair
         children.sort(key=lambda child: child.bound)
         self.tree += children
+        node.pair = pair  # last: Ctrl-C may come between any two lines, and the leaves have to hold all pieces
         self._current = None
         for k, child in enumerate(children):
             if child.bound >= self.cutoff:
@@ -240,7 +236,9 @@ class BranchAndBound:
         self._close(piece)
 
     def _result(self, is_ended: bool) -> EquilibriumResult:
-        best, lower = self.local.best, self.lower_bound
+        best = self.local.best
+        # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
+        lower = min([self.value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
         gap = 0.0 if self.value == lower else self.value - lower
         if self.descent is not None:
             status, lower = "unbounded", -math.inf

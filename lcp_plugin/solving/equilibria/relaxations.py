@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from ...conversions.program import QuadraticProgram
 from ...conversions.qp_certificates import prove_infeasible
 from ...conversions.qp_proofs import QPInfeasibility
 from ...conversions.qp_solution import QPSolution
+from ...settings import Status
 from ..quadratic_program import solve_quadratic_program, solved_at_once
+from ..result import Result
 
 TOLERANCE = 1e-9
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
@@ -146,9 +149,7 @@ class Relaxations:
         found = solved_at_once(program, "auto", TOLERANCE, {})
         self._are_small = self._are_small or found is not None
         if found is None and not self._are_small:
-            found = solve_quadratic_program(
-                program, "interior_point", tolerance=TOLERANCE, max_iterations=MOST_STEPS, refute=False
-            )
+            found = _by_steps(program, algorithm="interior_point", max_iterations=MOST_STEPS)
         return found[1] if found is not None and found[1].is_stationary() else None
 
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
@@ -160,6 +161,14 @@ class Relaxations:
         far = FAR * (1.0 + float(np.abs(limits[np.isfinite(limits)]).max(initial=0.0)))
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
         found = solved_at_once(within, "auto", TOLERANCE, {})
-        solution = solve_quadratic_program(within, tolerance=TOLERANCE, refute=False)[1] if found is None else found[1]
+        solution = (found or _by_steps(within))[1]
         is_inside = bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE)) and solution.is_stationary()
         return replace(solution, program=program) if is_inside else solution
+
+
+def _by_steps(program: QuadraticProgram, **options: Any) -> tuple[Result, QPSolution]:
+    """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
+    result, solution = solve_quadratic_program(program, tolerance=TOLERANCE, refute=False, **options)
+    if result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return result, solution

@@ -91,9 +91,10 @@ class EquilibriumResult:
             "optimal": self.x is not None and self.gap <= self.tolerance,
             "infeasible": self.x is None and self.lower_bound == math.inf,
         }
-        return (
-            is_proved.get(self.status, True) and self._tree_covers()
-            and all(self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0)
+        if not is_proved.get(self.status, True) or self.lower_bound == -math.inf:  # which says nothing
+            return is_proved.get(self.status, True)
+        return self._tree_covers() and all(
+            self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
         )
 
     def _x_holds(self) -> bool:

@@ -11,13 +11,15 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
+from ..checks import FloatVector
 from ..conversions.equilibrium_program import EquilibriumProgram
 from ..conversions.reductions import fold_simple_rows
 from ..errors import UnsupportedModel
 from ..expressions.rows import as_matrix
 from ..solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..solving.equilibria.result import EquilibriumResult
-from ._compat import attribute_bounds, name_of, statistics
+from ._compat import name_of, statistics
+from .builder import single_entries
 from .certified_problem import ReducedProblem
 from .constraint import Complements, Side
 from .reading import Reader
@@ -34,39 +36,41 @@ class StatedPair:
 
     def __init__(self, pair: Complements) -> None:
         self.pair, self.constraints = pair, list[Any]()
-        first, second = self._in_order(pair)
-        for side in (first, second):
+        ranked = sorted((pair.first, pair.second), key=self._rank)
+        for side in ranked:
             if not side.expression.is_affine():
                 raise UnsupportedModel(
                     f"the side {side} of {pair!r} is not affine, and the best of all solutions is found among affine "
                     "ones only: linearise it, or leave out the objective and use requires_grad=True for a local search"
                 )
-        self.lower, self.upper = (np.ravel(bound, order="F") for bound in first.bounds())
+        self.first, self.second = first, second = ranked
+        self.lower, self.upper = bounds_of_rows(first)
         self.z, self.w = (self._variable(side.expression) for side in (first, second))
-        self.is_equation = second.kind == "zero"
+        self.is_equation, self.sign = second.kind == "zero", np.ones(self.lower.size)
+        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
+        if self.is_equation and (has_lower | has_upper).any():
+            raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         if second.kind == "nonnegative" and first.kind != "nonnegative":
-            has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
             if (has_lower == has_upper).any():
                 raise UnsupportedModel(
                     f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the "
                     "expression alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
                 )
             if has_upper.any():  # w ≤ 0 at an upper bound
-                self.w = self._variable(cp.multiply(np.where(has_upper, -1.0, 1.0), self.w))
+                self.sign = np.where(has_upper, -1.0, 1.0)
+                self.w = self._variable(cp.multiply(self.sign, cp.vec(second.expression, order="F")))
 
     @staticmethod
-    def _in_order(pair: Complements) -> tuple[Side, Side]:
-        """Return the side that has bounds, and the other."""
-        sides = pair.first, pair.second
-        ranks = {"box": 0, "nonnegative": 2, "value": 3, "zero": 4}
-
-        def rank(side: Side) -> int:
-            is_bounded = side.kind == "value" and isinstance(side.expression, cp.Variable) and any(
-                np.isfinite(bound).any() for bound in attribute_bounds(side.expression)
-            )
-            return 1 if is_bounded else ranks[side.kind]
-
-        return sides if rank(sides[0]) <= rank(sides[1]) else sides[::-1]
+    def _rank(side: Side) -> int:
+        """Return how naturally this is the side that has bounds, 0 best."""
+        ranks = {"box": 0, "zero": 7}
+        if side.kind in ranks:
+            return ranks[side.kind]
+        single = single_entries(side.expression)
+        is_bounded = single is not None and any(np.isfinite(bound).any() for bound in single[:2])
+        if side.kind == "nonnegative":
+            return 5 if single is None else 4 if is_bounded or (single[2] != 1.0).any() else 3
+        return 6 if not is_bounded else 1 if isinstance(side.expression, cp.Variable) else 2
 
     def _variable(self, expression: Any) -> Any:
         """Return a variable that is the expression, column by column."""
@@ -78,6 +82,19 @@ class StatedPair:
         variable = cp.Variable(expression.size)
         self.constraints.append(variable == cp.vec(expression, order="F"))
         return variable
+
+
+def bounds_of_rows(side: Side) -> tuple[FloatVector, FloatVector]:
+    """Return the bounds of the rows of a side; those of entries of variables are what the attributes say."""
+    if side.kind != "value":
+        lower, upper = (np.ravel(bound, order="F") for bound in side.bounds())
+        return lower, upper
+    single = single_entries(side.expression)
+    if single is None:
+        return np.full(side.expression.size, -np.inf), np.full(side.expression.size, np.inf)
+    low, high, weights, offset = single
+    ends = weights * low + offset, weights * high + offset
+    return np.minimum(*ends), np.maximum(*ends)
 
 
 def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, list[StatedPair]]:
@@ -100,12 +117,15 @@ def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, li
         )
     added = [constraint for pair in pairs for constraint in pair.constraints]
     added += [one == 0 for pair in pairs if pair.is_equation for one in (pair.w,)]
+    named = {one.id for constraint in [problem.objective, *others, *added] for one in constraint.variables()}
+    own = {side.id: side for pair in pairs for side in (pair.z, pair.w) if side.id not in named and side.size}
+    added += [cp.Variable(one.size) == cp.vec(one, order="F") for one in own.values()]  # so that cvxpy knows them
     reduced = ReducedProblem.of(cp.Problem(problem.objective, [*others, *added]))
     places = reduced.entries.variables
     if places is None:
         raise UnsupportedModel("a variable is not found again in what cvxpy compiled; use plain variables")
     program = fold_simple_rows(reduced.program).folded
-    paired = [pair for pair in pairs if not pair.is_equation]
+    paired = [pair for pair in pairs if not pair.is_equation and pair.z.size]
     columns = [[places[side.id].places for side in (pair.z, pair.w)] for pair in paired]
     first, second = (np.concatenate([*(pair[k] for pair in columns), np.zeros(0, dtype=np.int64)]) for k in (0, 1))
     lower = np.concatenate([*(pair.lower for pair in paired), np.zeros(0)])
@@ -137,9 +157,16 @@ def write_back(problem: Any, reduced: ReducedProblem, pairs: list[StatedPair], r
         problem.unpack(Solution(status, float(sense * value), {}, {}, attributes))
     else:
         places = reduced.entries.variables or {}
-        values = {one.id: places[one.id].taken(result.x) for one in problem.variables()}
+        x = result.x
+
+        def values_of(one: Any) -> Any:
+            return places[one.id].taken(x) if one.size else np.zeros(one.shape)
+
+        values = {one.id: values_of(one) for one in problem.variables()}
         problem.unpack(Solution(status, float(sense * result.value), values, {}, attributes))
         for pair in pairs:
-            w = places[pair.w.id].taken(result.x)
-            pair.pair.save_dual_value(np.reshape(w, pair.pair.shape, order="F"))
+            z, w = values_of(pair.z), pair.sign * values_of(pair.w)
+            for constraint, dual in ((pair.pair, w), (pair.first.constraint, w), (pair.second.constraint, z)):
+                if constraint is not None:
+                    constraint.save_dual_value(np.reshape(dual, pair.pair.shape, order="F"))
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")

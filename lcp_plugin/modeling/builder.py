@@ -224,6 +224,16 @@ class Builder(Assembly):
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
 
+def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
+    """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
+    builder = Builder([expression], {})
+    function = Function(expression, builder.reader.rows(expression))
+    if (single := builder._single_columns(function)) is None:
+        return None
+    columns, weights = single
+    return builder.lower[columns], builder.upper[columns], weights, np.broadcast_to(function.rows.offset, weights.shape)
+
+
 def _states_bounds(side: Side) -> bool:
     """Return whether some variable below the side has bounds, be they infinite."""
     names = ("nonneg", "nonpos", "pos", "neg", "bounds")

@@ -87,3 +87,25 @@ def test_variables_that_pairs_alone_name_have_values() -> None:
     lone = cp.Problem(cp.Minimize(cp.square(y)), [complements(u, t)])
     lone.solve(method="LCP")
     assert min(u.value, t.value) == 0.0
+
+
+def test_a_pair_of_any_sides_has_a_violation() -> None:
+    """Of boxes of expressions, and of variables with other bounds than the pair states, which have none otherwise."""
+    x, y = cp.Variable(2, bounds=[-3, 3]), cp.Variable(2)
+    pairs = [complements(box(x + y, -1, 1), x - y + 3), complements(x[0] >= 0, x[1] + 2 >= 0)]
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(x - 1) + cp.sum_squares(y)), pairs)
+    problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+    assert max(pair.violation() for pair in pairs) <= 1e-7
+    x.value = x.value + np.array([0.0, 0.25])
+    assert pairs[0].violation() >= 0.2
+
+
+def test_bounds_that_exclude_what_a_pair_says_are_infeasible() -> None:
+    """The pair states w ≥ 0, the rest says w = −4."""
+    x, y = cp.Variable(2), cp.Variable(2)
+    pair = complements(y >= 0, np.diag([3.0, 0.0]) @ x + [3.0, -4.0] >= 0)
+    problem = cp.Problem(cp.Minimize(cp.abs(y[0]) + x[0]), [pair, x <= 3, x >= -3])
+    problem.solve(method="LCP")
+    assert (problem.status, problem.value) == (cp.INFEASIBLE, np.inf)
+    assert problem.solver_stats.extra_stats.verify()

@@ -224,6 +224,17 @@ class Builder(Assembly):
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
 
+def _residual_of_values(pair: Complements, values: list[Any]) -> FloatVector:
+    """Return the natural residual of two sides of which none is the variable of a pair."""
+    first, second = (np.ravel(dense(value), order="F") for value in values)
+    sides = (pair.first, pair.second)
+    k = min((0, 1), key=lambda k: {"box": 0, "nonnegative": 1, "value": 2, "zero": 3}[sides[k].kind])
+    low, high = (np.ravel(bound, order="F") for bound in sides[k].bounds())
+    z, w = (first, second) if k == 0 else (second, first)
+    residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
+    return residual
+
+
 def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
     """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
     builder = Builder([expression], {})
@@ -247,7 +258,10 @@ def pair_residual(pair: Complements) -> FloatVector | None:
     if any(value is None for value in values):
         return None
     builder = Builder([pair], {})
-    builder.add_pair(pair)
+    try:
+        builder.add_pair(pair)
+    except UnsupportedModel:
+        return _residual_of_values(pair, values)
     if builder.equations:
         return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
     (columns, function, sign), = builder.pairs

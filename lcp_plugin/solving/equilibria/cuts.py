@@ -59,6 +59,8 @@ class Strengthened:
 
     def verify(self) -> bool:
         """Return whether all bounds hold, and the cuts are those that they give."""
+        if not (self.bounds or self.points):
+            return self.problem is self.original
         within = ellipsoid(self.original) if self.points else None
         sides = _Sides(with_points(self.original, within, self.points))
         for found in self.bounds:
@@ -113,6 +115,9 @@ class _Sides:
 
 def strengthened(problem: EquilibriumProgram) -> Strengthened:
     """Return the problem with cuts from its lower level, and one for each pair of which both sides are bounded."""
+    lower, upper = problem.bounds(problem.all_cases)
+    if (lower > upper).any():  # no solution
+        return Strengthened(problem, problem, ())
     within = ellipsoid(problem)
     points = () if within is None else separating_points(problem, within)
     sides = _Sides(with_points(problem, within, points))

@@ -80,3 +80,18 @@ def test_an_infeasible_best_has_a_proof() -> None:
     assert solver.solve(m).solver.termination_condition == pe.TerminationCondition.infeasible
     assert solver.result.verify()
     assert np.isinf(solver.result.lower_bound)
+
+
+@pytest.mark.parametrize(("fixed", "falls", "wanted"), [(0, 1, 1.0), (1, -1, -1.0), (0, -1, -np.inf), (-1, 1, np.inf)])
+def test_a_pair_of_a_fixed_variable_holds(fixed: float, falls: float, wanted: float) -> None:
+    """Fixed x at its bound leaves y ≥ 1, above it y = 1, below it nothing."""
+    m = pe.ConcreteModel()
+    m.x, m.y, m.t = pe.Var(), pe.Var(), pe.Var(bounds=(0, 5))
+    m.x.fix(fixed)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y - 1 >= 0))
+    m.cost = pe.Objective(expr=m.t + falls * m.y)
+    condition = pe.SolverFactory("lcp_plugin").solve(m).solver.termination_condition
+    expected = {np.inf: pe.TerminationCondition.infeasible, -np.inf: pe.TerminationCondition.unbounded}
+    assert condition == expected.get(wanted, pe.TerminationCondition.optimal)
+    if np.isfinite(wanted):
+        assert pe.value(m.cost) == pytest.approx(wanted, abs=1e-7)

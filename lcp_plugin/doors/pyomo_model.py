@@ -194,7 +194,7 @@ class _Draft:
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
-        if pair.held.is_fixed:
+        if pair.held.is_fixed and not self.takes_inequalities:
             self.spare.append(pair)
             if not pair.is_at_bound:
                 self.state(self.model.spare_rows, pair.row, pair, equation=True)

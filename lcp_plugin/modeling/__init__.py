@@ -69,9 +69,9 @@ followers, tolls, the best design of a contact, the conditions of an inner probl
 - "optimal" is said only with a proved gap of ``tolerance`` (1e-6), beside max(1, |value|). Where ``max_seconds``,
   ``max_nodes`` or Ctrl-C ends the search first, the status is "user_limit", with the best point found and
   ``extra_stats.lower_bound``, ``gap``, ``is_b_stationary``; of ``cp.Maximize(f)`` they speak of −f.
-- Bounds are exact for the stored numbers; the point found satisfies the other constraints as an optimal program does, to
-  1e-7 in units of the data, and so does one from which "unbounded" starts. In every pair one side is at its bound. "infeasible" and "unbounded" come with proofs;
-  ``extra_stats.verify()`` checks all of them again.
+- Bounds are exact for the stored numbers. In every pair of the point found one side is at its bound; its other
+  constraints hold as those of an optimal program do, to 1e-7 in units of the data. "infeasible" and "unbounded" come
+  with proofs; ``extra_stats.verify()`` checks all of it again.
 - State bounds for what the problem leaves open, as the prices and tolls of a network: bounds of both sides of a pair
   become cuts, without which a search may take long. Arrays: :func:`lcp_plugin.minimize_over_solutions`.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,10 +20,12 @@ from ..assembly import Assembly, Function
 from ..equations import SMALLEST_PIVOT
 from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
 from .content import Indices, NLContent, Token
-from .equilibria import EquilibriumModel
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
 from .tokens import row_name
+
+if TYPE_CHECKING:
+    from .equilibria import EquilibriumModel
 
 MOST_NAMES = 5
 ROUNDING = 2.0**-40  # of a row without variables
@@ -212,6 +214,8 @@ class Statement:
 
     def equilibrium_program(self) -> EquilibriumModel:
         """Return the program with complementarity constraints."""
+        from .equilibria import EquilibriumModel  # which loads what no other model needs
+
         content, rows = self.content, self.pairs
         program, sign, constant = self._program_of(np.flatnonzero(content.partners < 0))
         found = self.expressions

@@ -23,6 +23,8 @@ class EquilibriumResult:
 
     Attributes
     ----------
+    strengthened : Strengthened
+        The problem with its cuts, and what proves these.
     status : str
         "optimal": the gap is proved to be within the tolerance. "infeasible": every piece is refuted by a verified
         proof. "unbounded": a piece falls for ever. "limit": time, nodes or Ctrl-C ended the search. "unknown": some
@@ -38,6 +40,13 @@ class EquilibriumResult:
     nodes, programs : int
         Nodes that were branched on, and convex programs that were solved.
     seconds : float
+        Wall-clock seconds.
+    tolerance : float
+        Of the gap.
+    tree : tuple of Node
+        What `verify` checks.
+    descent : pair or None
+        The piece that falls for ever, and the proof.
     """
 
     strengthened: Strengthened = field(repr=False)

@@ -42,7 +42,8 @@ def collected() -> Collected:
     found = Collected()
     parts = plan(TINY, quick=True)
     whole = plan(quick=True)
-    parts += [next(part for part in whole if part.kind == kind) for kind in ("tables", "check", "certified")]
+    kinds = ("tables", "check", "certified", "equilibria")
+    parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
     found.contents["atlas", "far starts"] = stability_atlas(["psor", "npsor"], ["far starts"], quick=True).to_content()
@@ -66,7 +67,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 3 * len(TINY) + 2 + len(KNOWN)
+    assert page.count("<svg") == 3 * len(TINY) + 3 + len(KNOWN)
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -78,7 +79,9 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     parts = [section.anchor for section in sections()]
-    assert parts == ["comparison", "scenes", "profile", "stability", "tables", "checks", "derivatives", "certified"]
+    assert parts == [
+        "comparison", "scenes", "profile", "stability", "tables", "checks", "derivatives", "certified", "equilibria"
+    ]
     for anchor in ("summary", *parts, "reading", "machine"):
         assert f'id="{anchor}"' in page
     for claim in claims(collected):
@@ -96,9 +99,10 @@ def test_tables_lie_beside_the_page(folder: Path) -> None:
     assert names >= {
         "index.html", "report.json", "curves.csv", "left_out.csv", "profile_work.csv", "profile_seconds.csv",
         "cross_validation.csv", "paper_tables.csv", "stability.csv", "derivatives.csv",
+        "best_equilibria.csv",
     }
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    kinds = {"scene", "tables", "check", "atlas", "derivative", "certified"}
+    kinds = {"scene", "tables", "check", "atlas", "derivative", "certified", "equilibria"}
     assert {part["kind"] for part in content["parts"]} == kinds
 
 

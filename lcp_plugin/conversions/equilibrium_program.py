@@ -22,6 +22,13 @@ Cases = NDArray[np.uint8]
 
 LOWER, BETWEEN, UPPER = 1, 2, 4  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
 CASES = (LOWER, BETWEEN, UPPER)
+_COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
+
+
+def case_counts(cases: Cases) -> Indices:
+    """Return how many cases are open, of each pair."""
+    counts: Indices = _COUNTS[cases]
+    return counts
 
 
 @dataclass(frozen=True, eq=False)

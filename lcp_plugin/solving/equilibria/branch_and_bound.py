@@ -22,7 +22,7 @@ import numpy as np
 
 from ...checks import is_number
 from ...communicator.alone import ALONE
-from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
+from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from ...conversions.program import refuse_nonconvex
 from ...conversions.qp_proofs import QPUnboundedness
 from ...deadline import Clock, is_over, time_limit
@@ -179,7 +179,7 @@ class BranchAndBound:
             if node.is_piece:
                 self._settle(node)
                 return
-            pair = int(np.argmax(np.bitwise_count(node.cases)))
+            pair = int(np.argmax(case_counts(node.cases)))
         self.nodes += 1
         children = []
         for case in CASES:
@@ -212,7 +212,7 @@ class BranchAndBound:
         assert x is not None
         violations = self.problem.violations(x)
         is_wrong = violations > MET * (1.0 + np.abs(x[self.problem.first]))
-        wrong = np.flatnonzero((np.bitwise_count(node.cases) > 1) & is_wrong)
+        wrong = np.flatnonzero((case_counts(node.cases) > 1) & is_wrong)
         if not wrong.size:
             return -1
         scores = np.array([self._score(int(pair)) for pair in wrong])

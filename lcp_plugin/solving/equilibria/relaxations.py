@@ -16,7 +16,7 @@ import numpy as np
 from ...certificates.curvature import Curvature, constrained_curvature
 from ...certificates.dual_bounds import DualBounds, implied_box
 from ...checks import FloatVector
-from ...conversions.equilibrium_program import Cases, EquilibriumProgram
+from ...conversions.equilibrium_program import Cases, EquilibriumProgram, case_counts
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_certificates import prove_infeasible
 from ...conversions.qp_proofs import QPInfeasibility
@@ -65,7 +65,7 @@ class Node:
     @property
     def is_piece(self) -> bool:
         """Whether every pair has one case left."""
-        return bool((np.bitwise_count(self.cases) == 1).all())
+        return bool((case_counts(self.cases) == 1).all())
 
 
 class Relaxations:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...checks import FloatVector
-from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram
+from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from .cuts import Strengthened
@@ -119,7 +119,7 @@ class EquilibriumResult:
         if self.descent is None:
             return False
         cases, proof = self.descent
-        is_piece = bool(((np.bitwise_count(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
+        is_piece = bool(((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
         program = relaxations.program(cases)
         return is_piece and program is not None and _is_of(proof, program) and proof.verify()
 

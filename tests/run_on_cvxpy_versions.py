@@ -17,7 +17,7 @@ VERSIONS = ("1.6.*", "1.7.*", "1.8.*", "1.9.*")
 FLOORS = {"1.6.0": ("numpy==1.26.4", "scipy==1.12.0", "numba==0.60.0")}
 NAMES = (
     *("extraction", "modeling", "modeling_derivatives", "qp_solver", "cvxpy_programs", "conversions"),
-    *("cross_validation", "certify", "modeling_nonlinear"),
+    *("cross_validation", "certify", "modeling_nonlinear", "best_equilibrium", "best_equilibrium_meaning"),
 )
 TESTS = [f"test_{name}.py" for name in NAMES]
 SHOW = "import cvxpy, scipy, numpy; print(cvxpy.__version__, scipy.__version__, numpy.__version__)"

@@ -38,7 +38,7 @@ def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
     bounds: tuple[float, float], wanted: float, is_attribute: bool
 ) -> None:
     """0 ≤ y ⟂ y − x ≥ 0 says y = x wherever y > 0, also at a bound of y that is stated elsewhere."""
-    x, y = cp.Variable(), cp.Variable(bounds=bounds) if is_attribute else cp.Variable()
+    x, y = cp.Variable(), cp.Variable(bounds=list(bounds)) if is_attribute else cp.Variable()
     others = [] if is_attribute else [bounds[0] <= y, y <= bounds[1]]
     far = -3 if bounds[0] > 0 else 3
     problem = cp.Problem(cp.Minimize((x - far) ** 2 + (y - 3) ** 2), [complements(y >= 0, y - x >= 0), *others])

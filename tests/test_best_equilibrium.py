@@ -11,6 +11,7 @@ import pytest
 from macmpec import COLLECTION
 
 from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, box, complements, minimize_over_solutions, solve
+from lcp_plugin.solving.equilibria.local_search import LocalSearch
 from lcp_plugin.solving.equilibria.monotone import ellipsoid, separating_points, with_points
 
 
@@ -77,15 +78,20 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
 
 
-def test_a_search_that_ends_before_it_finds_a_point_says_so() -> None:
-    """The status is user_limit, there are no values, and the bound is kept."""
-    x, y = cp.Variable(2), cp.Variable(2)
-    pairs = [complements(x >= 0, y - x - [1, 2] >= 0), complements(y >= 0, x + y - [3, 5] >= 0)]
-    problem = cp.Problem(cp.Minimize(cp.sum(x) + cp.sum_squares(y - 1)), [*pairs, x[0] + y[1] == 1.5])
-    problem.solve(method="LCP", max_nodes=1, callback=lambda search: True)
+def test_a_search_that_ends_before_it_finds_a_point_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The status is user_limit, there are no values, and the bound is one: of (y − x)² + x² + 1 with y ≥ x + 1, ≤ 2."""
+    monkeypatch.setattr(LocalSearch, "start", lambda self, node: None)
+    x, y = cp.Variable(), cp.Variable()
+    pair = complements(x >= 0, y - x - 1 >= 0)
+    problem = cp.Problem(cp.Minimize((y - x) ** 2 + x**2 + 1), [pair])
+    problem.solve(method="LCP", callback=lambda search: True)
     found = problem.solver_stats.extra_stats
-    assert problem.status in ("user_limit", "optimal", "infeasible")
-    assert (x.value is None) == (found.x is None)
+    assert (problem.status, found.status, found.nodes) == (cp.settings.USER_LIMIT, "limit", 0)
+    assert (x.value, y.value, found.x) == (None, None, None)
+    assert found.lower_bound == pytest.approx(2.0, abs=1e-6)
+    assert found.lower_bound <= 2.0
+    assert found.verify()
+
 
 
 def test_cuts_of_a_monotone_lower_level_keep_every_solution() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lcp_plugin import box, complements
-from lcp_plugin.errors import UnsupportedModel
+from lcp_plugin.errors import ModelWarning, UnsupportedModel
 
 M, Q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
 
@@ -86,6 +86,16 @@ def test_variables_that_pairs_alone_name_have_values() -> None:
     lone = cp.Problem(cp.Minimize(cp.square(y)), [complements(u, t)])
     lone.solve(method="LCP")
     assert min(u.value, t.value) == 0.0
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_free_variable_opposite_an_expression_means_an_equation(is_first: bool) -> None:
+    """complements(x, y − 1) with x free says y = 1 in either order, as without an objective, and warns of it."""
+    x, y = cp.Variable(), cp.Variable()
+    pair = complements(x, y - 1) if is_first else complements(y - 1, x)
+    with pytest.warns(ModelWarning, match="has no bounds"):
+        cp.Problem(cp.Minimize((x - 2) ** 2 + y**2), [pair]).solve(method="LCP")
+    assert (x.value, y.value) == pytest.approx((2.0, 1.0), abs=1e-8)
 
 
 def test_a_pair_of_nothing_says_nothing() -> None:

@@ -19,7 +19,15 @@ from ..expressions.rows import as_matrix
 from ..solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..solving.equilibria.result import EquilibriumResult
 from ._compat import name_of, statistics
-from .builder import single_entries
+from .builder import (
+    NO_VARIABLE,
+    PLAIN,
+    preference,
+    sign_of_inequality,
+    single_entries,
+    states_bounds,
+    warn_of_unbounded,
+)
 from .certified_problem import ReducedProblem
 from .constraint import Complements, Side
 from .reading import Reader
@@ -50,27 +58,22 @@ class StatedPair:
         has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         if self.is_equation and (has_lower | has_upper).any():
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
+        is_bounded = bool((has_lower | has_upper).any())
+        self.is_unbounded = first.kind == second.kind == "value" and not is_bounded and not states_bounds(first)
         if second.kind == "nonnegative" and first.kind != "nonnegative":
-            if (has_lower == has_upper).any():
-                raise UnsupportedModel(
-                    f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the "
-                    "expression alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
-                )
-            if has_upper.any():  # w ≤ 0 at an upper bound
-                self.sign = np.where(has_upper, -1.0, 1.0)
+            self.sign = sign_of_inequality(pair, self.lower, self.upper)
+            if (self.sign < 0.0).any():
                 self.w = self._variable(cp.multiply(self.sign, cp.vec(second.expression, order="F")))
 
     @staticmethod
-    def _rank(side: Side) -> int:
-        """Return how naturally this is the side that has bounds, 0 best."""
-        ranks = {"box": 0, "zero": 7}
-        if side.kind in ranks:
-            return ranks[side.kind]
-        single = single_entries(side.expression)
-        is_bounded = single is not None and any(np.isfinite(bound).any() for bound in single[:2])
-        if side.kind == "nonnegative":
-            return 5 if single is None else 4 if is_bounded or (single[2] != 1.0).any() else 3
-        return 6 if not is_bounded else 1 if isinstance(side.expression, cp.Variable) else 2
+    def _rank(side: Side) -> tuple[int, bool]:
+        """Return how naturally this is the side that has bounds, the best first; what is no variable may be it, too."""
+        if side.kind in ("box", "zero"):
+            return (0 if side.kind == "box" else NO_VARIABLE), False
+        if (single := single_entries(side.expression)) is None:
+            return (PLAIN if side.kind == "nonnegative" else NO_VARIABLE - 1), True
+        is_bounded = any(np.isfinite(bound).any() for bound in single[:2])
+        return preference(side, is_bounded, bool((single[2] == 1.0).all())), False
 
     def _variable(self, expression: Any) -> Any:
         """Return a variable that is the expression, column by column."""
@@ -107,6 +110,7 @@ def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, li
     """
     pairs = [StatedPair(one) for one in problem.constraints if isinstance(one, Complements)]
     others = [one for one in problem.constraints if not isinstance(one, Complements)]
+    warn_of_unbounded([pair.first for pair in pairs if pair.is_unbounded])
     if not problem.objective.is_dcp():
         sense = "minimise" if sense_of(problem) > 0.0 else "maximise"
         shape = "convex" if sense == "minimise" else "concave"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import FloatVector
-from ..errors import UnsupportedModel
+from ..errors import ModelWarning, UnsupportedModel
 from ..expressions.rows import as_matrix, is_definition
 from ._compat import attribute_bounds, attribute_expressions, dense
 from .assembly import Assembly, Function
@@ -99,13 +102,7 @@ class Builder(Assembly):
             return NO_VARIABLE
         columns, weights = single
         is_bounded = bool((np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any())
-        is_bare = isinstance(side.expression, cp.Variable)
-        if side.kind == "box":
-            return 0
-        if side.kind == "value":
-            return 1 if is_bounded and is_bare else 2 if is_bounded else 5 if is_bare else 6
-        # Of two inequalities the plainer one bounds the variable; with its attributes it must not quarrel.
-        return 3 if (weights == 1.0).all() and not is_bounded else 4
+        return preference(side, is_bounded, bool((weights == 1.0).all()))
 
     def _pair_variable(
         self, pair: Complements, side: Side, own: Function, other: Side, function: Function,
@@ -123,14 +120,14 @@ class Builder(Assembly):
         low, high = self.lower[columns], self.upper[columns]
         sign = np.where(positive, 1.0, -1.0)
         if other.kind == "nonnegative" and side.kind != "nonnegative":
-            sign = self._sign_of_inequality(pair, low, high)
+            sign = sign_of_inequality(pair, low, high)
         elif other.kind == "value" and side.kind == "nonnegative":
             sign = np.ones(columns.size)  # F ≥ 0 at a lower bound, F ≤ 0 at an upper one
         if other.kind == "zero" and (np.isfinite(low) | np.isfinite(high)).any():
             raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
         self.is_paired[columns] = True
         is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
-        if side.kind == other.kind == "value" and not is_bounded and not _states_bounds(side):
+        if side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
             self.unbounded.append(side)
         self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.rows.offset, side.expression))
 
@@ -145,17 +142,6 @@ class Builder(Assembly):
             if constraint is not None:
                 how = (sign, 0.0, None) if is_slack else value
                 self.reports.append(Report(constraint, columns, shape, is_slack, *how))
-
-    @staticmethod
-    def _sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
-        """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
-        has_low, has_high = np.isfinite(low), np.isfinite(high)
-        if (has_low == has_high).any():
-            raise UnsupportedModel(
-                f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the expression "
-                "alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
-            )
-        return np.where(has_low, 1.0, -1.0)
 
     def _tighten(self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector) -> None:
         """Set the bounds of the columns; the attributes of a variable may repeat them, not contradict them."""
@@ -235,6 +221,28 @@ def _residual_of_values(pair: Complements, values: list[Any]) -> FloatVector:
     return residual
 
 
+def preference(side: Side, is_bounded: bool, is_plain: bool) -> int:
+    """Return how naturally a side whose rows are entries of variables is the one that has bounds, 0 best."""
+    if side.kind == "box":
+        return 0
+    if side.kind == "value":
+        is_bare = isinstance(side.expression, cp.Variable)
+        return 1 if is_bounded and is_bare else 2 if is_bounded else 5 if is_bare else 6
+    # Of two inequalities the plainer one bounds the variable; with its attributes it must not quarrel.
+    return 3 if is_plain and not is_bounded else PLAIN
+
+
+def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
+    """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
+    has_low, has_high = np.isfinite(low), np.isfinite(high)
+    if (has_low == has_high).any():
+        raise UnsupportedModel(
+            f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the expression "
+            "alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
+        )
+    return np.where(has_low, 1.0, -1.0)
+
+
 def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
     """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
     builder = Builder([expression], {})
@@ -245,7 +253,7 @@ def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVect
     return builder.lower[columns], builder.upper[columns], weights, np.broadcast_to(function.rows.offset, weights.shape)
 
 
-def _states_bounds(side: Side) -> bool:
+def states_bounds(side: Side) -> bool:
     """Return whether some variable below the side has bounds, be they infinite."""
     names = ("nonneg", "nonpos", "pos", "neg", "bounds")
     return any(variable.attributes.get(name) for variable in side.expression.variables() for name in names)
@@ -270,3 +278,22 @@ def pair_residual(pair: Complements) -> FloatVector | None:
     x, low, high = z[columns], builder.lower[columns], builder.upper[columns]
     residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
     return residual
+
+
+def warn_of_unbounded(sides: Sequence[Side]) -> None:
+    """Warn of sides that are paired as if they had bounds, and have none."""
+    for side in sides:
+        warnings.warn(
+            f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
+            "nonneg=True, or write F == 0 if that is what is meant",
+            ModelWarning, stacklevel=_level_of_caller(),
+        )
+
+
+def _level_of_caller() -> int:
+    """Return the stacklevel at which somebody else's code called this package, or cvxpy, which called it."""
+    own = {__package__.partition(".")[0], cp.__name__}
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
+        frame, level = frame.f_back, level + 1
+    return level

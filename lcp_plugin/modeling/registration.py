@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import warnings
 import weakref
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..errors import ModelWarning, UnsupportedModel
+from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
 from ..settings import Status
@@ -31,7 +30,7 @@ from ._compat import (
     statistics,
 )
 from .assembly import solve_from
-from .builder import Builder
+from .builder import Builder, warn_of_unbounded
 from .constraint import Complements, box, complements
 from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
@@ -180,22 +179,8 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
                 f"complements({constraint}, F >= 0)"
             )
-    for side in builder.unbounded:
-        warnings.warn(
-            f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
-            "nonneg=True, or write F == 0 if that is what is meant",
-            ModelWarning, stacklevel=_level_of_caller(),
-        )
+    warn_of_unbounded(builder.unbounded)
     return builder.finished()
-
-
-def _level_of_caller() -> int:
-    """Return the stacklevel at which somebody else's code called this package, or cvxpy, which called it."""
-    own = {__package__.partition(".")[0], cp.__name__}
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
-        frame, level = frame.f_back, level + 1
-    return level
 
 
 _memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.WeakKeyDictionary()

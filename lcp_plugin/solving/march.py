@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..algorithms import Algorithm, FusedSolve
 from ..algorithms.active_sets.banded import Banded
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, check_kind, checked_vector, is_number, real_array
+from ..checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ..matrix.structure import parts
@@ -29,44 +29,100 @@ BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing be
 class March(Results[Result]):
     """The results of a march in time, in order; each is put together when it is looked at.
 
+    Parameters
+    ----------
+    problem, forcing, carry, z0
+        What :func:`march` was given, the carry as a CSR array; they are read again where an answer was not kept.
+    keep_every : int
+        How many steps there are from one kept answer to the next. The last one is kept, too.
+    again : callable
+        Called with a part of the forcing and a z0, marches there once more.
+
     Attributes
     ----------
-    z : list of ndarray, shape (n,)
-        The answer of each step.
     all_solved : bool
         Whether every step that was taken is SOLVED, and none was refused or interrupted.
     error : LCPError or None
         What was wrong with the q of the step that ended the march.
     """
 
-    def __init__(self) -> None:
-        self.z: list[FloatVector] = []
+    def __init__(
+        self, problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
+        again: Callable[..., March],
+    ) -> None:
+        self.problem, self.forcing, self.carry, self.z0, self.keep_every = problem, forcing, carry, z0, keep_every
         self.all_solved = True
         self.error: LCPError | None = None
-        self._results: list[Result | Callable[[], Result]] = []
+        self._again, self._count = again, 0
+        self._part: tuple[int, March] | None = None
+        self._kept: dict[int, FloatVector] = {}
+        self._results: dict[int, Result | Callable[[], Result]] = {}
+
+    @property
+    def z(self) -> Sequence[FloatVector]:
+        """The answer of each step, a sequence of arrays of shape (n,)."""
+        return _Answers(self)
 
     def at(self, k: int) -> Result:
         """Return the result of step k."""
-        found = self._results[k]
+        found = self._results.get(k)
+        if found is None:
+            first, part = self.part(k)
+            return part.at(k - first)
         if not isinstance(found, Result):
             found = self._results[k] = found()
         return found
 
+    def part(self, k: int) -> tuple[int, March]:
+        """Return the number of a step, and the march that goes from there over step k to the next answer kept.
+
+        It is taken once more where the answers between were not kept; that of the last call is remembered.
+        """
+        if self.keep_every == 1:
+            return 0, self
+        first = k - k % self.keep_every
+        if self._part is None or self._part[0] != first:
+            state = self._kept[first - 1] if first else self.z0
+            self._part = first, self._again(self.forcing[first : min(first + self.keep_every, len(self))], z0=state)
+        return self._part
+
     def __len__(self) -> int:
-        return len(self._results)
+        return self._count
 
     def __repr__(self) -> str:
         end = f"; ended by {self.error}" if self.error else "" if self.all_solved else "; the last one is not solved"
         return f"March({len(self)} steps{end})"
 
     def _take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
-        self.z.append(z)
-        self._results.append(result)
+        last, self._count = self._count - 1, self._count + 1
+        if self.keep_every > 1:
+            self._results.pop(last, None)  # it would keep the vectors of all steps of its block
+            if self._count % self.keep_every != 1:
+                self._kept.pop(last, None)
+            z = read_only(z.copy())
+        self._kept[last + 1], self._results[last + 1] = z, result
+
+
+class _Answers(Results[FloatVector]):
+    """The z of the steps of a march; one that was not kept is computed once more."""
+
+    def __init__(self, march: March) -> None:
+        self._march = march
+
+    def at(self, k: int) -> FloatVector:
+        kept = self._march._kept.get(k)
+        if kept is None:
+            first, part = self._march.part(k)
+            return part._kept[k - first]
+        return kept
+
+    def __len__(self) -> int:
+        return len(self._march)
 
 
 def march(
     problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, **wishes: Any,
+    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
     """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
 
@@ -83,6 +139,9 @@ def march(
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
         In seconds, for the whole march: the step under way then is the last one.
+    keep_every : int
+        Of so many answers one stays in memory, and the last. The others are computed once more when they are looked at,
+        from the kept one before, so that what is given must not change: √k of k steps take the least memory.
     algorithm, **wishes
         What else :func:`lcp_plugin.solve` takes, for each step.
 
@@ -114,10 +173,14 @@ def march(
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
+    if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
+        raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
     (policy, settings), limit = asked_of_solve(algorithm, wishes), Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
     clock, is_unobserved = Clock(problem.communicator), settings.is_unobserved and wishes.get("callback") is None
-    done = March()
+    quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
+    again = partial(march, problem, carry=rows, algorithm=algorithm, **quiet)
+    done = March(problem, offsets, rows, state, int(keep_every), again)
     while len(done) < len(offsets) and done.all_solved:
         before = len(done)
         try:

@@ -132,6 +132,24 @@ def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> N
         assert (following(problem, unsteady) is not None) == is_asked
 
 
+@pytest.mark.parametrize(("scene", "expected"), [
+    ("obstacle_2d:size=100", ["npsor", "multigrid"]), ("obstacle_2d:size=40", ["npsor", "psor"]),
+    ("paper_example_1:n=10000,delta=0.003", ["npsor", "multigrid"]),
+    ("paper_example_1:n=10000,delta=0.03", ["npsor", "psor"]),
+])
+def test_large_free_regions_are_not_swept(scene: str, expected: list[str]) -> None:
+    """The first sweeps are quick, yet no trial of psor comes where errors constant on what is free are slow."""
+    assert names(solve(gallery.parse(scene).problem)) == expected
+
+
+def test_from_a_start_near_the_answer_sweeps_go_on() -> None:
+    """Where the residual has little to fall, a local error is swept away, however large the free region is."""
+    problem = gallery.build("obstacle_2d", size=100).problem
+    z = solve(problem, tolerance=1e-12).z.copy()
+    z[5050] += 1e-7 * np.abs(z).max()
+    assert names(solve(problem, z0=z)) == ["npsor"]
+
+
 def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_ten() -> None:
     """On dense M npsor is asked at every sweep: at rate 0.2 eleven more would converge, and later nine."""
     for iterations, goes_on in ((1, False), (3, True)):

@@ -26,6 +26,12 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 | of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
+The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
+the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
+factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
+below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in
+the plane the residual falls as 1/k². That is the least that npsor is reckoned to need.
+
 A sweep costs its pass and the calls around it, as much as 10 000 entries more: so `banded` and the direct methods
 are reckoned on small M. psor's rate is that of all its sweeps, since each trial of a relaxation raises the residual.
 What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
@@ -56,6 +62,7 @@ from ..algorithms.splittings.projected_type import NPSOR
 from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
+from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from ..settings import OF_SOLVE
 from .direct_methods import Retries, Turns
@@ -170,6 +177,8 @@ class Auto(Policy):
         if not (failed or _is_asked(problem, now)):
             return None
         name, sweeps = now.algorithm.name, math.inf if failed else now.steps_to_go(target)
+        if isinstance(now.algorithm, NPSOR) and problem.n > DIRECT_UP_TO and not problem.is_dense:
+            sweeps = max(sweeps, _least_sweeps(problem, now, target))
         needs = f"{name} needs {sweeps:.0f} more sweeps" if sweeps < math.inf else f"{name} does not get nearer"
         needs = f"{name} came to an end" if failed else needs
         if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
@@ -259,6 +268,20 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
         return k >= TRIAL_SWEEPS_DENSE
     is_trial_over = k >= TRIAL_SWEEPS and (k - TRIAL_SWEEPS) % ASKED_EVERY == 0
     return is_trial_over or (SHORTEST_TRIAL <= k < TRIAL_SWEEPS and now.is_steady())
+
+
+def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
+    """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
+    if now.z is None or not now.residuals or not target > 0.0:
+        return 0.0
+    gain, is_free = now.residuals[-1][1] / target, (problem.lower < now.z) & (now.z < problem.upper)
+    with np.errstate(all="ignore"):
+        sums, diagonal = (problem.csr @ is_free)[is_free], problem.diagonal[is_free]
+        slowest = max(0.5 * (math.pi * sums.sum() / diagonal.sum()) ** 2, (sums / diagonal).min(initial=1.0))
+    is_far = gain > 1.0 and 0.0 < slowest < 1.0
+    if not (is_far and has_symmetric_entries(problem.matrix)):
+        return 0.0
+    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

@@ -56,7 +56,7 @@ class Stage:
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
     several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
-    steps have said their residuals may rise for a while.
+    steps have said their residuals may rise for a while; `z` is the latest iterate, as long as the stage lasts.
     """
 
     algorithm: Algorithm
@@ -67,6 +67,7 @@ class Stage:
     remark: str = ""
     least_residual: float = 0.0
     settles: bool = False
+    z: FloatVector | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)
 

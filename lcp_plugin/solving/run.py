@@ -269,13 +269,15 @@ class RunState:
 
     def open(self, stage: Stage) -> None:
         """Begin a stage."""
+        if self.stages:
+            self.stages[-1].z = None
         self.stages.append(stage)
         self._is_first = True
 
     def enter(self, step: Step, seconds: float) -> bool:
         """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
         stage, is_first = self.stages[-1], self._is_first
-        self.seconds = seconds
+        self.seconds, stage.z = seconds, step.z
         self.work += step.work
         stage.take(step.label, 0 if is_first else 1, step.work)
         stage.remark = step.remark or stage.remark

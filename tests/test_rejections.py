@@ -365,6 +365,7 @@ BAD_VALUES: dict[str, list[Any]] = {
     "splitting": ["diag", ""],
     "smoother": ["PGS", "", 1, None],
     "nested": [None, 1, "yes"],
+    "hands_over": [None, 1, "yes"],
     "coarsest": [0, -1, 2.5, True, "x"],
     "max_pivots": [-1, 2.5, NAN, True, "x", [1]],
     "restarts": [-1, 2.5, NAN, True, "x", [1]],

@@ -36,6 +36,9 @@ class Multigrid(Algorithm):
         Whether to begin on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
         A grid with at most so many unknowns is not made coarser, ≥ 1.
+    hands_over : bool
+        Whether to end where three rounds of cycles and sweeps gain little, so that another method takes over, although
+        the energy still falls; as `auto` has it.
 
     Notes
     -----
@@ -43,10 +46,12 @@ class Multigrid(Algorithm):
     too far); columns may have any units. Unknowns at a bound are taken out of all grids, and a coarse row is computed
     again only where that changes it. Where the free set hardly changes and a cycle gains less than a factor 10, a few
     steps of conjugate gradients (M symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle
-    each. A correction that raises the energy (M symmetric) is shortened; where the residual grows a hundredfold, or no
-    longer falls and the energy neither, plain projected Gauss–Seidel sweeps from the best iterate take over for a
-    while. The run ends where three such rounds gain nothing. Where coarser grids would cost too much there are sweeps
-    only, as long as they contract.
+    each. A correction that raises the energy (M symmetric) is shortened. Where the residual grows a hundredfold, the
+    energy rises all the same, or neither has fallen enough for twelve cycles, projected Gauss–Seidel sweeps from the
+    last accepted iterate take over for a while: with this safeguard the run converges on every symmetric positive
+    definite M, from any start, whatever the corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the
+    proof). It ends where three such rounds gain nothing but rounding; without symmetry, where they gain little. Where
+    coarser grids would cost too much there are sweeps only.
 
     Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.
     They are in double on ranks, where diagonal entries lie too far apart, where M is so near to a singular matrix that
@@ -74,7 +79,7 @@ class Multigrid(Algorithm):
 
     name: ClassVar[str] = "multigrid"
     assumption: ClassVar[str] = "positive diagonal"
-    converges_on: ClassVar[str] = "–"
+    converges_on: ClassVar[str] = "SPD"
     cost: ClassVar[str] = "about 10 passes"
     reference: ClassVar[str] = (
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
@@ -86,15 +91,27 @@ class Multigrid(Algorithm):
     relaxation: float = 1.7
     nested: bool = True
     coarsest: int = 60
+    hands_over: bool = False
 
     def __post_init__(self) -> None:
         check_choice(self, "smoother", SMOOTHERS)
         check_positive(self, "relaxation")
-        if not isinstance(self.nested, bool):
-            raise InvalidOption(f"multigrid: nested must be True or False, got {self.nested!r}")
+        for option in ("nested", "hands_over"):
+            if not isinstance(value := getattr(self, option), bool):
+                raise InvalidOption(f"multigrid: {option} must be True or False, got {value!r}")
         is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
+
+    def theorem(self, problem: LCP) -> str | None:
+        """Return the theorem on symmetric positive definite matrices; nothing where the run may hand over."""
+        from ..matrix import analyze
+
+        require_positive_diagonal(problem, self.name)
+        report = analyze(problem)
+        if self.hands_over or not (report.is_symmetric and report.is_positive_definite):
+            return None
+        return "M is symmetric positive definite: no accepted iterate raises the energy for good (Gräser, Kornhuber 2009)"
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return about what a run costs: as many passes whatever n is, and its calls."""

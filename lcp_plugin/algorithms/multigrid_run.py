@@ -18,6 +18,7 @@ from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .base import Step
 from .multigrid_problem import GridProblem
+from .multigrid_safeguard import GAINED, Safeguard
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
@@ -32,14 +33,9 @@ SETTLED = 1e-3  # share of the unknowns that may still change sides while they d
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
-PATIENCE = 12  # cycles without a new best residual
-OUT_OF_HAND = 100.0  # times the best residual, which no patience is for
 FALL_BACK_SWEEPS = 20
-GAINED = 0.5  # a round of cycles and sweeps that reduces the best residual by less has failed
-MOST_FAILED_ROUNDS = 3
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
-NOTEWORTHY_ENERGY = 1e-10  # relative, over PATIENCE cycles: it falls where the residual of stiff rows does not
 
 
 class MultigridRun:
@@ -64,7 +60,6 @@ class MultigridRun:
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
         self.size = self.communicator.total(finest.n)
         self.entries = max(self.communicator.total(finest.matrix.data.size), 1.0)
-        self.energy = np.inf
 
     def iterates(self, start: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
@@ -81,7 +76,7 @@ class MultigridRun:
         begun = self._residual(z)
         yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
         if not self.hierarchy.is_helpful:
-            yield from self._sweeps_alone(z)
+            yield from self._sweeps_alone(z, begun)
             return
         start = z.copy()
         if not is_cold:  # the start may be much better than what the first cycle makes of it
@@ -181,40 +176,32 @@ class MultigridRun:
 
     # --- the finest grid --------------------------------------------------------------------------------
 
-    def _cycles(self, z: FloatVector, best: float, best_z: FloatVector) -> Iterator[Step]:
-        """Yield cycles from z; where they fail go back to `best_z`, whose residual is at most `best`."""
+    def _cycles(self, z: FloatVector, begun: float, start: FloatVector) -> Iterator[Step]:
+        """Yield cycles from z; where they fail go back to what was accepted, at first `start`, of residual `begun`."""
         self.truncation.start_at(0)
-        fine = self.problems[0]
-        best_of_round = previous = np.inf
-        since = cycles = failed_rounds = 0
-        changed_before, crept = 0.0, 0
+        fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
+        previous, changed_before, cycles, crept = np.inf, 0.0, 0, 0
         may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
         nested_at = np.inf
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
             self.work += self.entries
-            if not largest <= OUT_OF_HAND * best:
-                np.copyto(z, best_z)
-                largest, since = best, PATIENCE
+            if is_lost := guard.is_out_of_hand(largest):
+                np.copyto(z, guard.z)
+                largest = guard.residual
             yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
-            since += 1
-            if largest < best:
-                best, since = largest, 0
-                np.copyto(best_z, z)
-            elif since >= PATIENCE and self._energy_fell(z):
-                since = 0
-            elif since >= PATIENCE:
+            is_lost = is_lost or not guard.lets_pass(z, largest)
+            self.work += guard.take_products() * self.entries
+            if is_lost:
+                previous = np.inf
                 if self._goes_on_in_double(z):
-                    previous, since = np.inf, 0
+                    guard.forget()
                     continue
-                failed_rounds = 0 if best < GAINED * best_of_round else failed_rounds + 1
-                if failed_rounds >= MOST_FAILED_ROUNDS:
-                    return
-                np.copyto(z, best_z)
+                np.copyto(z, guard.z)
                 yield from self._fall_back(z)
-                best_of_round, best, previous, since = best, self._residual(z), np.inf, 0
-                np.copyto(best_z, z)
+                if not guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over):
+                    return
                 continue
             is_slow = cycles >= 1 and largest > SLOW * previous
             crept = crept + 1 if changed > CREEPING * changed_before else 0
@@ -250,18 +237,6 @@ class MultigridRun:
             self._nested_start(z, is_cold=True)
             self.truncation.start_at(0)
         return True
-
-    @np.errstate(all="ignore")
-    def _energy_fell(self, z: FloatVector) -> bool:
-        """Return whether M is symmetric and ½ zᵀMz + qᵀz noticeably less than when last asked."""
-        if not self.is_symmetric:
-            return False
-        own = z[: self.problem.q.size]
-        self.work += self.entries
-        energy = 0.5 * self.communicator.total(dot(own, self.problem.slack(own) + self.problem.q))
-        fell = energy < self.energy - NOTEWORTHY_ENERGY * abs(energy)
-        self.energy = min(self.energy, energy)
-        return fell
 
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
@@ -350,16 +325,13 @@ class MultigridRun:
 
     # --- without coarser grids --------------------------------------------------------------------------
 
-    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
-        """Yield sweeps as long as they contract: multigrid is no help for this matrix."""
-        before = np.inf
-        while True:
-            for _ in range(FALL_BACK_SWEEPS):
-                change = self.problems[0].gauss_seidel(z)
-                yield Step(z, increment=change, work=1.0)
-            if not change < GAINED * before:
-                return
-            before = change
+    def _sweeps_alone(self, z: FloatVector, begun: float) -> Iterator[Step]:
+        """Yield sweeps as long as they gain: multigrid is no help for this matrix."""
+        guard = Safeguard(self.problem, self.is_symmetric, z, begun)
+        while guard.failed_rounds == 0:
+            yield from self._fall_back(z)
+            guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
+            self.work += guard.take_products() * self.entries
 
     def _fall_back(self, z: FloatVector) -> Iterator[Step]:
         for _ in range(FALL_BACK_SWEEPS):

@@ -126,7 +126,9 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
         assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
 
 
-@pytest.mark.parametrize("name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded", "multigrid"))])
+@pytest.mark.parametrize(
+    "name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded", "multigrid"))]
+)
 @pytest.mark.parametrize(
     "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
 )

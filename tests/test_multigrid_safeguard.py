@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -92,7 +93,7 @@ def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, 
     assert solve(problem, "multigrid", coarsest=5, tolerance=1e-10).is_solved
     assert len(taken) > 3
     least = np.inf
-    for (before, _), (energy, residual) in zip(taken, taken[1:], strict=False):
+    for (before, _), (energy, residual) in pairwise(taken):
         assert energy <= before + 1e-12 * abs(before) or residual < 0.9 * least
         least = min(least, residual)
 

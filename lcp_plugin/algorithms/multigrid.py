@@ -111,7 +111,7 @@ class Multigrid(Algorithm):
         report = analyze(problem)
         if self.hands_over or not (report.is_symmetric and report.is_positive_definite):
             return None
-        return "M is symmetric positive definite: no accepted iterate raises the energy for good (Gräser, Kornhuber 2009)"
+        return "M is symmetric positive definite: the safeguard lets no energy rise for good (Gräser, Kornhuber 2009)"
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return about what a run costs: as many passes whatever n is, and its calls."""

@@ -75,7 +75,6 @@ CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-
 BLOCK = 2**14  # rows
 BANDED = Banded()
 PATHS = 2  # of pivots, on a linearisation
-MULTIGRID = create("multigrid", {"hands_over": True})
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
@@ -213,7 +212,7 @@ class AutoOnRanks(Policy):
 
     def first(self, problem: LCP) -> Choice:
         """Return multigrid, which needs about as many cycles whatever n is."""
-        return Choice(MULTIGRID)
+        return Choice(_multigrid())
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return PSOR where multigrid came to an end."""
@@ -254,8 +253,12 @@ def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
     if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
-        rivals += [MULTIGRID] if isinstance(now, (NPSOR, PSOR)) and not was_tried else []
+        rivals += [_multigrid()] if isinstance(now, (NPSOR, PSOR)) and not was_tried else []
     return [*rivals, create(DIRECT, {})]
+
+
+def _multigrid() -> Algorithm:
+    return create("multigrid", {"hands_over": True})
 
 
 def _is_asked(problem: LCP, now: Stage) -> bool:

@@ -71,7 +71,10 @@ if TYPE_CHECKING:
     from .solving.guarantees import convergence_guarantee as convergence_guarantee
     from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
     from .solving.least_squares import bounded_least_squares as bounded_least_squares
+    from .solving.march import March as March
     from .solving.march import march as march
+    from .solving.march_derivative import MarchDerivative as MarchDerivative
+    from .solving.march_derivative import MarchGradient as MarchGradient
     from .solving.nonlinear import solve_nonlinear as solve_nonlinear
     from .solving.program_batch import ProgramBatchResult as ProgramBatchResult
     from .solving.program_proofs import Certification as Certification
@@ -106,6 +109,9 @@ _HOME = {
     "ProgramBatchResult": "solving.program_batch",
     "solve_many": "solving.batch",
     "march": "solving.march",
+    "March": "solving.march",
+    "MarchDerivative": "solving.march_derivative",
+    "MarchGradient": "solving.march_derivative",
     "bounded_least_squares": "solving.least_squares",
     "LeastSquaresResult": "solving.least_squares",
     "ComplementarityProblem": "modeling.registration",

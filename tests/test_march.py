@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import pickle
 import tracemalloc
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from exact import LOWER, UPPER, exact_rows, solve_fractions
+from exact_derivatives import distance, exact, piece_at, product
 
-from lcp_plugin import LCP, InvalidOption, march
+from lcp_plugin import LCP, Derivative, InvalidOption, InvalidProblem, UnsuitableProblem, derivative, march, solve
+from lcp_plugin.kernels import banded_derivatives
+from lcp_plugin.kernels.compilation import compiling_at_once
 from lcp_plugin.solving.march import March
 
 # --- What is kept ---------------------------------------------------------------------------------------------
@@ -59,3 +64,281 @@ def test_what_keep_every_refuses() -> None:
     for wrong in (0, -3, 2.5, True, "all"):
         with pytest.raises(InvalidOption, match="keep_every must be an integer ≥ 1, got"):
             heated(3, 2, keep_every=wrong)
+
+
+# --- Derivatives ----------------------------------------------------------------------------------------------
+
+INF = np.inf
+EPSILON = np.finfo(np.float64).eps
+
+
+def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, sp.csr_array]:
+    """A box problem on a band that is not symmetric, and a carry on another one; M is an M-matrix where asked for."""
+    rng = np.random.default_rng(seed)
+
+    def banded(below: int, above: int) -> sp.csr_array:
+        offsets = [k for k in range(-below, above + 1) if k]
+        return sp.csr_array(sp.diags_array([rng.normal(size=n - abs(k)) for k in offsets], offsets=offsets))
+
+    M = banded(width, width + (0 if z else 1))
+    M = -abs(M) if z else M
+    M = sp.csr_array(M + sp.diags_array(1.0 + abs(M).sum(axis=1)))
+    carry = sp.csr_array(banded(1, 2) - sp.eye_array(n))
+    lower, upper = -rng.uniform(0.0, 0.6, n), rng.uniform(0.0, 0.6, n)
+    lower[::5], upper[1::5] = -INF, INF
+    lower[3] = upper[3] = 0.1
+    return LCP(M, np.zeros(n), lower=lower, upper=upper), carry
+
+
+def marched(problem: LCP, carry: sp.csr_array, k: int, seed: int, **options: Any) -> March:
+    rng = np.random.default_rng(seed)
+    return march(problem, rng.normal(size=(k, problem.n)), carry, z0=rng.normal(size=problem.n), **options)
+
+
+def stacked(done: March) -> Derivative:
+    """The derivative of the whole march as one problem: all steps below each other, M on the diagonal, C below it."""
+    k, problem = len(done), done.problem
+    M = sp.csr_array(sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.carry))
+    q = np.array(done.forcing)
+    q[0] += done.carry @ done.z0
+    return derivative(
+        solve(LCP(M, q.ravel(), lower=np.tile(problem.lower, k), upper=np.tile(problem.upper, k)), tolerance=1e-13)
+    )
+
+
+CASES = {
+    "tridiagonal M-matrix": lambda: marched(*drawn(20, 1, z=True), 6, 1),
+    "band": lambda: marched(*drawn(24, 2, width=2), 5, 2),
+    "kept apart": lambda: marched(*drawn(24, 2, width=2), 7, 2, keep_every=3),
+    "psor": lambda: marched(*drawn(20, 3, z=True), 5, 3, algorithm="psor", tolerance=1e-13),
+    "dense": lambda: marched(LCP(grid(3).toarray(), np.zeros(9), lower=-0.2, upper=0.3), drawn(9, 4)[1], 4, 4),
+    "one by one": lambda: marched(LCP(grid(6), np.zeros(36), lower=-0.2, upper=0.3), -sp.csr_array(grid(6).T), 3, 5),
+    "a wide band": lambda: marched(*drawn(40, 6, width=35), 3, 6),
+}
+
+
+def grid(m: int) -> sp.csr_array:
+    """A five-point stencil with a drift, its rows in an order with no band."""
+    line = sp.diags_array([-1.0, 2.2, -0.8], offsets=[-1, 0, 1], shape=(m, m))
+    rows = np.random.default_rng(0).permutation(m * m)
+    return sp.csr_array(sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))[rows][:, rows])
+
+
+def change_of(done: March, seed: int) -> dict[str, Any]:
+    """A direction in everything that a march has for data."""
+    rng, n = np.random.default_rng(seed), done.problem.n
+    move = rng.normal(size=n)
+    return {
+        "dM": sp.random_array((n, n), density=0.3, rng=rng), "dcarry": rng.normal(size=(n, n)),
+        "dforcing": rng.normal(size=(len(done), n)), "dz0": rng.normal(size=n), "dlower": move, "dupper": move,
+    }
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
+    """Forwards: dz of all steps is that of the steps stacked into one problem, solved without a march."""
+    done = CASES[case]()
+    k, n, change = len(done), done.problem.n, change_of(done, 7)
+    dq = np.array(change["dforcing"])
+    dq[0] += change["dcarry"] @ done.z0 + done.carry @ change["dz0"]
+    expected = stacked(done).jvp(
+        dM=sp.kron(sp.eye_array(k), change["dM"]) + sp.kron(sp.eye_array(k, k=-1), change["dcarry"]), dq=dq.ravel(),
+        dlower=np.tile(change["dlower"], k), dupper=np.tile(change["dupper"], k),
+    ).reshape(k, n)
+    found = derivative(done)
+    held = [(one.free.sum() > 0, one.free.sum() < n) for one in found]
+    assert all(map(all, held))
+    np.testing.assert_allclose(found.jvp(**change), expected, rtol=0, atol=1e-11 * abs(expected).max())
+    np.testing.assert_array_equal(found.jvp(**change, only_last=True), found.jvp(**change)[-1])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
+    """⟨g, dz⟩ is what the gradients by M, forcing, carry, z0 and bounds say, for all steps and the last one alone."""
+    done = CASES[case]()
+    found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
+    change["dM"] = sp.csr_array(done.problem.csr * rng.normal(size=done.problem.csr.shape))  # on the patterns
+    change["dcarry"] = sp.csr_array(done.carry * rng.normal(size=done.carry.shape))
+    dz = found.jvp(**change)
+    for g in (rng.normal(size=dz.shape), rng.normal(size=done.problem.n)):
+        gradient = found.vjp(g)
+        assert gradient.M.nnz == done.problem.csr.nnz
+        assert gradient.carry.nnz == done.carry.nnz
+        terms = [
+            gradient.M.multiply(change["dM"]).sum(), gradient.carry.multiply(change["dcarry"]).sum(),
+            (gradient.forcing * change["dforcing"]).sum(), gradient.z0 @ change["dz0"],
+            gradient.lower @ change["dlower"], gradient.upper @ change["dupper"],
+        ]
+        expected = (g * dz).sum() if g.ndim == 2 else g @ dz[-1]
+        assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
+
+
+def test_gradients_are_those_of_differences() -> None:
+    """Of M, forcing, carry, z0 and the bounds, each by central differences of whole marches."""
+    done = marched(*drawn(15, 11), 6, 12)
+    problem, rng = done.problem, np.random.default_rng(1)
+    g = rng.normal(size=(6, 15))
+    gradient = derivative(done).vjp(g)
+
+    def loss(**moved: Any) -> float:
+        data = {"M": problem.csr, "lower": problem.lower, "upper": problem.upper, "forcing": done.forcing,
+                "carry": done.carry, "z0": done.z0, **moved}
+        again = LCP(data["M"], np.zeros(15), lower=data["lower"], upper=data["upper"])
+        return float((g * np.array(march(again, data["forcing"], data["carry"], z0=data["z0"]).z)).sum())
+
+    for name, at in (("M", problem.csr), ("carry", done.carry), ("forcing", done.forcing), ("z0", done.z0)):
+        step = at.copy() if not sp.issparse(at) else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
+        step = rng.normal(size=at.shape) if not sp.issparse(at) else step
+        slope = (loss(**{name: at + 1e-6 * step}) - loss(**{name: at - 1e-6 * step})) / 2e-6
+        by = getattr(gradient, name)
+        assert slope == pytest.approx((by.multiply(step) if sp.issparse(by) else by * step).sum(), rel=1e-6)
+    shift = rng.normal(size=15)
+    slope = (loss(lower=problem.lower + 1e-6 * shift, upper=problem.upper + 1e-6 * shift)
+             - loss(lower=problem.lower - 1e-6 * shift, upper=problem.upper - 1e-6 * shift)) / 2e-6
+    assert slope == pytest.approx((gradient.lower + gradient.upper) @ shift, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
+    """Each step's change, in fractions from exact data to exact dz, is what jvp says to rounding."""
+    rng = np.random.default_rng(seed)
+    n, k = 4, 3
+    M = sp.csr_array(np.tril(np.triu(rng.integers(-3, 4, (n, n)), -1), 1) + 8 * np.eye(n))
+    carry = sp.csr_array(rng.integers(-4, 5, (n, n)) / 2.0)
+    problem = LCP(M, np.zeros(n), lower=-0.25, upper=[0.5, INF, 0.75, 0.5])
+    done = march(problem, rng.integers(-9, 10, (k, n)) / 2.0, carry, z0=[1.0, -1.0, 0.5, 0.25])
+    found, change = derivative(done), change_of(done, seed)
+    dM, dcarry = np.asarray(change["dM"].todense()), change["dcarry"]
+    of_carry, dz = exact_rows(done.carry.toarray()), [found.jvp(**change)]
+    z, moved = exact(done.z0), exact(change["dz0"])
+    for step, answer in enumerate(dz[0]):
+        q = [a + b for a, b in zip(exact(done.forcing[step]), product(of_carry, z), strict=True)]
+        dq = [sum(parts) for parts in zip(exact(change["dforcing"][step]), product(exact_rows(dcarry), z),
+                                          product(of_carry, moved), strict=True)]
+        piece = piece_at(problem, done.z[step], found[step].free)
+        M_of = piece.M
+        ends = {-1: problem.lower, 1: problem.upper}
+        states = [(-1 if s == LOWER else 1 if s == UPPER else 0) for s in piece.states]
+        free = [i for i in range(n) if not states[i]]
+
+        def completed(x: list[Any], right: list[Any], M_of: Any = M_of, free: list[int] = free) -> list[Any]:
+            rest = [-right[i] - sum(M_of[i][j] * x[j] for j in range(n)) for i in free]
+            for i, value in zip(free, solve_fractions([[M_of[i][j] for j in free] for i in free], rest), strict=True):
+                x[i] = value
+            return x
+
+        z = completed([Fraction(float(ends[s][i])) if s else Fraction(0) for i, s in enumerate(states)], q)
+        right = [a + b for a, b in zip(product(exact_rows(dM), z), dq, strict=True)]
+        moves = {-1: change["dlower"], 1: change["dupper"]}
+        moved = completed([Fraction(float(moves[s][i])) if s else Fraction(0) for i, s in enumerate(states)], right)
+        assert distance(answer, moved) <= 1e-13
+
+
+def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
+    """A row with z = lower and w = 0: changes are one-sided, gradients those of the piece that holds it."""
+    rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
+    forcing = np.zeros((3, 40))
+    forcing[:, :10] = -1.0
+    forcing[1, 30] = 1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
+    wide = march(rod, forcing, carry=0.0)
+    still = march(rod, np.zeros((3, 40)))
+    found = derivative(still)
+    assert (found.is_unique, len(found.degenerate)) == (False, 120)
+    up = found.jvp(dforcing=np.full(40, -1.0))
+    assert (up[0] > 0.0).all()
+    assert not found.jvp(dforcing=np.full(40, 1.0)).any()
+    assert not found.vjp(np.ones(40)).forcing.any()
+    assert np.array_equal(found.vjp(np.ones((3, 40))).lower, np.full(40, 3.0))
+    assert derivative(wide).jvp(dforcing=forcing).shape == (3, 40)
+    assert derivative(marched(*drawn(20, 1, z=True), 6, 1)).is_unique is True
+
+
+def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
+    """A row nearly at a kink is left by the compiled loop, in the middle of others, and all agree with one problem."""
+    problem, carry = drawn(20, 1, z=True)
+    done = marched(problem, carry, 6, 1)
+    forcing = np.array(done.forcing)
+    w = done[3].w
+    held = int(np.argmax((done.z[3] == problem.lower) & (problem.lower < problem.upper)))
+    forcing[3, held] -= w[held] - 2e-15  # z stays, and w is rounding
+    near = march(problem, forcing, carry, z0=done.z0)
+    found = derivative(near)
+    plain = np.concatenate([part.is_plain for part in found._parts()])
+    assert plain.tolist() == [True, True, True, False, True, True]
+    g = np.random.default_rng(0).normal(size=(6, 20))
+    gradient, change = found.vjp(g), change_of(near, 3)
+    assert np.isfinite(found.jvp(**change)).all()
+    left, by_z = gradient.z0, np.zeros(20)
+    for k in range(5, -1, -1):
+        by_z = carry.T @ found[k].vjp(g[k] + by_z).q
+    np.testing.assert_allclose(left, by_z, rtol=1e-11)
+
+
+def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
+    """One step: vjp and jvp are those of Derivative, by the same names, M and bounds included."""
+    done = marched(*drawn(30, 5), 1, 3)
+    found, alone, g = derivative(done), derivative(done[0]), np.random.default_rng(0).normal(size=30)
+    ours, theirs = found.vjp(g), alone.vjp(g)
+    for name in ("lower", "upper", "M"):
+        one, other = (getattr(gradient, name) for gradient in (ours, theirs))
+        assert abs(one - other).max() <= 1e-13 * abs(other).max()
+    np.testing.assert_allclose(ours.forcing[0], theirs.q, atol=1e-14)
+    np.testing.assert_array_equal(found[0].z, alone.z)
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"dz0": np.zeros(2)}, "dz0 must be"),
+    ({"dforcing": np.zeros((2, 5))}, r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps"),
+    ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
+    ({"dM": np.eye(4)}, "dM must be"),
+    ({"dcarry": np.eye(4)}, "dcarry must be"),
+    ({"dlower": np.inf}, "dlower must be a finite"),
+])
+def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
+    """Changes of another shape, or not finite; and marches that did not get to their end."""
+    found = derivative(heated(5, 4))
+    with pytest.raises(InvalidProblem, match=message):
+        found.jvp(**given)
+
+
+def test_what_has_no_derivative() -> None:
+    """A g of another shape; a march that was not solved to its end; what is no result at all."""
+    with pytest.raises(InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"):
+        derivative(heated(5, 4)).vjp(np.zeros((3, 5)))
+    with pytest.raises(InvalidProblem, match=r"but g\[2\] is not"):
+        derivative(heated(5, 4)).vjp([0.0, 0.0, np.nan, 0.0, 0.0])
+    cut = heated(5, 4, algorithm="psor", max_iterations=0)
+    with pytest.raises(UnsuitableProblem, match=r"only a march solved to its end.* 1 of 4 steps, and step 0 ended"):
+        derivative(cut)
+    overflown = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, carry=-1e200)
+    with pytest.raises(UnsuitableProblem, match="it took 2 of 3 steps, and step 1 q must be"):
+        derivative(overflown)
+
+
+def test_a_march_without_steps_has_a_derivative() -> None:
+    """Of no steps at all: no changes, and gradients that are 0."""
+    found = derivative(march(LCP(np.eye(3), np.zeros(3)), np.zeros((0, 3))))
+    assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
+    assert not found.vjp(np.zeros((0, 3))).z0.any()
+
+
+def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
+    """Marches and directions of any layout, kept or not, with compiled code for one kind of arrays; the same bits."""
+    done, kernel = marched(*drawn(40, 1, z=True), 30, 1), banded_derivatives
+    change, g = change_of(done, 1), np.random.default_rng(0).normal(size=(30, 40))
+    with compiling_at_once():
+        first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)
+        compiled = [kernel.settle, kernel.adjoints, kernel.tangents]
+        before = [len(one.signatures) for one in compiled]
+        steady = march(done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.carry, z0=done.z0)
+        derivative(steady).vjp(g[0])
+        derivative(steady).jvp(dforcing=g[0], dcarry=2.0, only_last=True)
+        change["dforcing"] = np.asfortranarray(change["dforcing"])
+        again = marched(*drawn(40, 1, z=True), 30, 1, keep_every=7)
+        for found in (derivative(done), derivative(again)):
+            gradient = found.vjp(np.asfortranarray(g))
+            for name in ("z0", "lower", "upper", "forcing"):
+                np.testing.assert_allclose(getattr(gradient, name), getattr(first, name), rtol=0, atol=1e-12)
+            np.testing.assert_allclose(found.jvp(**change), dz, rtol=0, atol=1e-11)
+        assert derivative(done).vjp(g).forcing.tobytes() == first.forcing.tobytes()
+        assert [len(one.signatures) for one in compiled] == before

@@ -60,7 +60,9 @@ class ActiveRows(NamedTuple):
     system: FreeSystem | None
 
 
-def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
+def settled_rows(
+    problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
+) -> ActiveRows:
     """Return what each row of a solution does, after steps of the active-set method in twice the working precision.
 
     Where those settle nothing (the block of the free rows is singular, the rows are spread over ranks) the rows are
@@ -70,6 +72,8 @@ def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
     ----------
     z, w : array, shape (n,)
         A solution within some tolerance, and its slack.
+    system : FreeSystem, optional
+        Of a problem with the same M: it serves again where the free rows are the same.
 
     Examples
     --------
@@ -78,7 +82,7 @@ def settled_rows(problem: LCP, z: FloatVector, w: FloatVector) -> ActiveRows:
     >>> rows.free, rows.at_lower, rows.z
     (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
     """
-    settled = _settled(problem, z) if problem.communicator.is_alone else None
+    settled = _settled(problem, z, system) if problem.communicator.is_alone else None
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
     at, system, left = settled
@@ -101,13 +105,15 @@ def proven_rows(problem: LCP, bound: ErrorBound) -> tuple[BoolVector, BoolVector
 
 
 @np.errstate(all="ignore")
-def _settled(problem: LCP, z: FloatVector) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
+def _settled(
+    problem: LCP, z: FloatVector, system: FreeSystem | None
+) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
     """Return a point whose rows solve their own equations, with that system and about how far the solution may be.
 
     None where steps do not get there. Rows that are exactly degenerate may change sides for ever, by the rounding of
     others; the point stands still then, whichever side they are on.
     """
-    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL)
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
     for _ in range(STEPS):
         following = steps.next_point(at)

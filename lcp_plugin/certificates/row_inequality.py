@@ -211,12 +211,14 @@ class ActiveSetSteps:
     Attributes
     ----------
     system : FreeSystem
-        That of the last step.
+        That of the last step; at first that of another problem with the same M, if one is given.
     """
 
-    def __init__(self, problem: LCP, scale: FloatVector, *, goal: float = KRYLOV_GOAL) -> None:
+    def __init__(
+        self, problem: LCP, scale: FloatVector, *, goal: float = KRYLOV_GOAL, system: FreeSystem | None = None
+    ) -> None:
         self.problem, self.scale, self.goal = problem, scale, goal
-        self.system = FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
+        self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
 
     def next_point(self, at: RowInequality) -> RowInequality | None:
         """Return the inequality at the next point, or None where the step is not finite."""

@@ -27,6 +27,7 @@ from ..settings import checked_threads
 from ..solving.batch import solve_batch
 from ..solving.derivative import derivative
 from ..solving.driver import solve
+from ..solving.march import march
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
@@ -69,7 +70,11 @@ def _run(part: str) -> None:
         for problem, record in product((sparse, dense), (False, True)):  # fused, and step by step
             with suppress(LCPError):  # not every algorithm takes every matrix
                 solve(problem, name, record=record, max_iterations=20)
-    if part != "banded":
+    if part == "banded":
+        steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm=part))
+        steps.vjp(np.ones(sparse.n))
+        steps.jvp(dz0=np.ones(sparse.n))
+    else:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
     if part == "multigrid":

@@ -224,7 +224,7 @@ def _begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
+def add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
     """Add A x to y."""
     for i in range(y.size):
         total = 0.0
@@ -280,7 +280,7 @@ def run_all(  # type: ignore[no-untyped-def]
         if carry_indptr.size > 0 and k > 0:
             for i in range(n):
                 z[i] = Z[k - 1, i]
-            _add_product(carry_indptr, carry_indices, carry_data, z, q)
+            add_product(carry_indptr, carry_indices, carry_data, z, q)
             for i in range(n):
                 z[i] = min(max(z[i], low[i]), high[i])
         for i in range(n):

@@ -246,6 +246,8 @@ def _as_one_type(dispatcher: Any) -> Any:
 
 def _plain(kind: Any) -> Any:
     kind = cast(Any, types.unliteral)(kind)
+    if isinstance(kind, types.BaseTuple):
+        return types.BaseTuple.from_types(tuple(_plain(part) for part in kind.types))  # type: ignore[no-untyped-call, attr-defined]
     return kind.copy(readonly=False) if isinstance(kind, types.Array) and not kind.mutable else kind
 
 

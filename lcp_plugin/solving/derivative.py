@@ -36,6 +36,8 @@ from ..problem.lcp import LCP
 from .batch_derivative import BatchDerivative
 from .batch_run import BatchResult
 from .driver import solve
+from .march import March
+from .march_derivative import MarchDerivative
 from .result import Result
 
 
@@ -61,26 +63,28 @@ class Gradient(NamedTuple):
 def derivative(result: Result) -> Derivative: ...
 @overload
 def derivative(result: BatchResult) -> BatchDerivative: ...
-def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch.
+@overload
+def derivative(result: March) -> MarchDerivative: ...
+def derivative(result: Result | BatchResult | March) -> Derivative | BatchDerivative | MarchDerivative:
+    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch, or of a march.
 
     Parameters
     ----------
-    result : Result or BatchResult
+    result : Result or BatchResult or March
         SOLVED. What its run has built (the hierarchy of M) serves again, and M is read where it lies: do not change
         its entries between the solve and this.
 
     Returns
     -------
-    Derivative or BatchDerivative
+    Derivative or BatchDerivative or MarchDerivative
         Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
 
     Raises
     ------
     UnsuitableProblem
-        Where a Result is not SOLVED.
+        Where a Result is not SOLVED, or a march was not solved to its end.
     InvalidOption
-        Where it is neither.
+        Where it is none of these.
 
     Examples
     --------
@@ -97,14 +101,15 @@ def derivative(result: Result | BatchResult) -> Derivative | BatchDerivative:
     """
     if isinstance(result, BatchResult):
         return BatchDerivative(result, derivative)
+    if isinstance(result, March):
+        return MarchDerivative(result, Derivative)
     if not isinstance(result, Result):
         raise InvalidOption(
             f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
         )
     if not result.is_solved:
-        raise UnsuitableProblem(
-            f"only a solution has a derivative, and this run ended {result.status.name}: {result.advice}"
-        )
+        why = f"this run ended {result.status.name}: {result.advice}"
+        raise UnsuitableProblem(f"only a solution has a derivative, and {why}")
     certificate = result.certificate
     return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
 
@@ -119,6 +124,8 @@ class Derivative:
         Its solution and slack.
     is_linearised : bool
         Whether the problem is a nonlinear one near z: a change dF of F is dq then, and nothing is proved.
+    before : Derivative, optional
+        Of a problem with the same M: its factor serves again.
 
     Notes
     -----
@@ -129,9 +136,12 @@ class Derivative:
     There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
 
-    def __init__(self, problem: LCP, z: FloatVector, w: FloatVector, *, is_linearised: bool = False) -> None:
+    def __init__(
+        self, problem: LCP, z: FloatVector, w: FloatVector, *, is_linearised: bool = False,
+        before: Derivative | None = None,
+    ) -> None:
         self.problem, self.is_linearised = problem, is_linearised
-        self._found = z, w
+        self._found = z, w, None if before is None else before._rows.system
 
     @cached_property
     def _rows(self) -> ActiveRows:
@@ -230,10 +240,8 @@ class Derivative:
         rows, matrix = self._rows, self.problem.matrix
         if self._is_degenerate:
             return _one_sided(self.problem, rows, h, moved)
-        dz = np.where(rows.free, 0.0, moved)
-        right = -h
-        if self._somewhere(bool(dz.any())):
-            right -= matrix.rows @ matrix.whole(dz)
+        dz, right = np.where(rows.free, 0.0, moved), -h
+        right -= matrix.rows @ matrix.whole(dz) if self._somewhere(bool(dz.any())) else 0.0
         return dz + _solution(self._system, right)
 
     def jvp_bound(
@@ -281,8 +289,7 @@ class Derivative:
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        matrix = self.problem.matrix
-        product: FloatVector = matrix.rows @ matrix.whole(self._own_part(dz, "dz"))
+        product: FloatVector = self.problem.matrix.rows @ self.problem.matrix.whole(self._own_part(dz, "dz"))
         return product + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -335,13 +342,12 @@ class Derivative:
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
         """Return the change of the bound at which a row is, or would be."""
-        dlower = self._optional(dlower, "dlower", may_be_number=True)
-        dupper = self._optional(dupper, "dupper", may_be_number=True)
-        return np.where(self._rows.is_upper, dupper, dlower)
+        is_lower = ~self._rows.is_upper
+        return np.where(is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper"))
 
-    def _optional(self, values: ArrayLike | None, name: str, *, may_be_number: bool = False) -> FloatVector:
-        """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
-        if values is None or (may_be_number and np.ndim(values) == 0):
+    def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
+        """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
+        if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
             values = np.full(self.problem.own, 0.0 if values is None else values)
         return self._own_part(values, name)
 

@@ -94,7 +94,8 @@ class Algorithm(ABC):
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
     `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
-    that the iterator ends by itself where nothing more can be done.
+    that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
+    run whose best residual stands still.
     """
 
     name: ClassVar[str]
@@ -104,6 +105,7 @@ class Algorithm(ABC):
     reference: ClassVar[str] = "–"
     runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
+    is_watched: ClassVar[bool] = False
 
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -86,6 +86,7 @@ class Multigrid(Algorithm):
     )
     runs_on_ranks: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
+    is_watched: ClassVar[bool] = True
 
     smoother: str = "pgs"
     relaxation: float = 1.7

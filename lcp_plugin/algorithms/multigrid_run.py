@@ -76,7 +76,7 @@ class MultigridRun:
         begun = self._residual(z)
         yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
         if not self.hierarchy.is_helpful:
-            yield from self._sweeps_alone(z, begun)
+            yield from self._sweeps_alone(z)
             return
         start = z.copy()
         if not is_cold:  # the start may be much better than what the first cycle makes of it
@@ -325,13 +325,17 @@ class MultigridRun:
 
     # --- without coarser grids --------------------------------------------------------------------------
 
-    def _sweeps_alone(self, z: FloatVector, begun: float) -> Iterator[Step]:
-        """Yield sweeps as long as they gain: multigrid is no help for this matrix."""
-        guard = Safeguard(self.problem, self.is_symmetric, z, begun)
-        while guard.failed_rounds == 0:
-            yield from self._fall_back(z)
-            guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
-            self.work += guard.take_products() * self.entries
+    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
+        """Yield sweeps: multigrid is no help for this matrix. Where no theorem says more, as long as they contract."""
+        goes_on = self.is_symmetric and not self.algorithm.hands_over
+        before = np.inf
+        while True:
+            for _ in range(FALL_BACK_SWEEPS):
+                change = self.problems[0].gauss_seidel(z)
+                yield Step(z, increment=change, work=1.0)
+            if not (goes_on or change < GAINED * before):
+                return
+            before = change
 
     def _fall_back(self, z: FloatVector) -> Iterator[Step]:
         for _ in range(FALL_BACK_SWEEPS):

@@ -153,7 +153,8 @@ class Run:
         """Return why the run ends with this step, or None."""
         iteration, best = self.state.iteration, self.incumbent.residual
         progress, settings = self.progress, self.settings
-        is_monotone = self.state.stages[-1].algorithm.is_monotone
+        algorithm = self.state.stages[-1].algorithm
+        is_monotone = algorithm.is_monotone
         if residual is not None:
             if self.judge.passes(step.z, residual, iteration):
                 return Status.SOLVED
@@ -173,7 +174,7 @@ class Run:
             return None
         if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
             return Status.PRECISION_LIMIT
-        is_stalled = is_monotone and progress.is_stalled(iteration, best, settings.goal)
+        is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(iteration, best, settings.goal)
         return Status.STALLED if is_stalled else None
 
     # --- telling ----------------------------------------------------------------------------------------

@@ -31,8 +31,8 @@ class March(Results[Result]):
 
     Parameters
     ----------
-    problem, forcing, carry, z0
-        What :func:`march` was given, the carry as a CSR array; they are read again where an answer was not kept.
+    problem, forcing, carry, z0 : LCP, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
+        What :func:`march` was given; they are read again where an answer was not kept.
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
     again : callable

@@ -36,7 +36,7 @@ class MarchGradient:
         By the entries that M and the carry have, in their places. A carry that is a number has that of the diagonal's
         sum.
     by_forcing : callable
-        Gives forcing.
+        Gives forcing, shape (k, n).
     """
 
     def __init__(

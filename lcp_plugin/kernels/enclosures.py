@@ -18,7 +18,7 @@ from .compilation import compiled_into_others, compiled_part, interpreted_while_
 from .floats import EPSILON, TINY, UNIT
 
 with compiling():
-    from numba import float64, types, uintp
+    from numba import float32, float64, types, uintp
     from numba.extending import lower_builtin, type_callable
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
@@ -43,9 +43,10 @@ def fused(a: Any, b: Any, c: Any) -> Any:
 
 @type_callable(fused)
 def _fused_type(context):  # type: ignore[no-untyped-def]
-    return lambda a, b, c: float64
+    return lambda a, b, c: float32 if a == b == c == float32 else float64
 
 
+@lower_builtin(fused, float32, float32, float32)  # type: ignore[no-untyped-call]
 @lower_builtin(fused, float64, float64, float64)  # type: ignore[no-untyped-call]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     """One instruction, or a function of the C library."""

@@ -126,11 +126,22 @@ class Settings:
         is_plain = self.measure == "relative" and not self.is_on_error
         return is_plain and not (self.record or self.error_bound or self.verbose)
 
-    def accept(self, certificate: Any) -> bool:
-        """Return whether a certificate shows the residual that is asked for."""
+    def accept(self, certificate: Any, *, is_right_in_terms: bool = False) -> bool:
+        """Return whether a certificate shows the residual that is asked for, and each row right in its own terms.
+
+        The latter may be known already.
+        """
         if self.absolute_tolerance:
-            return bool(certificate.relative_above(self.least_reference) <= self.goal)
-        return bool(certificate.measured(self.measure) <= self.tolerance)
+            is_small = certificate.relative_above(self.least_reference) <= self.goal
+        else:
+            is_small = certificate.measured(self.measure) <= self.tolerance
+        return bool(is_small) and (is_right_in_terms or self.accept_terms(certificate))
+
+    def accept_terms(self, certificate: Any) -> bool:
+        """Return whether every row is right in its own terms, as is asked where residuals are relative."""
+        if self.measure != "relative" or self.is_on_error:
+            return True
+        return bool(certificate.is_right_in_terms(self.goal, self.least_reference))
 
     @property
     def is_on_error(self) -> bool:

@@ -29,6 +29,11 @@ verdict stays undecided and a bound may be an estimate.
 tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
 proved; a matrix that allows no rigorous bound is refused before the first step.
 
+**Units.** One size of z for all unknowns of a part hides errors of those in small units. Where balancing M shows units
+2¹⁰ apart, SOLVED asks besides that ``certificate.term_residual`` is within the tolerance: each row is right in
+its own terms, or its residual is small in these units (:mod:`lcp_plugin.certificates.own_terms`). With
+``measure="euclidean"`` and ``tolerance_on="error"`` it does not, nor where rows are spread over ranks.
+
 **Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.
 ``explain()`` says so where the diagonal spans more than six decades, where M is so nearly singular on the free rows
 that the error may exceed 1 % of z, and where a product (z_i − bound) w_i is large beside the residual.

@@ -15,6 +15,7 @@ from ..exact.rounding import gamma
 from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..settings import MEASURES
+from .own_terms import term_residual
 from .references import VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
 from .row_residuals import (
     at_rounding_level,
@@ -57,6 +58,9 @@ class Certificate:
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0. Invariant
         under row scaling and under the unit of z, which may be another in each part.
+    term_residual : float
+        How wrong the worst row is in its own terms (:mod:`lcp_plugin.certificates.own_terms`): what the relative
+        residual hides where unknowns of one part have units 10³ apart. SOLVED asks for both.
     parts : int
         How many parts there are.
     natural_residual : float
@@ -341,6 +345,15 @@ class Certificate:
         if self.problem.communicator.everywhere(not is_large.any()):
             return True
         return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
+
+    @cached_property
+    def term_residual(self) -> float:
+        """How wrong the worst row is in its own terms, where no unit of its unknown excuses it; 0 on ranks."""
+        return term_residual(self.problem, self.z, self.w)
+
+    def is_right_in_terms(self, tolerance: float, least: float = 0.0) -> bool:
+        """Return whether no row with |r_i| > tolerance · least has a term residual above the tolerance."""
+        return term_residual(self.problem, self.z, self.w, tolerance, least) <= tolerance
 
     def relative_above(self, least: float) -> float:
         """Return the relative residual with no part's reference taken for less than `least`."""

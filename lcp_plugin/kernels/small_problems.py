@@ -46,6 +46,7 @@ from .workspace import (
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 TOTAL = 3  # behind the work of the phases
+GOES_ON, SOLVED, IN_DOUBT = 0, 1, 2
 ALL, NONE_YET, ONE_MORE = -1, 0, 1  # steps that a call takes: the first two begin, the last goes on
 
 # The row STATE: what comes next, how many of these were made, the fewest swaps of a round so far, rounds without fewer,
@@ -274,14 +275,35 @@ def _is_dense(nonzeros, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
+def _is_right_in_terms(M, k, real, tolerance):  # type: ignore[no-untyped-def]
+    """Return whether each row is right beside its own terms, as :mod:`lcp_plugin.certificates.own_terms` has it."""
+    root, share = np.sqrt(tolerance), np.sqrt(tolerance) * np.sqrt(np.sqrt(tolerance))
+    for i in range(M.shape[1]):
+        z, w = real[Z, i], real[W, i]
+        distance = z - real[LOWER, i] if w > 0.0 else real[UPPER, i] - z
+        size, terms = abs(w), abs(real[Q, i])
+        if not (distance > 0.0 and size > share * terms and size > share * abs(M[k, i, i] * z)):
+            continue
+        for j in range(M.shape[1]):
+            terms += abs(M[k, i, j] * real[Z, j])
+        if size > share * terms and distance > root * abs(z):
+            return False
+    return True
+
+
+@compiled_into_others
 def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
-    """Write the relative residual of Z, enclosed where `size` lets it hope for that; return if it is within."""
+    """Write the relative residual of Z, enclosed where `size` lets it hope for that, and return what it says.
+
+    IN_DOUBT is within the tolerance, but a row is not right in its own terms: others know whether that is excused.
+    """
     residual[item] = size
     if not size / most <= tolerance:
-        return False
+        return GOES_ON
     _, largest = _ends(M, k, real, False, is_dense)
     residual[item] = _ratio_upwards(largest, least)
-    return residual[item] <= tolerance
+    is_within = residual[item] <= tolerance
+    return GOES_ON if not is_within else SOLVED if _is_right_in_terms(M, k, real, tolerance) else IN_DOUBT
 
 
 @interpreted_while_small
@@ -337,8 +359,9 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
-            if has_converged[item]:
+            ended = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+            has_converged[item] = ended == SOLVED
+            if ended != GOES_ON:
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
@@ -371,6 +394,7 @@ def follow_all(  # type: ignore[no-untyped-def]
         made[item, PIVOT] += 1
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
-        has_converged[item] = _judged(M, k, real, size, least, most, _is_dense(nonzeros, n), tolerance, residual, item)
+        is_dense = _is_dense(nonzeros, n)
+        has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item) == SOLVED
         for i in range(n):
             z[item, i] = real[Z, i]

@@ -9,14 +9,19 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
+from .matrix import Matrix, fact
 from .structure import IntVector, row_numbers
+from .symmetry import has_symmetric_entries
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 DENSE_LIMIT = 300
 BALANCING_SWEEPS = 12
 LARGEST_EXPONENT = 1000.0
+LARGEST_ENTRIES = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
+ALIKE = 10  # log2 of the spread of units up to which unknowns have the same
+
 
 class Exponents(NamedTuple):
     """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one a column."""
@@ -66,6 +71,58 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     position = _balanced(ratios, rows[off], M.indices[off], diagonal.size)
     column = np.rint(np.clip(position, -LARGEST_EXPONENT, LARGEST_EXPONENT)).astype(np.int64)
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
+
+
+@fact
+def has_even_entries(matrix: Matrix) -> bool:
+    """Return whether no entry of M needs a look for units of the unknowns: none is far larger than the diagonal."""
+    M, pivots = matrix.array, np.abs(matrix.diagonal)
+    entries = M.data if sp.issparse(M) else M
+    if not entries.size:
+        return True
+    least = float(pivots.min())
+    largest = max(float(entries.max()), -float(entries.min()))
+    return least > 0.0 and pivots.max() <= least * 2.0**DIAGONAL_SPREAD and largest <= least * 2.0**LARGEST_RATIO
+
+
+class Units(NamedTuple):
+    """What the unknowns are measured in beside each other, 2^exponents, and the residual scale of M with such columns.
+
+    Attributes
+    ----------
+    exponents : array of int, shape (n,)
+    residual_scale : array, shape (n,)
+        Of ``scaled(M, Exponents(0, exponents))``: w over it is a z in these units.
+    """
+
+    exponents: IntVector
+    residual_scale: FloatVector
+
+
+@fact
+def units_of_unknowns(matrix: Matrix) -> Units | None:
+    """Return the units in which D⁻¹M, D the diagonal of M, is balanced; None where they are alike.
+
+    Balancing undoes any units of rows and unknowns of a matrix that was balanced, and leaves far fields of one unit as
+    they are. Where the diagonal has a zero, columns are evened.
+
+    Examples
+    --------
+    >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
+    >>> units_of_unknowns(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).exponents.tolist()
+    [0, 30, -30]
+    """
+    M = matrix.csr
+    if has_even_entries(matrix):
+        return None
+    if not matrix.diagonal.all():
+        found: Exponents | None = evened(M, LARGEST_ENTRIES)
+    else:
+        found = scaling_exponents(M, has_symmetric_entries(matrix))
+    if found is None or np.ptp(found.column) <= ALIKE:
+        return None
+    in_units = Matrix(scaled(M, Exponents(np.zeros_like(found.column), found.column)))
+    return Units(read_only(found.column), in_units.residual_scale)
 
 
 def unit_diagonal(diagonal: FloatVector) -> Exponents:

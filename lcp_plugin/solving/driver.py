@@ -193,7 +193,9 @@ def fused(
         certificate = Certificate.enclosed(units.callers, found.z, found.residual)
     else:
         certificate = Certificate.of(units.callers, units.outward(found.z))
-    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
+    is_right = is_one and found.is_right_in_terms
+    is_accepted = settings.accept(certificate, is_right_in_terms=is_right)
+    if not is_accepted or answers_program(units.callers, settings, certificate.z) is False:
         return None
     return fused_result(certificate, policy, first, found, settings, clock.read())
 

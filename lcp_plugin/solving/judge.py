@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,10 @@ FAR_OUT = 1e-2
 SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
+IN_OTHER_UNITS = (
+    "a w has a sign that its own row does not allow, which the residual hides where unknowns have very different units "
+    '(certificate.term_residual): try algorithm="lemke", or units in which the entries of M are alike'
+)
 
 
 def answers_program(problem: Any, settings: Settings, z: FloatVector) -> bool | None:
@@ -55,9 +60,10 @@ class Judge:
         The advice of a status where another than its own is right.
     """
 
-    words: ClassVar[Mapping[Status, str]] = {}
-    _answer: FloatVector | None = None  # to the program, as the caller has it
+    words: Mapping[Status, str] = MappingProxyType({})
+    _answer: FloatVector | None = None  # as the caller has it, where it need not be the z of the smallest residual
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
+    _misses_terms = False  # the last z within the tolerance was not right in its own terms
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
         self.units, self.problem, self.settings = units, units.callers, settings
@@ -129,7 +135,10 @@ class Judge:
             return False
         answers = self.is_answered(z)
         if answers is None:
-            return True
+            is_right = self.settings.accept_terms(self._certificate)
+            self._answer = z.copy() if is_right and self._misses_terms else None
+            self._misses_terms = not is_right
+            return is_right
         self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         self._answer = z.copy() if answers else None
         return answers
@@ -210,8 +219,11 @@ class Judge:
         finished = last.finish(self.units.problem, z)
         cleaned = certificate if finished is z else self.certificate_of(finished)
         residual = self._relative_in_open_parts(certificate)
-        is_better = self._relative_in_open_parts(cleaned) <= residual < math.inf
-        return cleaned if is_better and self.is_answered(cleaned.z) is not False else certificate
+        if cleaned is certificate or not self._relative_in_open_parts(cleaned) <= residual < math.inf:
+            return certificate
+        accepts = self.settings.accept_terms
+        keeps_terms = accepts(cleaned) or not accepts(certificate)
+        return cleaned if keeps_terms and self.is_answered(cleaned.z) is not False else certificate
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""
@@ -227,5 +239,7 @@ class Judge:
             return reason
         if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
             return Status.PRECISION_LIMIT
+        if not self.settings.accept_terms(certificate):
+            self.words = {**self.words, Status.STALLED: IN_OTHER_UNITS}
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason

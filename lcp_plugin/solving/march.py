@@ -16,6 +16,7 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
+from ..matrix.equilibration import units_of_unknowns
 from ..matrix.structure import parts
 from ..policy.choice import Policy
 from ..problem.lcp import LCP
@@ -214,6 +215,8 @@ def _fused(
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
     first, clock = policy.first(problem), Clock(problem.communicator)
     if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
+        return
+    if units_of_unknowns(problem.matrix) is not None:  # the loop does not judge rows in their own terms
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state

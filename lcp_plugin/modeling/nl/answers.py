@@ -8,17 +8,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ... import __version__
 from ...checks import BoolVector, FloatVector
 from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPUnboundedness
-from ...kernels.floats import EPSILON
 from ...problem.lcp import LCP
 from ...problem.nonlinear import NonlinearProblem
-from ...settings import Settings, Status
+from ...settings import Status
 from ...solving.quadratic_program import ProgramAnswer, judged_program
 from ...solving.result import Result
 from ..assembly import Arrangement, solve_from
@@ -39,8 +37,6 @@ STATUSES = {
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
-NOISE = 1e-8  # of an unknown, whatever its unit
-SHARPER = 1e-5  # times the tolerance
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -169,7 +165,7 @@ class ComplementarityModel(NLModel):
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
         start = self.start if self.content.has_start.any() else None
-        result = self._with_signs(start, {"algorithm": algorithm, **options})
+        result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
         status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
@@ -177,40 +173,6 @@ class ComplementarityModel(NLModel):
             status, words = Status.STALLED, wrong
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None, CODES[status])
-
-    def _with_signs(self, start: FloatVector | None, options: dict[str, Any]) -> Result:
-        """Return the result, gone on with a smaller tolerance where rows miss their signs, else STALLED."""
-        result = solve_from(self.problem, start, options)
-        if not result.is_solved or not self._misses_sign(result):
-            return result
-        asked = float(options.get("tolerance", Settings.tolerance))
-        options = {**options, "z0": result.z, "tolerance": SHARPER * asked}
-        if options.get("max_seconds") is not None:
-            options["max_seconds"] = max(options["max_seconds"] - result.seconds, 0.0)
-        found = solve_from(self.problem, None, options)
-        status = Status.STALLED if found.is_solved else found.status
-        if found.residual <= asked and not self._misses_sign(found):
-            status = Status.SOLVED
-        return replace(found, status=status, iterations=result.iterations + found.iterations)
-
-    def _misses_sign(self, result: Result) -> bool:
-        """Return whether some w, beside the terms of its row, has a sign that goes with a bound where z is not.
-
-        The residual has one unit for all unknowns that hang together: what is wrong with one of 10⁻⁴ vanishes in it
-        beside one of 10⁶.
-        """
-        problem, z, w = self.problem, result.z, result.w
-        matrix = sp.csr_array(problem.M if isinstance(problem, LCP) else problem.derivative(z))
-        sizes = abs(matrix)
-        sizes.eliminate_zeros()
-        terms = sizes @ np.abs(z) + np.abs(w - matrix @ z)
-        noise = np.full(z.size, NOISE)  # of each unknown, and what the rounding of any row leaves open of it
-        rounding = ROUNDINGS * EPSILON * np.repeat(terms, np.diff(sizes.indptr)) / sizes.data
-        np.maximum.at(noise, sizes.indices, rounding)
-        allowed = PROGRAM_GOAL * terms + sizes @ noise
-        bound = np.where(w > 0.0, problem.lower, problem.upper)
-        is_elsewhere = ~(np.abs(z - bound) <= noise + PROGRAM_GOAL * np.abs(z))
-        return bool((is_elsewhere & (np.abs(w) > allowed)).any())
 
     def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:
         """Return what the rows of the file, evaluated as they stand, say against the values computed; else nothing."""

@@ -1,0 +1,145 @@
+"""SOLVED holds in every row, whatever units its unknowns have: what one size of z would hide is found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
+from lcp_plugin.matrix.equilibration import units_of_unknowns
+
+FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
+
+
+def planted(seed: int) -> tuple[LCP, np.ndarray]:
+    """A problem in units that are alike, and its only answer: M + Mᵀ is definite, or M strictly dominant."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 31))
+    B = rng.standard_normal((n, n)) * (rng.random((n, n)) < 0.6)
+    if seed % 3 == 1:
+        M = B - np.diag(np.diag(B))
+        M += np.diag(1.1 * np.abs(M).sum(axis=1) + 0.1)
+    else:
+        S = rng.standard_normal((n, n)) * (seed % 3 == 0)
+        M = 0.5 * B @ B.T + 0.5 * np.eye(n) + S - S.T
+    z = np.where(rng.random(n) < 0.4, 0.0, np.abs(rng.standard_normal(n)) + 0.1)
+    w = np.where(z == 0.0, np.abs(rng.standard_normal(n)) + 0.1, 0.0)
+    return LCP(M, w - M @ z, upper=np.where(rng.random(n) < 0.2, 2.0 * z + 1.0, np.inf)), z
+
+
+def in_units(problem: LCP, seed: int) -> tuple[LCP, np.ndarray]:
+    """The same problem in other units of its rows and unknowns, and those of the unknowns."""
+    rng = np.random.default_rng([seed, 1])
+    rows, columns = np.exp2(rng.integers(-20, 21, (2, problem.n)))
+    M = rows[:, None] * (problem.M.toarray() if sp.issparse(problem.M) else problem.M) / columns
+    return LCP(M, rows * problem.q, upper=columns * problem.upper), columns
+
+
+#: M and q of a problem whose unknowns have the units 10^3, 10^5, 10^-4, 10^-4 and 10^6, and its answer.
+M = np.array([
+    [2.35318523e-03, 6.06984072e-06, -2.54587569e+04, 2.33554286e+04, 1.61755744e-07],
+    [-1.55515318e-03, 7.64879354e-06, -1.31653789e+04, 8.79399008e+03, 1.63152359e-06],
+    [3.25596614e-03, 9.56071604e-06, 7.66435289e+03, -1.86893807e+03, 5.22911483e-08],
+    [-1.92052271e-03, -8.79399008e-06, 2.03134531e+03, 5.69671812e+03, 6.12283592e-07],
+    [-1.87347584e-03, -1.63152359e-05, -7.69858937e+03, -7.52937308e+03, 2.61134328e-06],
+])  # fmt: skip
+Q = np.array([-5.96137683, -2.3919863, -5.55386248, 0.7711112, 2.47934087])
+BOUNDS: Any = {"lower": [0.0, -1e5, 0.0, -1e-4, -np.inf], "upper": [np.inf, 0.0, np.inf, 1e-4, np.inf]}
+ANSWER = np.array([1707.59939, 0.0, 1.93616553e-05, 1e-4, 621059.702])
+WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
+def test_no_door_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+    """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
+    problem = LCP(M, Q, **BOUNDS)
+    results = [solve(problem, algorithm), solve(problem, algorithm, callback=lambda sample, z: False),
+               solve_batch(M[None], Q[None], algorithm=algorithm, **BOUNDS)[0]]
+    for result in results:
+        assert result.is_solved
+        assert result.z == pytest.approx(ANSWER, rel=1e-6)
+        assert result.certificate.term_residual <= 1e-8
+
+
+def test_the_certificate_shows_what_the_relative_residual_hides() -> None:
+    """A z that is a third off has a relative residual of 4e-9, and a row that is wrong by a seventh of its terms."""
+    problem = LCP(M, Q, **BOUNDS)
+    wrong, right = Certificate.of(problem, WRONG), Certificate.of(problem, solve(problem, "lemke").z)
+    assert wrong.relative_residual < 1e-8
+    assert wrong.term_residual > 1e-3
+    assert not wrong.is_right_in_terms(1e-8)
+    assert right.is_right_in_terms(1e-8)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point", "psor"])
+def test_what_is_solved_in_any_units_is_near_the_answer(algorithm: str) -> None:
+    """Of problems in random units (seeds that were lies among them) what is SOLVED has all unknowns to 1e-3."""
+    solved = 0
+    for seed in (*range(12), 27, 29, 48, 98, 108, 155, 177):
+        problem, z = planted(seed)
+        scaled, units = in_units(problem, seed)
+        result = solve(scaled, algorithm, max_iterations=3000)
+        solved += result.is_solved
+        assert not result.is_solved or np.abs(result.z / units - z).max() <= 1e-3, seed
+    assert solved >= 12
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "lemke"])
+def test_other_units_change_no_status(algorithm: str) -> None:
+    """Rows and unknowns multiplied by powers of two: SOLVED as before, and the same z."""
+    for seed in range(30):
+        problem, z = planted(seed)
+        scaled, units = in_units(problem, seed)
+        before, after = solve(problem, algorithm), solve(scaled, algorithm)
+        assert (before.status, after.status) == (Status.SOLVED, Status.SOLVED), seed
+        assert after.z / units == pytest.approx(z, abs=1e-5), seed
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_units_are_found(seed: int) -> None:
+    """Balancing finds the units of the unknowns to a few powers of two; of a problem in one unit there are none."""
+    problem = planted(seed)[0]
+    scaled, columns = in_units(problem, seed)
+    units = units_of_unknowns(scaled.matrix)
+    assert units is not None
+    assert np.ptp(units.exponents - np.log2(columns)) <= 8
+    assert units_of_unknowns(problem.matrix) is None
+
+
+def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
+    """Far from the load z is 1e-20 and any error there is of its size: the relative residual is enough, as ever."""
+    n = 60
+    M = sp.diags_array([-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    problem = LCP(M, -np.eye(n)[0])
+    result = solve(problem, "psor")
+    rough = np.where(np.arange(n) < 12, result.z, 0.0)
+    assert result.is_solved
+    assert Certificate.of(problem, rough).is_right_in_terms(1e-8)
+    assert Certificate.of(problem, rough).term_residual == 0.0
+
+
+def test_what_is_small_by_the_callers_word_is_right() -> None:
+    """A row whose residual is within absolute_tolerance is right whatever its terms are."""
+    problem = LCP([[1.0, 2.0**-40], [2.0**40, 2.0]], [-1e-9, -1e3], upper=[np.inf, 1e3])
+    z = [0.0, 500.0]
+    assert not Certificate.of(problem, z).is_right_in_terms(1e-8)
+    result = solve(problem, z0=z, absolute_tolerance=1e-3)
+    assert result.is_solved
+
+
+def test_a_march_judges_each_step_in_the_rows_own_terms() -> None:
+    """Tridiagonal, its units 1e±6 in turn: every step is what the march in one unit gives."""
+    n = 40
+    M = sp.diags_array([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    units = np.where(np.arange(n) % 2 == 0, FAR, 1.0 / FAR)
+    forcing = np.random.default_rng(0).standard_normal((4, n))
+    D, inverse = sp.diags_array(units), sp.diags_array(1.0 / units)
+    plain = march(LCP(M, np.zeros(n)), forcing)
+    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, carry=-sp.csr_array(inverse))
+    assert plain.all_solved
+    assert scaled.all_solved
+    for one, other in zip(plain.z, scaled.z, strict=True):
+        assert D @ one == pytest.approx(other, abs=1e-6 / FAR, rel=1e-6)

@@ -118,7 +118,7 @@ def galerkin_product(
         step = _usual_step(restriction[0], restriction[1])
         if step > 0:
             is_same = np.zeros(prolongation[0].size - 1, np.uint8)
-            mark_equal(step, *prolongation, is_same)
+            share(partial(mark_equal, step, *prolongation, is_same), is_same.size, SMALLEST_PIECE)
             _mark_repeats(step, runs, indptr, indices, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, step, repeats, longest

@@ -13,6 +13,7 @@ unknown that the sweep has to have done before; only the neighbour just before w
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,12 +191,15 @@ class Blocks(NamedTuple):
         return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
-def blocks_of(indptr: NDArray[Any], indices: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:
-    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
+def blocks_of(matrix: Arrays, unlike: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:
+    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing.
+
+    Only the rows that are `unlike` the one before need be looked at: the others reach as far.
+    """
+    indptr, indices, _ = matrix
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
-        own, begins, ends = np.arange(rows, dtype=indices.dtype), indptr[:rows], indptr[1 : rows + 1]
-        reach = int(max((own - indices[begins]).max(), (indices[ends - 1] - own).max()))
+        reach = int(max((unlike - indices[indptr[unlike]]).max(), (indices[indptr[unlike + 1] - 1] - unlike).max()))
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0
@@ -250,23 +254,26 @@ SHORTEST = 16  # rows; fewer are taken one by one
 LONGEST_REACH = 1024  # rows, whose sums stay in the fastest cache
 
 
-def runs_of_equal_rows(inverse: FloatVector, matrix: Arrays) -> EqualRows:
+def unlike_rows(matrix: Arrays, rows: int, weight: FloatVector) -> NDArray[np.int64]:
+    """Return which of the own rows, so many, are not that before with each column one further; weights count, too."""
+    is_same = np.zeros(rows, np.uint8)
+    share(partial(mark_equal, 1, *matrix, is_same), rows, SMALLEST_PIECE)
+    if weight.size:
+        is_same[1:] &= weight[1:] == weight[:-1]
+    return np.flatnonzero(is_same == 0)
+
+
+def runs_of_equal_rows(matrix: Arrays, unlike: NDArray[np.int64], rows: int) -> EqualRows:
     """Return the runs of the own rows, shape (count, 3): first row, row behind the last, and reach.
 
-    Rows that are equal have the same `inverse` pivot, shape (own rows,), too. The reach is the number of rows that a
-    sweep may take at once, 0 where they are unlike and taken one by one.
+    The reach is the number of rows that a sweep may take at once, 0 where they are unlike and taken one by one.
     """
-    indptr, indices, _ = matrix
-    rows = inverse.size
-    is_same = np.zeros(rows, np.uint8)
-    mark_equal(1, *matrix, is_same)
-    is_same[1:] &= inverse[1:] == inverse[:-1]
-    begins = np.append(np.flatnonzero(is_same == 0), rows)
+    begins = np.append(unlike, rows)
     is_long = begins[1:] - begins[:-1] >= SHORTEST
     first, end = begins[:-1][is_long], begins[1:][is_long]
     if first.size == 0:
         return _with_gaps(rows, first, end, end)
-    reach = _reaches(indptr, indices, first)
+    reach = _reaches(*matrix[:2], first)
     return _with_gaps(rows, *(column[reach >= SHORTEST] for column in (first, end, reach)))
 
 
@@ -314,14 +321,26 @@ def run_at(row, runs):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def mark_equal(step, indptr, indices, data, is_same):  # type: ignore[no-untyped-def]
+def find_pivots(indptr, indices, data, weight, smallest, split, inverse, first, end):  # type: ignore[no-untyped-def]
+    """Write where the diagonal entries stand, and the inverse pivots: 0 of a diagonal entry that is not above that."""
+    for i in range(uintp(first), uintp(end)):
+        k = uintp(indptr[i])
+        while uintp(indices[k]) < i:
+            k += uintp(1)
+        split[i] = k
+        pivot = data[k] + weight[i] if weight.size > 0 else data[k]
+        inverse[i] = 1.0 / pivot if data[k] > smallest else 0.0
+
+
+@compiled
+def mark_equal(step, indptr, indices, data, is_same, first, end):  # type: ignore[no-untyped-def]
     """Mark the rows i that are those of i − step with each column one further; the flags are bytes."""
     one, step = uintp(1), uintp(step)
-    for i in range(step, uintp(is_same.size)):
-        k, end = uintp(indptr[i]), uintp(indptr[i + one])
+    for i in range(max(step, uintp(first)), uintp(end)):
+        k, last = uintp(indptr[i]), uintp(indptr[i + one])
         before = uintp(indptr[i - step])
-        same = end - k == uintp(indptr[i - step + one]) - before
-        while same and k < end:
+        same = last - k == uintp(indptr[i - step + one]) - before
+        while same and k < last:
             same = data[k] == data[before] and indices[k] == indices[before] + 1
             k += one
             before += one

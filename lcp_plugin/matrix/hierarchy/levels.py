@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from ...checks import FloatVector, read_only
 from ...communicator.alone import ALONE, NOBODY, Arrays, Communicator
 from ...crossovers import SINGLE_FROM
-from ...kernels import splitting_sweeps as kernels
 from ...kernels.threads import share
 from ..equilibration import power_of_two
 from ..factors import dense_lu
@@ -41,7 +40,9 @@ from .grids import (
     Operator,
     Transfer,
     blocks_of,
+    find_pivots,
     runs_of_equal_rows,
+    unlike_rows,
     written_rows,
 )
 from .vectors import span, units_of
@@ -179,15 +180,14 @@ def grid_of(
     *, may_cut: bool = False,
 ) -> Grid:
     """Return the grid of a matrix, whose first rows (all by default) are the own ones; whether it `may_cut` sweeps."""
-    split = np.empty(matrix.indptr.size - 1 if own is None else own, matrix.indptr.dtype)
-    kernels.split_rows(matrix.indptr, matrix.indices, False, split)
-    diagonal = matrix.data[split]
-    inverse = np.zeros(diagonal.size)
-    pivot = diagonal + weight if weight.size else diagonal
-    np.divide(1.0, pivot, out=inverse, where=diagonal > galerkin.SMALLEST_PIVOT)
+    rows = matrix.indptr.size - 1 if own is None else own
+    split, inverse = np.empty(rows, matrix.indptr.dtype), np.empty(rows)
+    operands = *matrix.arrays, weight, galerkin.SMALLEST_PIVOT, split, inverse
+    share(partial(find_pivots, *operands), rows, SMALLEST_PIECE)
     split.flags.writeable = inverse.flags.writeable = False
-    blocks = blocks_of(matrix.indptr, matrix.indices, inverse.size, may_cut=may_cut)
-    return Grid(matrix, split, runs_of_equal_rows(inverse, matrix.arrays), blocks, inverse, communicator, weight)
+    unlike = unlike_rows(matrix.arrays, rows, weight)
+    blocks = blocks_of(matrix.arrays, unlike, rows, may_cut=may_cut)
+    return Grid(matrix, split, runs_of_equal_rows(matrix.arrays, unlike, rows), blocks, inverse, communicator, weight)
 
 
 def chosen_kinds(

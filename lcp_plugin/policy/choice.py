@@ -343,6 +343,8 @@ def policy_for(
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
         return _single(algorithm, on_ranks, refutes)
+    if isinstance(algorithm, Policy):
+        return algorithm
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
             raise InvalidOption(

@@ -56,7 +56,8 @@ class Stage:
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
     several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
-    steps have said their residuals may rise for a while; `z` is the latest iterate, as long as the stage lasts.
+    steps have said their residuals may rise for a while; `z` is the latest iterate, as long as the stage lasts;
+    `successor`, what its algorithm would be with all that it has learned.
     """
 
     algorithm: Algorithm
@@ -68,6 +69,7 @@ class Stage:
     least_residual: float = 0.0
     settles: bool = False
     z: FloatVector | None = None
+    successor: Algorithm | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)
 

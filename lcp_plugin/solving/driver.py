@@ -34,7 +34,7 @@ LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 
 def solve(
     problem: LCP,
-    algorithm: str | Algorithm = "auto",
+    algorithm: str | Algorithm | Policy = "auto",
     *,
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,

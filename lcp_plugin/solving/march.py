@@ -19,6 +19,7 @@ from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ..matrix.equilibration import units_of_unknowns
 from ..matrix.structure import parts
 from ..policy.choice import Policy
+from ..policy.marching import Lesson, StepPolicy
 from ..problem.lcp import LCP
 from ..settings import OF_SOLVE, Settings
 from .driver import asked_of_solve, fused_result, solve
@@ -37,7 +38,7 @@ class March(Results[Result]):
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
     again : callable
-        Called with a part of the forcing and a z0, marches there once more.
+        Called with a part of the forcing, a z0 and a lesson, marches there once more.
 
     Attributes
     ----------
@@ -57,6 +58,7 @@ class March(Results[Result]):
         self._again, self._count = again, 0
         self._part: tuple[int, March] | None = None
         self._kept: dict[int, FloatVector] = {}
+        self._lessons: dict[int, Lesson] = {}  # after the kept steps
         self._results: dict[int, Result | Callable[[], Result]] = {}
 
     @property
@@ -83,8 +85,9 @@ class March(Results[Result]):
             return 0, self
         first = k - k % self.keep_every
         if self._part is None or self._part[0] != first:
-            state = self._kept[first - 1] if first else self.z0
-            self._part = first, self._again(self.forcing[first : min(first + self.keep_every, len(self))], z0=state)
+            state, lesson = (self._kept[first - 1], self._lessons[first - 1]) if first else (self.z0, Lesson())
+            forcing = self.forcing[first : min(first + self.keep_every, len(self))]
+            self._part = first, self._again(forcing, z0=state, lesson=lesson)
         return self._part
 
     def __len__(self) -> int:
@@ -94,14 +97,15 @@ class March(Results[Result]):
         end = f"; ended by {self.error}" if self.error else "" if self.all_solved else "; the last one is not solved"
         return f"March({len(self)} steps{end})"
 
-    def _take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
+    def _take(self, z: FloatVector, result: Result | Callable[[], Result], lesson: Lesson) -> None:
         last, self._count = self._count - 1, self._count + 1
         if self.keep_every > 1:
             self._results.pop(last, None)  # it would keep the vectors of all steps of its block
             if self._count % self.keep_every != 1:
                 self._kept.pop(last, None)
+                self._lessons.pop(last, None)
             z = read_only(z.copy())
-        self._kept[last + 1], self._results[last + 1] = z, result
+        self._kept[last + 1], self._results[last + 1], self._lessons[last + 1] = z, result, lesson
 
 
 class _Answers(Results[FloatVector]):
@@ -160,7 +164,8 @@ def march(
     Notes
     -----
     Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
-    `auto` takes `banded`, all steps run in one compiled loop, certificates included.
+    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` asks anew in the
+    first two steps; the others begin with what finished the step before, as long as that gets no slower.
 
     Examples
     --------
@@ -176,27 +181,38 @@ def march(
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
     if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
         raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
-    (policy, settings), limit = asked_of_solve(algorithm, wishes), Settings(max_seconds=max_seconds).max_seconds
+    asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
+    limit = Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
-    clock, is_unobserved = Clock(problem.communicator), settings.is_unobserved and wishes.get("callback") is None
+    return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, lesson=Lesson(), limit=limit)
+
+
+def _marched(
+    problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, keep_every: int, wishes: dict[str, Any],
+    forcing: FloatVector, *, z0: FloatVector, lesson: Lesson, limit: float = np.inf,
+) -> March:
+    """Return the march from the state z0 with what was learned before it, within so many seconds."""
+    (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(problem.communicator)
+    is_unobserved, state = settings.is_unobserved and wishes.get("callback") is None, z0
     quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
-    again = partial(march, problem, carry=rows, algorithm=algorithm, **quiet)
-    done = March(problem, offsets, rows, state, int(keep_every), again)
-    while len(done) < len(offsets) and done.all_solved:
+    done = March(
+        problem, forcing, carry, z0, keep_every, partial(_marched, problem, carry, algorithm, 1, quiet)
+    )
+    while len(done) < len(forcing) and done.all_solved:
         before = len(done)
         try:
             if is_unobserved and clock.read() < limit:
-                block = offsets[before : before + BLOCK]
-                for z, result in _fused(problem, policy, settings, block, rows, state):
-                    done._take(z, result)
+                for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], carry, state):
+                    done._take(z, result, lesson)
             if len(done) == before:
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
-                    step = problem.with_q(offsets[before] + rows @ state)
-                if limit < np.inf:
-                    wishes["max_seconds"] = max(limit - clock.read(), 0.0)
-                found = solve(step, algorithm, z0=state, **wishes)
-                done._take(found.z, found)
+                    step = problem.with_q(forcing[before] + carry @ state)
+                left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+                of_step = StepPolicy(lesson, refutes=settings.refute) if algorithm == "auto" else None
+                found = solve(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
+                lesson = of_step.lesson() if of_step is not None and found.is_solved else lesson
+                done._take(found.z, found, lesson)
             state = done.z[-1]
         except InvalidProblem as error:
             if not done:

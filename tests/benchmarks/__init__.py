@@ -9,6 +9,7 @@ BENCHMARKS = {
     "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",
     "paper-at-scale": "the paper's Example 1 at n = 10⁶ by NPSOR(1.7) against scipy implementations, end to end",
     "multigrid": "projected multigrid on obstacle, bearing, wind, jumps … against a linear solve, up to n = 4·10⁶",
+    "marches": "steps in time on grids in the plane: what march needs beside a solve from the last answer at each step",
     "compilation": "the first solve of an installation in a fresh process, nothing compiled; and the warm-up",
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "auto": "auto beside the best named method, warm, on scenes and on problems of every kind",

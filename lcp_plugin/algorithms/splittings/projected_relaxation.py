@@ -59,6 +59,10 @@ class _InPlace(_Relaxation):
 
     runs_on_ranks: ClassVar[bool] = True
 
+    def first_trial(self) -> float:
+        """Return the ω that automatic relaxation tries first; 1 where it has none in mind."""
+        return 1.0
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ...kernels import splitting_sweeps as kernels
@@ -66,8 +70,8 @@ class _InPlace(_Relaxation):
         M, communicator = problem.matrix.csr_rows, problem.communicator
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
-        adaptive = AdaptiveRelaxation() if fixed is None else None
-        relaxation = 1.0 if fixed is None else fixed
+        adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
+        relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
         if not communicator.is_empty and has_symmetric_entries(problem.matrix):
             pivots = pivots + pivot_weight(M, communicator, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
@@ -86,7 +90,14 @@ class _InPlace(_Relaxation):
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
-            yield Step(own, increment=communicator.largest(largest), work=float(len(passes)), is_settling=is_settling)
+            learned = None
+            if adaptive and adaptive.wanted != told:
+                told = adaptive.wanted
+                learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=told)
+            yield Step(
+                own, increment=communicator.largest(largest), work=float(len(passes)), is_settling=is_settling,
+                successor=learned,
+            )
             if adaptive:
                 relaxation = adaptive.after(communicator.total(total), z)
 
@@ -128,6 +139,23 @@ class PSOR(_InPlace):
     def weights(self) -> tuple[float, float] | tuple[None, None]:
         """Return (ω, ω), or None for each where ω is "auto"."""
         return (None, None) if isinstance(self.relaxation, str) else self.splitting()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuedPSOR(PSOR):
+    """PSOR with automatic relaxation, which begins with what it has found on a problem of the same M and a q nearby.
+
+    Parameters
+    ----------
+    first_relaxation : float
+        ω of the first trial.
+    """
+
+    first_relaxation: float = 1.0
+
+    def first_trial(self) -> float:
+        """Return it."""
+        return self.first_relaxation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,6 +257,8 @@ class AdaptiveRelaxation:
     increment is a new record (0.9 of the last), the trial is kept, μ is estimated anew, and the next one
     begins; otherwise z goes back to where the trial began and the next Gauss–Seidel phase is twice as long.
 
+    Where an ω is known from a problem nearby (`first`), it has its trial after one Gauss–Seidel sweep.
+
     So the iteration converges wherever projected Gauss–Seidel does. Either infinitely many trials are kept: then
     the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
     all trials are undone: then what remains is Gauss–Seidel itself.
@@ -238,14 +268,19 @@ class AdaptiveRelaxation:
     Hageman, Young: *Applied Iterative Methods*, Academic Press 1981, chapter 9.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, first: float = 1.0) -> None:
         self.relaxation = 1.0
-        self._omega = 1.0
+        self._first, self._omega = first, 1.0
         self._wait = FIRST_WAIT
         self._record = math.inf
         self._sizes: list[float] = []
         self._checkpoint: FloatVector | None = None
         self._is_final_sweep = False
+
+    @property
+    def wanted(self) -> float:
+        """The ω of the present trial; 1 in a phase of Gauss–Seidel sweeps."""
+        return 1.0 if self._checkpoint is None else self._omega
 
     @property
     def is_settling(self) -> bool:
@@ -255,7 +290,10 @@ class AdaptiveRelaxation:
     def after(self, size: float, z: FloatVector) -> float:
         """Return ω for the next sweep, given Σ|z⁺ − z| of the last one; z is put back where a trial failed."""
         self._sizes.append(size)
-        if self._checkpoint is None:
+        if self._first > 1.0:  # one sweep of Gauss–Seidel is there to compare with
+            self._record, self._omega, self._first = size, self._first, 1.0
+            self._begin_trial(z)
+        elif self._checkpoint is None:
             if len(self._sizes) >= self._wait:
                 self._end_phase(z)
         elif self._is_final_sweep:

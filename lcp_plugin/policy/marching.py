@@ -1,0 +1,91 @@
+"""The policy of a march in time under algorithm="auto": what one step teaches reaches the next.
+
+Steps of one M and nearby q resemble each other. The first one begins anywhere, the second one near its answer, as all
+that follow do: both ask as `auto` does, and from then on a step begins with what finished the one before, and with what
+it learned (psor: its relaxation). Where that fails, or has cost three times as much as it did when it was chosen,
+`auto` asks from the best iterate, and the step after begins with what finished then.
+
+All that is remembered is one :class:`Lesson`: a step is the same bit for bit from the same state with the same lesson.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..algorithms import Algorithm
+from ..problem.lcp import LCP
+from .choice import Auto, Policy
+from .stages import Choice, Stage
+
+ASKING_STEPS = 2  # one from anywhere, one from nearby
+SLOW = 3.0  # times the work of the run in which it was chosen
+LEAST_WORK = 20.0  # passes over M that are slow for nobody
+ITERATIVE = ("npsor", "psor", "multigrid")
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What the steps up to now have taught.
+
+    Attributes
+    ----------
+    steps : int
+        How many there were.
+    algorithm : Algorithm or None
+        What the next one begins with; None where `auto` asks.
+    work : float
+        In passes over M, what it took in the step in which it was chosen.
+    """
+
+    steps: int = 0
+    algorithm: Algorithm | None = None
+    work: float = 0.0
+
+
+class StepPolicy(Policy):
+    """What solves one step of a march.
+
+    Parameters
+    ----------
+    lesson : Lesson
+    refutes : bool
+        Whether anybody looks for proofs, where there is no solution.
+    """
+
+    name = chosen = "auto"
+
+    def __init__(self, lesson: Lesson, *, refutes: bool) -> None:
+        self._lesson, self._auto = lesson, Auto(refutes=refutes)
+        self._stages: Sequence[Stage] = ()
+
+    def first(self, problem: LCP) -> Choice:
+        """Return what finished the step before, or what `auto` begins with."""
+        if self._lesson.algorithm is None:
+            return self._auto.first(problem)
+        return Choice(self._lesson.algorithm, "it finished the step before")
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return what `auto` chooses; None as long as what finished the step before is no slower than then."""
+        self._stages = stages
+        if self._lesson.algorithm is None:
+            return self._auto.next_step(problem, stages, target, failed)
+        if len(stages) > 1:
+            return self._auto.next_step(problem, stages[1:], target, failed)
+        is_slow = stages[0].work > SLOW * max(self._lesson.work, LEAST_WORK)
+        return self._auto.first(problem) if failed or is_slow else None
+
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return what `auto` does."""
+        return self._auto.another_start(problem, stages)
+
+    def lesson(self) -> Lesson:
+        """Return what is known after this step, which is solved."""
+        before, steps = self._lesson, self._lesson.steps + 1
+        if not self._stages:  # solved at once
+            return Lesson(steps, before.algorithm, before.work)
+        last = self._stages[-1]
+        algorithm = last.successor or last.algorithm
+        if steps < ASKING_STEPS or algorithm.name not in ITERATIVE:
+            return Lesson(steps)
+        return Lesson(steps, algorithm, before.work if len(self._stages) == 1 and before.algorithm else last.work)

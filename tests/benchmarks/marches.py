@@ -1,0 +1,78 @@
+"""Steps in time on grids in the plane: a march beside a solve from the last answer at every step.
+
+An American put in Heston's model (cross derivative, nonsymmetric), one on a basket of two prices in the logarithms
+(nine points), heat over an obstacle (symmetric), a viscous elastic block on which a load rolls (contact). Processor
+seconds on one thread, the first step, which has all the set-up, apart. `change` is the largest difference of the
+answers beside the largest entry.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import marches
+import numpy as np
+
+from lcp_plugin.checks import FloatVector
+from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.driver import solve
+from lcp_plugin.solving.march import march
+from lcp_plugin.solving.result import Result
+
+SCENES: dict[str, tuple[Callable[[], marches.Steps], Callable[[], marches.Steps]]] = {
+    "Heston put 400 × 150": (lambda: marches.heston()[0], lambda: marches.heston(40, 15, 4)[0]),
+    "basket put 250²": (marches.basket, lambda: marches.basket(30, 4)),
+    "heat over an obstacle 512²": (marches.parabolic, lambda: marches.parabolic(32, 4)),
+    "rolling contact": (marches.contact, lambda: marches.contact(24, 4)),
+}
+
+
+def run(*, quick: bool = False) -> Iterator[str]:
+    """Yield a line a scene and way."""
+    for name, (large, small) in SCENES.items():
+        make = small if quick else large
+        _alone(make()._replace(forcing=make().forcing[:2]))  # compiles
+        alone, by_solves = _alone(make())
+        together, by_march = _together(make())
+        change = np.abs(alone[-1].z - together[-1].z).max() / np.abs(alone[-1].z).max()
+        n = make().problem.n
+        yield _line(f"{name}, n = {n}, solve", alone, by_solves)
+        ratio = statistics.mean(by_march[1:]) / statistics.mean(by_solves[1:])
+        yield f"{_line(f'{name}, n = {n}, march', together, by_march)}   ÷ solve {ratio:.2f}, change {change:.0e}"
+
+
+def _line(what: str, results: list[Result], seconds: list[float]) -> str:
+    solved = sum(result.is_solved for result in results)
+    return (
+        f"{what:<48} {solved} of {len(results)} SOLVED; first {seconds[0]:.3f} s, a step after it "
+        f"{statistics.mean(seconds[1:]):.4f} s   {results[-1].algorithm}, {results[-1].iterations} iterations"
+    )
+
+
+def _fresh(steps: marches.Steps) -> LCP:
+    return LCP(steps.problem.csr, steps.problem.q, lower=steps.problem.lower)
+
+
+def _alone(steps: marches.Steps) -> tuple[list[Result], list[float]]:
+    problem, state, results, seconds = _fresh(steps), steps.z0, [], []
+    for force in steps.forcing:
+        began = time.process_time()
+        results.append(solve(problem.with_q(force + steps.carry @ state), z0=state, threads=1))
+        seconds.append(time.process_time() - began)
+        state = results[-1].z
+    return results, seconds
+
+
+def _together(steps: marches.Steps) -> tuple[list[Result], list[float]]:
+    """Tell steps apart by what the first one alone takes."""
+    def taken(forcing: FloatVector) -> tuple[Any, float]:
+        began = time.process_time()
+        done = march(_fresh(steps), forcing, steps.carry, z0=steps.z0, threads=1)
+        return done, time.process_time() - began
+
+    first, done = taken(steps.forcing[:1])[1], taken(steps.forcing)
+    others = (done[1] - first) / max(len(steps.forcing) - 1, 1)
+    return list(done[0]), [first] + [others] * (len(steps.forcing) - 1)

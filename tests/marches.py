@@ -1,0 +1,178 @@
+"""Marches in time on two-dimensional grids: what `march` takes, made by those who test and time it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import LCP
+from lcp_plugin.checks import FloatVector
+
+
+class Steps(NamedTuple):
+    """What ``march(problem, forcing, carry, z0=z0)`` takes."""
+
+    problem: LCP
+    forcing: FloatVector
+    carry: sp.csr_array
+    z0: FloatVector
+
+
+# Clarke and Parrott 1999, doi:10.1080/135048699334528; the values are those that later papers agree upon.
+HESTON = {"strike": 10.0, "rate": 0.1, "reversion": 5.0, "mean": 0.16, "of_variance": 0.9, "correlation": 0.1}
+HESTON_YEARS = 0.25
+HESTON_SPOTS, HESTON_VARIANCE = (8.0, 9.0, 10.0, 11.0, 12.0), 0.0625
+HESTON_VALUES = (2.0000, 1.107641, 0.520030, 0.213668, 0.082036)
+
+
+def _line(n: int, below: FloatVector, centre: FloatVector, above: FloatVector) -> sp.csr_array:
+    """Return the tridiagonal matrix of these rows, shape (n,) each."""
+    return sp.csr_array(sp.diags_array([below[1:], centre, above[:-1]], offsets=[-1, 0, 1], shape=(n, n)))
+
+
+def _central(n: int, h: float) -> sp.csr_array:
+    ones = np.ones(n)
+    return _line(n, -ones / (2.0 * h), 0.0 * ones, ones / (2.0 * h))
+
+
+def heston(prices: int = 400, variances: int = 150, steps: int = 20) -> tuple[Steps, FloatVector, FloatVector]:
+    """Return an American put under stochastic variance, and its prices and variances, the fastest index that of price.
+
+    Upwind where central differences would give a positive neighbour; the cross derivative by nine points. Dirichlet at
+    the least and the largest price, Neumann at the largest variance, the equation itself at variance 0.
+    """
+    strike, rate, kappa, mean, sigma, rho = HESTON.values()
+    top, largest, dt = 2.0 * strike, 1.0, HESTON_YEARS / steps
+    ds, dv = top / (prices + 1), largest / (variances - 1)
+    s, v = ds * np.arange(1, prices + 1), dv * np.arange(variances)
+    S, V = np.meshgrid(s, v)
+    boundary = np.zeros((variances, prices))
+    rows, columns, values = [], [], []
+    index = np.arange(prices * variances).reshape(variances, prices)
+
+    def add(where: FloatVector, j: int, i: int, value: FloatVector) -> None:
+        """Add entries that couple rows to the neighbour j variances and i prices away."""
+        jj, ii = np.nonzero(where)
+        j_to, i_to = jj + j, ii + i
+        j_to = np.where(j_to >= variances, variances - 1, j_to)  # Neumann
+        found = value[jj, ii]
+        left = i_to < 0
+        np.add.at(boundary, (jj[left], ii[left]), found[left] * strike)
+        inside = (i_to >= 0) & (i_to < prices)
+        rows.append(index[jj[inside], ii[inside]])
+        columns.append(index[j_to[inside], i_to[inside]])
+        values.append(found[inside])
+
+    everywhere = np.ones_like(S, dtype=bool)
+    cross = -0.25 * rho * sigma * V * S / (ds * dv)
+    cross[0] = 0.0
+    for j, i, sign in ((1, 1, 1.0), (-1, -1, 1.0), (1, -1, -1.0), (-1, 1, -1.0)):
+        add((V > 0.0) & everywhere, j, i, sign * cross)
+    centre = np.full_like(S, rate)
+    for diffusion, drift, h, (j, i) in (
+        (0.5 * V * S**2, rate * S, ds, (0, 1)), (0.5 * sigma**2 * V, kappa * (mean - V), dv, (1, 0)),
+    ):
+        below, above = -diffusion / h**2 + 0.5 * drift / h, -diffusion / h**2 - 0.5 * drift / h
+        is_central = (below <= 0.0) & (above <= 0.0)
+        below = np.where(is_central, below, -diffusion / h**2 + np.minimum(drift, 0.0) / h)
+        above = np.where(is_central, above, -diffusion / h**2 - np.maximum(drift, 0.0) / h)
+        centre -= below + above
+        add(below != 0.0, -j, -i, below)
+        add(above != 0.0, j, i, above)
+    add(everywhere, 0, 0, centre)
+    n = prices * variances
+    A = sp.csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    M = sp.csr_array(sp.eye_array(n) + dt * A)
+    payoff = np.maximum(strike - S, 0.0).ravel()
+    forcing = np.broadcast_to(dt * boundary.ravel(), (steps, n))
+    return Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff), s, v
+
+
+def basket(size: int = 250, steps: int = 40) -> Steps:
+    """Return an American put on the mean of two prices that move together, in their logarithms: nine points."""
+    strike, rate, years, reach = 1.0, 0.05, 1.0, 1.5
+    one, two, rho = 0.3, 0.2, 0.5
+    h, dt = 2.0 * reach / (size + 1), years / steps
+    x = -reach + h * np.arange(size + 2)
+    X, Y = np.meshgrid(x, x, indexing="ij")
+    payoff = np.maximum(strike - 0.5 * (np.exp(X) + np.exp(Y)), 0.0)
+    n = size + 2
+    second = _line(n, *(np.ones(n) * c / h**2 for c in (1.0, -2.0, 1.0)))
+    first, identity = _central(n, h), sp.eye_array(n)
+    A = (
+        0.5 * one**2 * sp.kron(second, identity) + 0.5 * two**2 * sp.kron(identity, second)
+        + rho * one * two * sp.kron(first, first)
+        + (rate - 0.5 * one**2) * sp.kron(first, identity) + (rate - 0.5 * two**2) * sp.kron(identity, first)
+    )
+    whole = sp.csr_array(sp.eye_array(n * n) * (1.0 + rate * dt) - dt * A)
+    inside = np.zeros((n, n), dtype=bool)
+    inside[1:-1, 1:-1] = True
+    at, edge = np.flatnonzero(inside.ravel()), np.flatnonzero(~inside.ravel())
+    values = payoff.ravel()
+    M, row = whole[at][:, at], whole[at][:, edge] @ values[edge]
+    forcing = np.broadcast_to(row, (steps, at.size))
+    return Steps(LCP(M, np.zeros(at.size), lower=values[at]), forcing, sp.csr_array(-sp.eye_array(at.size)), values[at])
+
+
+def parabolic(size: int = 512, steps: int = 20, dt: float = 1e-3) -> Steps:
+    """Return heat that flows over an obstacle while the source moves: symmetric, five points."""
+    h = 1.0 / (size + 1)
+    x = h * np.arange(1, size + 1)
+    X, Y = np.meshgrid(x, x, indexing="ij")
+    line = _line(size, *(np.ones(size) * c / h**2 for c in (-1.0, 2.0, -1.0)))
+    identity = sp.eye_array(size)
+    n = size * size
+    M = sp.csr_array(sp.eye_array(n) + dt * (sp.kron(line, identity) + sp.kron(identity, line)))
+    obstacle = (0.25 - 1.2 * ((X - 0.5) ** 2 + (Y - 0.5) ** 2)).ravel()
+    forcing = np.empty((steps, n))
+    for k in range(steps):
+        at = 0.3 + 0.4 * (k + 1) / steps
+        source = -6.0 + 60.0 * np.exp(-40.0 * ((X - at) ** 2 + (Y - 0.5) ** 2))
+        forcing[k] = -dt * source.ravel()
+    start = np.maximum(obstacle, 0.0)
+    return Steps(LCP(M, np.zeros(n), lower=obstacle), forcing, sp.csr_array(-sp.eye_array(n)), start)
+
+
+def contact(width: int = 160, steps: int = 20) -> Steps:
+    """Return a block of a viscous elastic solid on a rigid floor, over which a load rolls: bilinear, plane strain.
+
+    Its lower edge may lift off; the upper one is free, the sides are held.
+    """
+    height = width // 4
+    young, poisson, viscous, dt = 1.0, 0.3, 0.5, 1.0 / steps
+    lame, shear = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+    law = np.array([[lame + 2 * shear, lame, 0], [lame, lame + 2 * shear, 0], [0, 0, shear]])
+    element = np.zeros((8, 8))
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for g in (-1, 1):
+        for f in (-1, 1):
+            point = np.array([g, f]) / np.sqrt(3.0)
+            slope = 0.5 * corners * (1 + corners[:, ::-1] * point[::-1])  # on an element of size 1
+            strain = np.zeros((3, 8))
+            strain[0, 0::2], strain[1, 1::2] = slope[:, 0], slope[:, 1]
+            strain[2, 0::2], strain[2, 1::2] = slope[:, 1], slope[:, 0]
+            element += 0.25 * strain.T @ law @ strain
+    node = np.arange((width + 1) * (height + 1)).reshape(height + 1, width + 1)
+    quads = np.stack([node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]], axis=-1).reshape(-1, 4)
+    places = (2 * quads[:, :, None] + np.arange(2)).reshape(-1, 8)
+    K = sp.csr_array((
+        np.tile(element.ravel(), len(quads)), (np.repeat(places, 8, axis=1).ravel(), np.tile(places, (1, 8)).ravel()),
+    ))
+    held = np.zeros((height + 1, width + 1), dtype=bool)
+    held[:, 0] = held[:, -1] = True
+    free = np.flatnonzero(~np.repeat(held.ravel(), 2))
+    K = sp.csr_array(K[free][:, free])
+    lower = np.full(2 * node.size, -np.inf)
+    lower[2 * node[0] + 1] = -0.002 * (1.0 + np.cos(np.linspace(0.0, 12.0, width + 1)))  # a wavy floor
+    forcing = np.empty((steps, free.size))
+    across = np.linspace(0.0, 1.0, width + 1)
+    for k in range(steps):
+        at, load = 0.15 + 0.7 * k / max(steps - 1, 1), np.zeros(2 * node.size)
+        load[2 * node[-1] + 1] = -0.5 / width * np.exp(-200.0 * (across - at) ** 2)
+        load[2 * node[height // 2] + 1] += 0.02 / width
+        forcing[k] = -load[free]
+    M = sp.csr_array((1.0 + viscous / dt) * K)
+    rest = np.zeros(free.size)
+    return Steps(LCP(M, rest, lower=lower[free]), forcing, sp.csr_array(-viscous / dt * K), rest)

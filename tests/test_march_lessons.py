@@ -1,0 +1,99 @@
+"""What one step of a march teaches the next: the same answers, from less work."""
+
+from __future__ import annotations
+
+import marches
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, Status, march, solve
+from lcp_plugin.algorithms.multigrid import Multigrid
+from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
+from lcp_plugin.evidence import gallery
+from lcp_plugin.policy.marching import Lesson, StepPolicy
+
+SMALL = {
+    "heston": lambda: marches.heston(60, 24, 6)[0],
+    "basket": lambda: marches.basket(40, 6),
+    "parabolic": lambda: marches.parabolic(48, 6),
+    "contact": lambda: marches.contact(32, 6),
+}
+
+
+def marched(steps: marches.Steps, **options: object) -> object:
+    return march(steps.problem, steps.forcing, steps.carry, z0=steps.z0, **options)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
+    """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
+    steps = SMALL[name]()
+    done, state = marched(steps, tolerance=1e-10), steps.z0
+    assert done.all_solved
+    assert len(done) == len(steps.forcing)
+    for force, z in zip(steps.forcing, done.z, strict=True):
+        alone = solve(steps.problem.with_q(force + steps.carry @ state), z0=state, tolerance=1e-10).z
+        assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
+        state = z
+
+
+@pytest.mark.parametrize("name", ["basket", "parabolic"])
+def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
+    """The same bits in two runs, for any number of threads, and where answers are computed once more."""
+    steps = SMALL[name]()
+    first = np.array(list(marched(steps, threads=1).z))
+    fresh = steps._replace(problem=LCP(steps.problem.M, steps.problem.q, lower=steps.problem.lower))
+    for again in (marched(fresh), marched(steps, threads=2), marched(steps, keep_every=4)):
+        np.testing.assert_array_equal(first, np.array(list(again.z)))
+
+
+def test_later_steps_begin_with_what_finished_the_second() -> None:
+    """The first two steps try sweeps; the others do what finished, and no more of it than the second did."""
+    done = marched(SMALL["parabolic"]())
+    finished = done[1].stages[-1]
+    assert len(done[1].stages) > 1
+    for step in done[2:]:
+        assert [stage.name for stage in step.stages] == [finished.name]
+        assert step.work <= 1.5 * finished.work + 5.0
+        assert step.stages[0].because == "it finished the step before"
+
+
+def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
+    """The steps of a march by psor take fewer sweeps than each alone, which looks for the relaxation anew."""
+    steps = marches.basket(60, 5)
+    done = marched(steps)
+    assert [stage.name for stage in done[-1].stages] == ["psor"]
+    alone = solve(steps.problem.with_q(steps.forcing[-1] + steps.carry @ done.z[-2]), PSOR(), z0=done.z[-2])
+    assert done[-1].iterations < alone.iterations
+
+
+@pytest.mark.parametrize("slow", [PSOR(relaxation=1e-3), Multigrid(nested=False, smoother="npsor", relaxation=1e-3)])
+def test_what_has_become_slow_is_left(slow: object) -> None:
+    """A step whose predecessor's method does not get there asks anew, and the next begins with what finished."""
+    problem = gallery.build("obstacle_2d", size=40).problem
+    policy = StepPolicy(Lesson(7, slow, 1.0), refutes=True)
+    found = solve(problem, policy)
+    assert found.status is Status.SOLVED
+    assert found.stages[0].name == slow.name
+    assert len(found.stages) > 1
+    assert policy.lesson().algorithm is not None
+    assert policy.lesson().algorithm != slow
+
+
+def test_a_solve_knows_nothing_of_marches_before_it() -> None:
+    """solve() on the same problem gives the same bits after a march as before it."""
+    steps = SMALL["basket"]()
+    problem = steps.problem.with_q(steps.forcing[0] + steps.carry @ steps.z0)
+    before = solve(problem, z0=steps.z0)
+    marched(steps)
+    after = solve(problem, z0=steps.z0)
+    np.testing.assert_array_equal(before.z, after.z)
+    assert before.iterations == after.iterations
+
+
+def test_a_put_in_heston_s_model_has_its_published_value() -> None:
+    """On a moderate grid the values of the literature are met to one per cent of the strike's half."""
+    steps, spots, variances = marches.heston(79, 33, 20)
+    z = marched(steps).z[-1].reshape(variances.size, spots.size)
+    at = [np.interp(marches.HESTON_VARIANCE, variances, column) for column in z.T]
+    assert np.abs(np.interp(marches.HESTON_SPOTS, spots, at) - marches.HESTON_VALUES).max() < 0.03

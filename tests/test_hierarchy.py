@@ -244,12 +244,23 @@ def from_scratch(hierarchy: Hierarchy, is_free: np.ndarray) -> list[tuple[np.nda
     """Return (matrix, free) of every coarser grid by products of whole truncated matrices."""
     found = []
     matrix, free = as_scipy(hierarchy.grids[0].matrix, is_free.size).toarray(), is_free
-    for coarser, transfer in zip(hierarchy.grids[1:], hierarchy.transfers, strict=True):
-        P = as_scipy(transfer.prolongation, coarser.n).toarray() * free[:, None]
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        left = coupling(np.where(free, matrix, 0.0)) / diagonal_and_positive(matrix)
+        before = coupling(whole := as_scipy(grid.matrix, free.size).toarray()) / diagonal_and_positive(whole)
+        is_held = (left < vectors.HELD * before) & ~transfer.is_coarse
+        P = as_scipy(transfer.prolongation, coarser.n).toarray() * (free & ~is_held)[:, None]
         matrix = P.T @ matrix @ P
         free = matrix.diagonal() > 0.0
         found.append((matrix, free))
     return found
+
+
+def coupling(matrix: np.ndarray) -> np.ndarray:
+    return -np.minimum(matrix, 0.0).sum(axis=1)
+
+
+def diagonal_and_positive(matrix: np.ndarray) -> np.ndarray:
+    return np.maximum(np.maximum(matrix, 0.0).sum(axis=1), 1e-300)
 
 
 @pytest.mark.parametrize("text", SCENES)

@@ -19,6 +19,7 @@ from lcp_plugin.evidence.gallery.stencil import balanced_matrix
 from lcp_plugin.kernels import threads
 from lcp_plugin.matrix.hierarchy import galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
+from lcp_plugin.matrix.hierarchy.truncation import KrylovCorrection, Truncation
 from lcp_plugin.solving.batch import prepare, solve_many
 
 SCENES = [
@@ -103,6 +104,24 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
     assert result.status is Status.SOLVED
     if decades <= 6:
         assert_same(problem, result)
+
+
+@pytest.mark.parametrize("kind", ["all", "half", "tenth"])
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: int) -> None:
+    """Every tenth unknown fixed, they take no more than 20 V-cycles: what a fixed one holds follows nothing else."""
+    problem = jumps_by_edge(kind, decades)
+    truncation, generator = Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)), np.random.default_rng(1)
+    top, is_fixed = truncation.grids[0], generator.random(problem.n) < 0.1
+    top.is_free[:], top.free_changed[:] = ~is_fixed, is_fixed
+    truncation.update()
+    right = np.where(is_fixed, 0.0, generator.normal(size=problem.n) * problem.diagonal)
+    correction, steps = KrylovCorrection(truncation, right, True), 0
+    begun = correction.largest()
+    while correction.largest() > 1e-8 * begun:
+        assert correction.step()
+        steps += 1
+    assert steps <= 20
 
 
 @pytest.mark.full

@@ -42,15 +42,16 @@ class Multigrid(Algorithm):
 
     Notes
     -----
-    The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns where coarse ones are
-    too far); columns may have any units. Unknowns at a bound are taken out of all grids, and a coarse row is computed
-    again only where that changes it. Where the free set hardly changes and a cycle gains less than a factor 10, a few
-    steps of conjugate gradients (M symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle
-    each. A correction that raises the energy (M symmetric) is shortened. Where the residual grows a hundredfold, the
-    energy rises all the same, or neither has fallen enough for twelve cycles, projected Gauss–Seidel sweeps from the
-    last accepted iterate take over for a while: with this safeguard the run converges on every symmetric positive
-    definite M, from any start, whatever the corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the
-    proof). It ends where three such rounds gain nothing but rounding; without symmetry, where they gain little. Where
+    The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns where coarse ones
+    are too far); columns may have any units. Unknowns at a bound are taken out of all grids, fine ones that are
+    held by them follow no coarse one any more, and a coarse row is computed again only where that changes it. Where
+    the free set hardly changes and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
+    symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle each. A correction that
+    raises the energy (M symmetric) is shortened. Where the residual grows a hundredfold, the energy rises all the
+    same, or neither has fallen enough for twelve cycles, projected Gauss–Seidel sweeps from the last accepted
+    iterate take over for a while: with this safeguard the run converges on every symmetric positive definite M,
+    from any start, whatever the corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the proof).
+    It ends where three such rounds gain nothing but rounding; without symmetry, where they gain little. Where
     coarser grids would cost too much there are sweeps only.
 
     Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.

@@ -262,16 +262,15 @@ class MultigridRun:
             np.clip(part + top.x[: fine.q.size], fine.lower, fine.upper, out=part)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
-        fine.communicator.fetch(fine.residual)
         unit = self.truncation.unit
-        vectors.restrict(transfer, fine.residual, unit, below.b)
+        self.truncation.restrict(k, fine.residual)
         self.truncation.correct(k + 1)
         below.grid.communicator.fetch(below.x)
         before = None
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
             np.copyto(before, z[: before.size])
-        cut = vectors.prolong(transfer, below.x, unit, top.is_free, fine.lower, fine.upper, z)
+        cut = vectors.prolong(transfer, below.x, unit, top.is_interpolated, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return

@@ -1,7 +1,9 @@
 """The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
 
-Truncation to a set of free unknowns zeroes the rows of P of all others. A row of the coarse matrix then changes only
-where it meets an unknown that became free or fixed, or a changed row of the finer matrix: only those rows are
+Truncation to a set of free unknowns zeroes the rows of P of all others, and of fine ones that what is fixed holds: that
+took almost four fifths of their couplings. P would let those follow their coarse neighbours, as if nothing held them;
+where couplings jump, conjugate gradients then take ten times as many steps. A row of the coarse matrix changes only
+where it meets an unknown whose row of P comes or goes, or a changed row of the finer matrix: only those rows are
 computed again.
 
 Positions are unsigned, which spares the test for a negative index at each access: a third of the time.
@@ -295,10 +297,10 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
     The operands are the arrays that `_update_rows` names first.
     """
-    indices, is_free, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
+    indices, is_interpolated, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        space = *_row_space(is_free.size, indices.dtype), np.empty(c_is_free.size)
+        space = *_row_space(is_interpolated.size, indices.dtype), np.empty(c_is_free.size)
         counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
         return counts
 
@@ -308,13 +310,13 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
 @compiled
 def _update_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_free, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
+    indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
     fine_place, fine, fine_sums, sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
-    A coarse unknown all of whose fine ones are fixed, or whose pivot is not positive, is fixed itself.
+    A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.
     """
     one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
     products = 0.0
@@ -333,13 +335,13 @@ def _update_rows(  # type: ignore[no-untyped-def]
         count, added = uintp(0), uintp(0)
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             i = uintp(r_indices[a])
-            if not is_free[i]:
+            if not is_interpolated[i]:
                 continue
             weight = r_data[a]
             added += uintp(indptr[i + one] - indptr[i])
             for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 k = uintp(indices[b])
-                if not is_free[k]:
+                if not is_interpolated[k]:
                     continue
                 at = uintp(fine_place[k])
                 if at == 0:

@@ -324,7 +324,7 @@ def _coarser(
     elif normalises:
         factor = 1.0 / power_of_two(1.0 / float(grid.inverse.min()))
         rows[2][:] *= factor
-    transfer = Transfer(prolongation, restricting, is_coarse, factor)
+    transfer = Transfer(prolongation, restricting, is_coarse, factor, NO_WEIGHT if units is None else read_only(units))
     return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
 
 

@@ -33,6 +33,8 @@ class TruncatedGrid:
         self.inverse = grid.inverse.copy()
         self.is_free = np.ones(grid.width, np.bool_)
         self.free_changed = np.zeros(grid.width, np.bool_)
+        self.is_interpolated = np.ones(grid.width, np.bool_)  # free, and not held by what is fixed
+        self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
         self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
         self.touched = np.zeros(grid.width, np.bool_)
@@ -67,7 +69,8 @@ class TruncatedGrid:
             return 0.0
         self.is_whole = True
         self.forget_factor()
-        self.is_free[:] = True
+        self.is_free[:] = self.is_interpolated[:] = True
+        self.held = self.held[:0]
         self.inverse[:] = self.grid.inverse
         if self.new_values is not None:
             self.new_values[:] = self.grid.matrix.data
@@ -132,11 +135,24 @@ class Truncation:
             galerkin.mark_rows(
                 matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
             )
+            if vectors.find_held(
+                matrix.indptr, matrix.indices, matrix.data, level.values, level.is_free, level.touched,
+                level.is_interpolated, level.free_changed, transfer.units, transfer.is_coarse,
+            ):
+                own = slice(level.grid.n)
+                level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
+            level.grid.communicator.fetch_flags(level.is_interpolated)
+            level.grid.communicator.fetch_flags(level.free_changed)
+            if level.free_changed.any():
+                galerkin.mark_rows(
+                    matrix.indptr, matrix.indices, level.grid.runs, level.free_changed.view(np.uint8),
+                    level.touched.view(np.uint8), level.touched.view(np.uint8),
+                )
             level.grid.communicator.fetch_flags(level.touched)
             if level.new_values is not None:
                 level.grid.communicator.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
-                matrix.indptr, matrix.indices, level.values, level.is_free, level.touched,
+                matrix.indptr, matrix.indices, level.values, level.is_interpolated, level.touched,
                 *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
                 below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
                 below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
@@ -162,16 +178,24 @@ class Truncation:
         grid.communicator.fetch(level.x)
         residual = level.residual[: grid.n]
         sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
-        grid.communicator.fetch(level.residual)
-        below, transfer = self.grids[k + 1], self.transfers[k]
-        unit = self.unit if k == self.top else 1.0
-        vectors.restrict(transfer, level.residual, unit, below.b)
+        self.restrict(k, level.residual)
         self.correct(k + 1)
+        below, transfer = self.grids[k + 1], self.transfers[k]
         below.grid.communicator.fetch(below.x)
-        vectors.add_prolonged(transfer, below.x, unit, level.inverse, level.x)
+        unit = self.unit if k == self.top else 1.0
+        vectors.add_prolonged(transfer, below.x, unit, level.is_interpolated, level.x)
         grid.communicator.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
+
+    def restrict(self, k: int, residual: FloatVector) -> None:
+        """Write into b of grid k + 1 what it has to answer; `residual` has room for what others tell."""
+        level, held = self.grids[k], self.grids[k].held
+        kept = residual[held]
+        residual[held] = 0.0
+        level.grid.communicator.fetch(residual)
+        vectors.restrict(self.transfers[k], residual, self.unit if k == self.top else 1.0, self.grids[k + 1].b)
+        residual[held] = kept
 
     def correct_transposed(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
@@ -179,19 +203,19 @@ class Truncation:
         if k == len(self.transfers) and self._solves_directly(level, transposed=True):
             return
         arrays = *level.grid.matrix.arrays[:2], level.values
-        is_free, residual = level.inverse != 0.0, level.b.copy()
+        residual = level.b.copy()
         level.x[:] = 0.0
         vectors.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
         if k < len(self.transfers):
             below, transfer = self.grids[k + 1], self.transfers[k]
-            residual *= is_free
             below.b[:] = 0.0
             unit = self.unit if k == self.top else 1.0
-            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, residual, below.b)
+            carried = residual * level.is_interpolated
+            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, carried, below.b)
             self.correct_transposed(k + 1)
             correction = np.zeros_like(level.b)
             vectors.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
-            correction *= is_free
+            correction *= level.is_interpolated
             level.x += correction
             vectors.add_transposed_product(*arrays, -1.0, correction, residual)
             self.work += level.values.size + 2.0 * transfer.prolongation.data.size

@@ -6,7 +6,9 @@ zero. Of D M D, or of M with scaled columns, others do: those v > 0 with M v abo
 one, if they begin in units not too far from it. Where they begin is tried: in the given ones, and in those that bring
 the diagonal of V M V, or of M V, to 1.
 
-`inverse` holds 1/diagonal, and 0 for an unknown that is fixed.
+`inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have almost four
+fifths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
+interpolated then: where couplings jump, conjugate gradients took ten times as many steps with its row of P.
 """
 
 from __future__ import annotations
@@ -163,6 +165,7 @@ def smooth_units(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-d
     return lacking
 
 
+HELD = 0.22  # share of its couplings; no simple fraction, which rounding would decide on regular grids
 NO_FLAGS = np.zeros(0, np.bool_)
 
 
@@ -174,32 +177,32 @@ def restrict(transfer: Transfer, fine: FloatVector, unit: float, coarse: FloatVe
 
 
 def prolong(
-    transfer: Transfer, coarse: FloatVector, unit: float, is_free: BoolVector, lower: FloatVector, upper: FloatVector,
+    transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, lower: FloatVector, upper: FloatVector,
     z: FloatVector,
 ) -> int:
-    """Overwrite z by mid(lower, upper, z + unit P coarse) on the free rows; return how many were cut at a bound."""
-    operands = *transfer.prolongation.arrays, coarse, unit, True, is_free, lower, upper, z
+    """Overwrite z by mid(lower, upper, z + unit P coarse) where `flags` say so; return how many were cut at a bound."""
+    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
-def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, inverse: FloatVector, x: FloatVector) -> None:
-    """Add unit P coarse to x on the free rows."""
-    operands = *transfer.prolongation.arrays, coarse, unit, True, inverse != 0.0, *NO_BOUNDS[x.dtype], x
-    shared(partial(_interpolate, *operands), inverse.size)
+def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, x: FloatVector) -> None:
+    """Add unit P coarse to x where `flags`, of the own rows at least, say so."""
+    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, *NO_BOUNDS[x.dtype], x
+    shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
 
 @compiled
 def _interpolate(  # type: ignore[no-untyped-def]
-    indptr, indices, data, source, factor, adds, is_free, lower, upper, to, first, end
+    indptr, indices, data, source, factor, adds, flags, lower, upper, to, first, end
 ):
-    """To ← factor · A source; or, where it `adds`, add that on the free rows, cut off at the bounds if there are any.
+    """To ← factor · A source; or, where it `adds`, add that where flags are set, cut off at the bounds if any.
 
     Return how many were cut.
     """
     one, zero = uintp(1), data.dtype.type(0.0)
     cut, has_bounds = 0, lower.size > 0
     for i in range(uintp(first), uintp(end)):
-        if adds and not is_free[i]:
+        if adds and not flags[i]:
             continue
         change = factor * _plus_products(zero, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
         if not adds:
@@ -214,6 +217,47 @@ def _interpolate(  # type: ignore[no-untyped-def]
             cut += 1
         to[i] = value
     return cut
+
+
+def find_held(*operands: Any) -> int:
+    """Find the held rows among the touched ones; the operands are those of `_find_held`, what it returns is summed."""
+    return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
+
+
+@compiled
+def _find_held(  # type: ignore[no-untyped-def]
+    indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, units, is_coarse, first, end
+):
+    """Say which touched rows are interpolated; return how many of them are held or change for others' sake.
+
+    `is_changed` says who was fixed or freed, and afterwards who changed besides; `whole` are the values of the matrix
+    while all is free.
+    """
+    one, found = uintp(1), 0
+    for i in range(uintp(first), uintp(end)):
+        became, is_changed[i] = is_changed[i], False
+        if not touched[i]:
+            continue
+        is_held = False
+        if is_free[i] and not is_coarse[i]:
+            before, left, pivot_before, pivot = 0.0, 0.0, 0.0, 0.0
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                unit = units[j] if units.size > 0 else 1.0
+                if j == i or whole[k] > 0.0:
+                    pivot_before += unit * whole[k]
+                else:
+                    before -= unit * whole[k]
+                if j == i or values[k] > 0.0:
+                    pivot += unit * values[k]
+                elif is_free[j]:
+                    left -= unit * values[k]
+            is_held = left * pivot_before < HELD * before * pivot
+        interpolates = is_free[i] and not is_held
+        is_changed[i] = interpolates != is_interpolated[i] and not became
+        found += is_held or is_changed[i]
+        is_interpolated[i] = interpolates
+    return found
 
 
 @compiled

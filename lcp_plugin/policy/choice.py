@@ -30,7 +30,8 @@ The first sweeps are the quickest: they smooth what is left, and only then the s
 the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
 factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
 below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in
-the plane the residual falls as 1/k². That is the least that npsor is reckoned to need.
+the plane the residual falls as 1/k². That is the least that npsor is reckoned to need; where multigrid needs less, it
+comes after one sweep.
 
 A sweep costs its pass and the calls around it, as much as 10 000 entries more: so `banded` and the direct methods
 are reckoned on small M. psor's rate is that of all its sweeps, since each trial of a relaxation raises the residual.
@@ -174,11 +175,17 @@ class Auto(Policy):
         if isinstance(now.algorithm, Banded):
             return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
-        if not (failed or _is_asked(problem, now)):
+        is_asked, sweeps = failed or _is_asked(problem, now), 0.0
+        is_sought = isinstance(now.algorithm, NPSOR) and problem.n > DIRECT_UP_TO and not problem.is_dense
+        if is_sought and not failed and (is_asked or is_after_one_sweep):
+            sweeps = _least_sweeps(problem, now, target)
+        if is_asked:
+            sweeps = math.inf if failed else max(sweeps, now.steps_to_go(target))
+        elif sweeps == 0.0:
             return None
-        name, sweeps = now.algorithm.name, math.inf if failed else now.steps_to_go(target)
-        if isinstance(now.algorithm, NPSOR) and problem.n > DIRECT_UP_TO and not problem.is_dense:
-            sweeps = max(sweeps, _least_sweeps(problem, now, target))
+        else:
+            sweeps /= PATIENCE**2  # after one sweep multigrid has to be clearly less than psor, which takes the root
+        name = now.algorithm.name
         needs = f"{name} needs {sweeps:.0f} more sweeps" if sweeps < math.inf else f"{name} does not get nearer"
         needs = f"{name} came to an end" if failed else needs
         if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
@@ -186,7 +193,8 @@ class Auto(Policy):
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
         least = min(predicted, key=lambda rival: predicted[rival])
         is_hovering = now.work + sweeps > PATIENCE * predicted[least]  # its prediction came true too late before
-        if sweeps <= predicted[least] and not (failed or is_hovering):
+        is_enough = sweeps <= predicted[least] and not (failed or is_hovering)
+        if is_enough or not (is_asked or least.name == "multigrid"):
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
             self._direct = self._turns(problem)

@@ -105,7 +105,7 @@ def test_the_units_are_found(seed: int) -> None:
     scaled, columns = in_units(problem, seed)
     units = units_of_unknowns(scaled.matrix)
     assert units is not None
-    assert np.ptp(units.exponents - np.log2(columns)) <= 8
+    assert np.ptp(units.exponents.column - np.log2(columns)) <= 8
     assert units_of_unknowns(problem.matrix) is None
 
 
@@ -143,3 +143,11 @@ def test_a_march_judges_each_step_in_the_rows_own_terms() -> None:
     assert scaled.all_solved
     for one, other in zip(plain.z, scaled.z, strict=True):
         assert D @ one == pytest.approx(other, abs=1e-6 / FAR, rel=1e-6)
+
+
+def test_entries_near_the_end_of_the_range_have_units_too() -> None:
+    """In units of the unknowns 1e307 overflows, and is no error: the certificate still says what is wrong."""
+    problem = LCP([[1e307, 1e307], [1.0, 1e8]], [-1e307, -1e8])
+    assert units_of_unknowns(problem.matrix) is not None
+    assert solve(problem, "lemke").certificate.is_right_in_terms(1e-8)
+    assert not Certificate.of(problem, [0.5, 0.5]).is_right_in_terms(1e-8)

@@ -96,5 +96,6 @@ def _beside_reference(problem: LCP, z: FloatVector, w: FloatVector, units: Units
 
 def _in_units(problem: LCP, z: FloatVector, w: FloatVector, units: Units) -> FloatVector:
     """Return |r_i|, shape (n,), in units of the unknowns."""
-    below, above = (np.ldexp(step, -units.exponents) for step in (z - problem.upper, z - problem.lower))
-    return np.abs(np.minimum(np.maximum(w / units.residual_scale, below), above))
+    row, column = units.exponents
+    below, above = (np.ldexp(step, -column) for step in (z - problem.upper, z - problem.lower))
+    return np.abs(np.minimum(np.maximum(np.ldexp(w, row) / units.residual_scale, below), above))

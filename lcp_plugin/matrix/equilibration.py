@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector, read_only
-from .matrix import Matrix, fact
+from .matrix import Matrix, fact, residual_scale_of
 from .structure import IntVector, row_numbers
 from .symmetry import has_symmetric_entries
 
@@ -86,16 +86,17 @@ def has_even_entries(matrix: Matrix) -> bool:
 
 
 class Units(NamedTuple):
-    """What the unknowns are measured in beside each other, 2^exponents, and the residual scale of M with such columns.
+    """What the unknowns are measured in beside each other, and the rows beside them.
 
     Attributes
     ----------
-    exponents : array of int, shape (n,)
+    exponents : Exponents
+        An unknown is measured in 2^column, and w in 2^−row.
     residual_scale : array, shape (n,)
-        Of ``scaled(M, Exponents(0, exponents))``: w over it is a z in these units.
+        Of ``scaled(M, exponents)``.
     """
 
-    exponents: IntVector
+    exponents: Exponents
     residual_scale: FloatVector
 
 
@@ -109,7 +110,7 @@ def units_of_unknowns(matrix: Matrix) -> Units | None:
     Examples
     --------
     >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
-    >>> units_of_unknowns(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).exponents.tolist()
+    >>> units_of_unknowns(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).exponents.column.tolist()
     [0, 30, -30]
     """
     M = matrix.csr
@@ -121,8 +122,8 @@ def units_of_unknowns(matrix: Matrix) -> Units | None:
         found = scaling_exponents(M, has_symmetric_entries(matrix))
     if found is None or np.ptp(found.column) <= ALIKE:
         return None
-    in_units = Matrix(scaled(M, Exponents(np.zeros_like(found.column), found.column)))
-    return Units(read_only(found.column), in_units.residual_scale)
+    in_units = scaled(M, found)
+    return Units(found, read_only(residual_scale_of(in_units, in_units.diagonal())))
 
 
 def unit_diagonal(diagonal: FloatVector) -> Exponents:

@@ -180,7 +180,7 @@ class Matrix:
 
         d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(_residual_scale(self.rows, self.diagonal))
+        return read_only(residual_scale_of(self.rows, self.diagonal))
 
     @property
     @fact
@@ -236,7 +236,8 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
     return largest
 
 
-def _residual_scale(M: Any, diagonal: FloatVector) -> FloatVector:
+def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
+    """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
     entries = M.data if sp.issparse(M) else M
     if entries.size == 0:
         return np.ones(M.shape[0])

@@ -24,7 +24,7 @@ from lcp_plugin.conversions.qp_solution import QPSolution
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.exact.linear_systems import solved_nearby
 from lcp_plugin.modeling.registration import build
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.solving.quadratic_program import judged_program, solve_quadratic_program
 
 INF = np.inf
 INTERIOR = InteriorPoint()
@@ -509,6 +509,32 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0])
     assert prove_unbounded(program) is None
     assert isinstance(proof_of_no_minimum(program), QPInfeasibility)
+
+
+@pytest.mark.parametrize("cost", [1e5, 1e6, 1e8])
+def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
+    """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
+    assert judged_program(program).status == "unbounded"
+    proof = program.refutation()
+    assert isinstance(proof, QPUnboundedness)
+    least = proof.row_margin
+    assert least > 0.1
+    for size in 10.0 ** np.arange(-3, 12):
+        for x, (y, z) in ((1.0, (0.0, 0.0)), (size, (size, size)), (size, (0.0, size)), (size, (size, 1.0))):
+            solution = QPSolution(program, [1.0, x], np.empty(0), np.empty(0), [0.0, y], [cost, z])
+            assert solution.row_residual >= least
+
+
+def test_terms_that_may_cancel_prove_nothing_of_a_row() -> None:
+    """x₁ = x₂ in two rows whose multipliers 1e7 hide the cost 1 in any row's own terms: no x can be refuted so."""
+    G = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]]
+    program = QuadraticProgram(np.zeros((3, 3)), [-1.0, 0.0, -1e8], G, [0.0, 0.0], upper=[np.inf, np.inf, 1.0])
+    proof = QPUnboundedness(program, (Fraction(0),) * 3, (Fraction(1), Fraction(1), Fraction(0)))
+    assert proof.verify()
+    assert (proof.row_margin, proof.excludes(1e-6)) == (0.0, False)
+    hidden = QPSolution(program, [0.0, 0.0, 1.0], [1e7, 1e7], np.empty(0), np.zeros(3), [0.0, 0.0, 1e8])
+    assert hidden.row_residual < 1e-6
 
 
 def test_recover_tells_the_status() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..conversions.program_matrices import as_csr
-from ..exact.rational import ZERO, Vector, products
+from ..exact.rational import ZERO, Vector, products, rounded_down
 from ..kernels.floats import EPSILON
 from ..problem.linear_constraints import Contradiction, within
 from .constraints import Constraints, constraint_tolerance, stationarity
@@ -158,9 +158,33 @@ class QPUnboundedness:
         is_fall = self._found.plain > 0 and self._found.is_wide(self.program.dual_size)
         return self._found.miss(self.program.dual_unit) if is_fall else 0.0
 
+    @cached_property
+    def row_margin(self) -> float:
+        """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
+
+        What is left of component j of the gradient is at most s (1 + its largest term), no multiplier y_k is below −s.
+        With T_k = Σ_j |c_kj d_j| of constraint k, which loses at least T_k/κ along the direction d, and P d = 0 without
+        terms, |cᵀd| ≤ s (Σ_j |d_j| (1 + |c_j|) + 2 Σ_k T_k) where s ≤ 1/κ: a component of a small unit needs no other.
+        """
+        found, rows = self._found, self.program.constraints
+        if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
+            return 0.0
+        size = sum((abs(d) * (1 + abs(Fraction(float(self.program.c[j])))) for j, d in found.y.items()), ZERO)
+        least = Fraction(1)
+        for row, limit, is_equality in zip(rows.exactly, rows.limit.tolist(), rows.is_equality.tolist(), strict=True):
+            terms = [value * found.y[j] for j, value in row.items() if j in found.y]
+            if not terms:
+                continue
+            total = sum(map(abs, terms), ZERO)
+            if is_equality or limit < np.inf:
+                least = ZERO if is_equality else min(least, abs(sum(terms, ZERO)) / total)
+            size += 2 * total
+        return rounded_down(min(found.plain / size, least))
+
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance."""
-        return self.margin > tolerance and self.violation <= constraint_tolerance(tolerance)
+        is_wide = self.margin > tolerance or self.row_margin > tolerance
+        return is_wide and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
     def _is_rounding(self) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lcp_plugin import LCP, Status, march, solve
+from lcp_plugin.algorithms.active_sets.condensed import Condensed
 from lcp_plugin.algorithms.multigrid import Multigrid
 from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
 from lcp_plugin.evidence import gallery
@@ -16,7 +17,7 @@ SMALL = {
     "heston": lambda: marches.heston(60, 24, 6)[0],
     "basket": lambda: marches.basket(40, 6),
     "parabolic": lambda: marches.parabolic(48, 6),
-    "contact": lambda: marches.contact(32, 6),
+    "contact": lambda: marches.contact(48, 6),
 }
 
 
@@ -37,7 +38,7 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
         state = z
 
 
-@pytest.mark.parametrize("name", ["basket", "parabolic"])
+@pytest.mark.parametrize("name", ["basket", "parabolic", "contact"])
 def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
     """The same bits in two runs, for any number of threads, and where answers are computed once more."""
     steps = SMALL[name]()
@@ -76,8 +77,55 @@ def test_what_has_become_slow_is_left(slow: object) -> None:
     assert found.status is Status.SOLVED
     assert found.stages[0].name == slow.name
     assert len(found.stages) > 1
-    assert policy.lesson().algorithm is not None
-    assert policy.lesson().algorithm != slow
+    after = policy.lesson(problem, 5).algorithm
+    assert after is not None
+    assert after != slow
+
+
+def test_rows_without_bounds_are_eliminated_once() -> None:
+    """In a contact march one factor serves all later steps: each takes one round, a few passes over M."""
+    steps = SMALL["contact"]()
+    done = marched(steps)
+    assert [step.algorithm for step in done[1:]] == ["auto: condensed"] * (len(done) - 1)
+    for step in done[2:]:
+        assert step.iterations <= 2
+        assert step.work < 0.1 * done[0].work
+    alone = [step for step in march(steps.problem, steps.forcing[:1], steps.carry, z0=steps.z0)]
+    np.testing.assert_array_equal(alone[0].z, done[0].z)
+
+
+def test_what_cannot_be_condensed_is_left_to_auto() -> None:
+    """Where the block of the rows without bounds is singular, auto takes the step, and nobody condenses again."""
+    problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])
+    policy = StepPolicy(Lesson(3, Condensed(), np.inf), refutes=True)
+    found = solve(problem, policy)
+    assert found.status is Status.SOLVED
+    assert found.stages[0].name == "condensed"
+    assert not policy.lesson(problem, 100).may_condense
+
+
+def test_time_that_runs_out_keeps_the_steps_before() -> None:
+    """With max_seconds a march ends with a step that says so, and all before it are SOLVED."""
+    steps = marches.basket(60, 400)
+    done = marched(steps, max_seconds=0.2)
+    assert 0 < len(done) < len(steps.forcing)
+    assert all(step.is_solved for step in done[:-1])
+    assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
+
+
+def test_ctrl_c_keeps_the_steps_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interruption in the fourth step leaves three, all of them SOLVED."""
+    steps, first = SMALL["basket"](), StepPolicy.first
+
+    def interrupted(self: StepPolicy, problem: LCP) -> object:
+        if self._lesson.steps == 3:
+            raise KeyboardInterrupt
+        return first(self, problem)
+
+    monkeypatch.setattr(StepPolicy, "first", interrupted)
+    done = marched(steps)
+    assert not done.all_solved
+    assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
 
 
 def test_a_solve_knows_nothing_of_marches_before_it() -> None:

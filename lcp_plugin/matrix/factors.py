@@ -299,10 +299,15 @@ def factor_fits(matrix: Any) -> bool:
     n = matrix.shape[0]
     if n <= ALWAYS:
         return True
+    rows = row_numbers(matrix)
+    return _is_affordable(*_sizes(_envelope(rows, matrix.indices, n))) or _is_affordable(*within_envelope(matrix))
+
+
+def within_envelope(matrix: Any) -> tuple[float, float]:
+    """Return the entries and the operations of a factor within the envelope of the order of Cuthill and McKee."""
+    n = matrix.shape[0]
     pattern = sp.csr_array((np.ones(matrix.indices.size), matrix.indices, matrix.indptr), shape=matrix.shape)
     rows = row_numbers(pattern)
-    if _is_affordable(rows, pattern.indices, n):
-        return True
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     is_full = np.diff(pattern.indptr) + np.bincount(pattern.indices, minlength=n) > 2.0 * FULL * np.sqrt(n)
@@ -310,7 +315,7 @@ def factor_fits(matrix: Any) -> bool:
     order = others[reverse_cuthill_mckee(pattern[others][:, others], symmetric_mode=False)] if others.size else others
     position = np.empty(n, dtype=np.int64)
     position[np.append(order, full)] = np.arange(n)
-    return _is_affordable(position[rows], position[pattern.indices], n)
+    return _sizes(_envelope(position[rows], position[pattern.indices], n))
 
 
 def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
@@ -320,9 +325,12 @@ def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
     return (np.arange(n) - first).astype(np.float64)
 
 
-def _is_affordable(rows: Any, columns: Any, n: int) -> bool:
-    width = _envelope(rows, columns, n)
-    return bool(width.sum() <= LARGEST_FILL and width @ width <= LARGEST_OPERATIONS)
+def _sizes(width: FloatVector) -> tuple[float, float]:
+    return float(width.sum()), float(width @ width)
+
+
+def _is_affordable(fill: float, operations: float) -> bool:
+    return fill <= LARGEST_FILL and operations <= LARGEST_OPERATIONS
 
 
 class Bands(NamedTuple):

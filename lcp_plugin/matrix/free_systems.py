@@ -129,6 +129,17 @@ class FreeSystem:
         best = min(finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None)
         return None if best is None else self._extended(best)
 
+    def solve_as_is(self, right: FloatVector) -> FloatVector:
+        """Return M_FF⁻¹ right, shape (|F|,) or (|F|, k), by the factor of a regular block, without refinement."""
+        factor = self._factor
+        if factor is None:
+            raise ValueError("the block is singular: ask is_singular first")
+        self.work += factor.solve_work * (right.shape[1] if right.ndim == 2 else 1)
+        if right.ndim == 2 and self._is_uneven:  # whose rows and columns are scaled one right-hand side at a time
+            return np.column_stack([factor.solve(np.ascontiguousarray(column)) for column in right.T])
+        x: FloatVector = factor.solve(right)
+        return x
+
     def _extended(self, x: FloatVector) -> FloatVector | None:
         if not np.isfinite(x).all():
             return None

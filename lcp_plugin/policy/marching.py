@@ -5,15 +5,20 @@ that follow do: both ask as `auto` does, and from then on a step begins with wha
 it learned (psor: its relaxation). Where that fails, or has cost three times as much as it did when it was chosen,
 `auto` asks from the best iterate, and the step after begins with what finished then.
 
+Where few rows have a bound, as in contact, the others are eliminated once for all steps (`condensed`), if that is
+predicted to take less than the steps to come would at the cost of the last.
+
 All that is remembered is one :class:`Lesson`: a step is the same bit for bit from the same state with the same lesson.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..algorithms import Algorithm
+from ..algorithms.active_sets.condensed import Condensed, condensing_pays
 from ..problem.lcp import LCP
 from .choice import Auto, Policy
 from .stages import Choice, Stage
@@ -36,11 +41,14 @@ class Lesson:
         What the next one begins with; None where `auto` asks.
     work : float
         In passes over M, what it took in the step in which it was chosen.
+    may_condense : bool
+        Whether nothing speaks against the elimination of rows without bounds.
     """
 
     steps: int = 0
     algorithm: Algorithm | None = None
     work: float = 0.0
+    may_condense: bool = True
 
 
 class StepPolicy(Policy):
@@ -79,13 +87,19 @@ class StepPolicy(Policy):
         """Return what `auto` does."""
         return self._auto.another_start(problem, stages)
 
-    def lesson(self) -> Lesson:
-        """Return what is known after this step, which is solved."""
+    def lesson(self, problem: LCP, left: int) -> Lesson:
+        """Return what is known after this step, which is solved, when so many steps are left."""
         before, steps = self._lesson, self._lesson.steps + 1
         if not self._stages:  # solved at once
-            return Lesson(steps, before.algorithm, before.work)
+            return replace(before, steps=steps)
         last = self._stages[-1]
+        is_as_before = before.algorithm is not None and len(self._stages) == 1
+        may_condense = before.may_condense and (is_as_before or not isinstance(before.algorithm, Condensed))
         algorithm = last.successor or last.algorithm
+        if is_as_before:
+            return replace(before, steps=steps, algorithm=algorithm)
+        if may_condense and condensing_pays(problem, left * sum(stage.work for stage in self._stages)):
+            return Lesson(steps, Condensed(), math.inf)
         if steps < ASKING_STEPS or algorithm.name not in ITERATIVE:
-            return Lesson(steps)
-        return Lesson(steps, algorithm, before.work if len(self._stages) == 1 and before.algorithm else last.work)
+            return Lesson(steps, may_condense=may_condense)
+        return Lesson(steps, algorithm, last.work, may_condense)

@@ -38,7 +38,7 @@ class March(Results[Result]):
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
     again : callable
-        Called with a part of the forcing, a z0 and a lesson, marches there once more.
+        Called with a part of the forcing, a z0, a lesson and how many steps come after it, marches there once more.
 
     Attributes
     ----------
@@ -87,7 +87,8 @@ class March(Results[Result]):
         if self._part is None or self._part[0] != first:
             state, lesson = (self._kept[first - 1], self._lessons[first - 1]) if first else (self.z0, Lesson())
             forcing = self.forcing[first : min(first + self.keep_every, len(self))]
-            self._part = first, self._again(forcing, z0=state, lesson=lesson)
+            after = len(self.forcing) - first - len(forcing)
+            self._part = first, self._again(forcing, z0=state, lesson=lesson, after=after)
         return self._part
 
     def __len__(self) -> int:
@@ -165,7 +166,8 @@ def march(
     -----
     Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
     `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` asks anew in the
-    first two steps; the others begin with what finished the step before, as long as that gets no slower.
+    first two steps; the others begin with what finished the step before, as long as that gets no slower. Where few rows
+    have a bound, as in contact, the others are eliminated by one factor, once for all steps, if that pays.
 
     Examples
     --------
@@ -189,9 +191,12 @@ def march(
 
 def _marched(
     problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, keep_every: int, wishes: dict[str, Any],
-    forcing: FloatVector, *, z0: FloatVector, lesson: Lesson, limit: float = np.inf,
+    forcing: FloatVector, *, z0: FloatVector, lesson: Lesson, limit: float = np.inf, after: int = 0,
 ) -> March:
-    """Return the march from the state z0 with what was learned before it, within so many seconds."""
+    """Return the march from the state z0 with what was learned before it, within so many seconds.
+
+    `after` steps come after it, for which what is dear may pay as well.
+    """
     (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(problem.communicator)
     is_unobserved, state = settings.is_unobserved and wishes.get("callback") is None, z0
     quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
@@ -211,7 +216,8 @@ def _marched(
                 of_step = StepPolicy(lesson, refutes=settings.refute) if algorithm == "auto" else None
                 found = solve(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
-                lesson = of_step.lesson() if of_step is not None and found.is_solved else lesson
+                if of_step is not None and found.is_solved:
+                    lesson = of_step.lesson(problem, after + len(forcing) - before - 1)
                 done._take(found.z, found, lesson)
             state = done.z[-1]
         except InvalidProblem as error:

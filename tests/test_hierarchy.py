@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lcp_plugin.checks import read_only
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.gallery.stencil import balanced_matrix
+from lcp_plugin.kernels.threads import threads_for
 from lcp_plugin.matrix.hierarchy import coarsening, galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.matrix.hierarchy.grids import Blocks, Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
@@ -541,3 +542,24 @@ def test_what_changed_drops_out_of_runs(seed: int, share: float) -> None:
                 other = slice(indptr[i], indptr[i + 1])
                 assert np.array_equal(data[row], data[other])
                 assert np.array_equal(indices[row] - first, indices[other] - i)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_pieces_see_symmetry_as_one_does(threads: int) -> None:
+    """An entry without its mirror, left or right of the diagonal, or one that differs is found, whoever looks."""
+    M = gallery.build("obstacle_2d", size=230).problem.csr
+    row = M.shape[0] // 3
+    left, right = int(M.indptr[row]), int(M.indptr[row + 1]) - 1
+    with threads_for(threads):
+        assert is_symmetric_entrywise(M)
+        for k in (left, right):
+            other = M.copy()
+            other.data[k] *= 1.0 + 1e-9
+            assert not is_symmetric_entrywise(other)
+            keep = np.arange(M.nnz) != k
+            indptr = np.append(0, np.cumsum(keep))[M.indptr]
+            without = sp.csr_array((M.data[keep], M.indices[keep], indptr.astype(M.indptr.dtype)), shape=M.shape)
+            assert not is_symmetric_entrywise(without)
+            transposed = galerkin.transposed(M.shape[0], without.indptr, without.indices, without.data)
+            expected = without.T.tocsr()
+            assert all(map(np.array_equal, transposed, (expected.indptr, expected.indices, expected.data)))

@@ -12,32 +12,38 @@ from .compilation import compiled, compiled_part, interpreted_while_small
 UNEVEN = 10.0  # times as large as the largest entry of another row
 NEGLIGIBLE = -10.0  # log₂ of an entry that beside others of about 1 has no say
 MOST_BITS = 500.0
+FEW = 8  # entries that are read one after the other
 
 
 @compiled
-def is_mirrored(indptr, indices, data, tolerance, place):  # type: ignore[no-untyped-def]
-    """Return whether a CSR array is its transpose up to a relative tolerance in each entry; rows sorted. One pass.
+def unmirrored(begin, last, indices, data, tolerance, first_row, end_row):  # type: ignore[no-untyped-def]
+    """Return how many more entries stand right of the diagonal than left of it; −n² where one lacks its mirror.
 
-    Row by row, the entries right of the diagonal meet the entries below it in the order in which those are stored.
-    `place` says where rows begin, and is overwritten.
+    Row i holds the columns indices[begin[i]:last[i]], sorted. An entry right of the diagonal lacks its mirror where
+    there is none, or one that differs by more than the relative tolerance; without `data` the places alone count.
     """
-    one = uintp(1)
-    for i in range(uintp(indptr.size - 1)):
-        k = uintp(place[i])
-        end = uintp(indptr[i + one])
-        if k < end and uintp(indices[k]) < i:
-            return False  # an entry left of the diagonal that no row above has met
-        for m in range(k, end):
+    one, balance, has_data = uintp(1), 0, data.size > 0
+    for i in range(uintp(first_row), uintp(end_row)):
+        for m in range(uintp(begin[i]), uintp(last[i])):
             j = uintp(indices[m])
-            if j == i:
+            if j <= i:
+                balance -= j < i
                 continue
-            p = uintp(place[j])
-            if p >= uintp(indptr[j + one]) or uintp(indices[p]) != i:
-                return False
-            if not abs(data[m] - data[p]) <= tolerance * max(abs(data[m]), abs(data[p])):
-                return False
-            place[j] = p + one
-    return True
+            p, end = uintp(begin[j]), uintp(last[j])
+            while end - p > uintp(FEW):
+                middle = (p + end) // uintp(2)
+                if uintp(indices[middle]) <= i:
+                    p = middle
+                else:
+                    end = middle
+            while p < end and uintp(indices[p]) < i:
+                p += one
+            if p == end or uintp(indices[p]) != i:
+                return -begin.size * begin.size
+            if has_data and not abs(data[m] - data[p]) <= tolerance * max(abs(data[m]), abs(data[p])):
+                return -begin.size * begin.size
+            balance += 1
+    return balance
 
 
 @compiled

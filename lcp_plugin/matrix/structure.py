@@ -213,9 +213,9 @@ def _is_seen_connected(matrix: Matrix) -> bool:
     if starts[-1] == 0:
         return False
     for first in range(1, matrix.n, BLOCK):
-        rows = np.arange(first, min(first + BLOCK, matrix.n), dtype=indices.dtype)
-        places = np.minimum(starts[rows], indices.size - 1)  # an empty row meets nobody, whatever stands there
-        if not ((indices[places] < rows) & (starts[rows + 1] > starts[rows])).all():
+        last = min(first + BLOCK, matrix.n)
+        begin, end = starts[first:last], starts[first + 1 : last + 1]
+        if not (end > begin).all() or not (indices[begin] < np.arange(first, last, dtype=indices.dtype)).all():
             return False
     return True
 

@@ -6,12 +6,14 @@ rows, for factors and energies, which do not see a small entry in a row of large
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, read_only
+from ..kernels.threads import share
 from .matrix import Matrix, fact
 
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x, x and y arbitrary, beyond which M is not symmetric
@@ -19,6 +21,8 @@ UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do 
 DENSE_FROM, LARGEST_DENSE = 0.05, 2000  # share of the entries, and rows: a difference of sparse matrices takes longer
 ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
+SHARED_ROWS = 16_384  # rows that are worth a hand-over
+NO_DATA = np.zeros(0)
 
 
 @fact
@@ -52,9 +56,19 @@ def is_symmetric_entrywise(M: Any) -> bool:
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-20], [0.0, 2.0]]))
     False
     """
-    from ..kernels.rows import is_mirrored
+    return is_mirrored(M.indptr[:-1], M.indptr[1:], M.indices, M.data)
 
-    return bool(is_mirrored(M.indptr, M.indices, M.data, UNNOTICED, M.indptr[:-1].copy()))
+
+def is_mirrored(begin: Any, last: Any, indices: Any, data: FloatVector = NO_DATA) -> bool:
+    """Return whether row i has column j wherever j has i, with the same entry to 1e-12 where there are data.
+
+    Row i holds the columns indices[begin[i]:last[i]], sorted. Where each entry right of the diagonal has its mirror,
+    and there are no more on the left, all have.
+    """
+    from ..kernels.rows import unmirrored
+
+    operands = *map(read_only, (begin, last, indices, data)), UNNOTICED
+    return bool(sum(share(partial(unmirrored, *operands), last.size, SHARED_ROWS)) == 0)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one

@@ -55,26 +55,6 @@ def strong_couplings(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def are_mutual(last, columns, place):  # type: ignore[no-untyped-def]
-    """Return whether i depends strongly on j wherever j does on i; `place` says where rows begin, and is overwritten.
-
-    What stands before the diagonal was met from the other side when its row's turn comes: place[i] is behind it.
-    """
-    one = uintp(1)
-    for i in range(uintp(last.size)):
-        begin, end = uintp(place[i]), uintp(last[i])
-        if begin < end and uintp(columns[begin]) < i:
-            return False
-        for k in range(begin, end):
-            j = uintp(columns[k])
-            p = uintp(place[j])
-            if p >= uintp(last[j]) or uintp(columns[p]) != i:
-                return False
-            place[j] = p + one
-    return True
-
-
-@compiled
 def choose_coarse(  # type: ignore[no-untyped-def]
     begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
 ):

@@ -18,11 +18,11 @@ import numpy as np
 from numba import njit, uintp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import FloatVector, read_only
 from ...communicator.alone import Arrays
 from ...crossovers import SHARED_FROM
 from ...kernels.compilation import compiled
-from ...kernels.threads import share
+from ...kernels.threads import share, threads_now
 from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 
 Indices = NDArray[Any]
@@ -46,31 +46,53 @@ def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple
 def _transposed(
     width: int, begin: Indices, last: Indices, columns: Indices, data: FloatVector, entries: int
 ) -> Arrays:
+    """Each piece of rows counts its columns; behind those of the pieces before, its entries find their places."""
     # Allocated here and not in the kernel: numpy asks for large pages, which makes the first touch four times cheaper.
-    first, place = np.zeros(width + 1, begin.dtype), np.empty(width, begin.dtype)
-    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size)
-    _transpose(begin, last, columns, data, first, place, rows, t_data)
+    pieces = max(min(threads_now(), last.size // SMALLEST_PIECE), 1)
+    ends = read_only(np.linspace(0, last.size, pieces + 1).astype(np.int64))
+    first, places = np.zeros(width + 1, begin.dtype), np.zeros((pieces, width), begin.dtype)
+    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size, data.dtype)
+    share(partial(_count_columns, begin, last, columns, ends, places), pieces, 1)
+    _find_places(places, first)
+    share(partial(_transpose, begin, last, columns, data, ends, places, rows, t_data), pieces, 1)
     return first, rows, t_data
 
 
 @compiled
-def _transpose(begin, last, columns, data, first, place, rows, t_data):  # type: ignore[no-untyped-def]
-    """Write the transpose in CSR; `first` is zero before, and `data` may be empty."""
+def _count_columns(begin, last, columns, ends, counts, first_piece, end_piece):  # type: ignore[no-untyped-def]
+    for piece in range(first_piece, end_piece):
+        count = counts[piece]
+        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
+            for k in range(uintp(begin[i]), uintp(last[i])):
+                count[uintp(columns[k])] += 1
+
+
+@compiled
+def _find_places(places, first):  # type: ignore[no-untyped-def]
+    """Turn the counts of each piece into where its first entry of each column goes; first[0] is 0 before."""
+    total = 0
+    for j in range(places.shape[1]):
+        for piece in range(places.shape[0]):
+            count = places[piece, j]
+            places[piece, j] = total
+            total += count
+        first[j + 1] = total
+
+
+@compiled
+def _transpose(begin, last, columns, data, ends, places, rows, t_data, first_piece, end_piece):  # type: ignore[no-untyped-def]
+    """Write the entries of these pieces of rows to their places in the transpose; `data` may be empty."""
     one, has_data = uintp(1), data.size > 0
-    for i in range(uintp(last.size)):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            first[uintp(columns[k]) + one] += 1
-    for j in range(uintp(place.size)):
-        place[j] = first[j]
-        first[j + one] += first[j]
-    for i in range(uintp(last.size)):
-        for k in range(uintp(begin[i]), uintp(last[i])):
-            j = uintp(columns[k])
-            p = uintp(place[j])
-            rows[p] = i
-            if has_data:
-                t_data[p] = data[k]
-            place[j] += 1
+    for piece in range(first_piece, end_piece):
+        place = places[piece]
+        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
+            for k in range(uintp(begin[i]), uintp(last[i])):
+                j = uintp(columns[k])
+                p = uintp(place[j])
+                rows[p] = i
+                if has_data:
+                    t_data[p] = data[k]
+                place[j] = p + one
 
 
 @njit(inline="always")

@@ -34,6 +34,13 @@ NO_WEIGHT = np.zeros(0)
 NO_WEIGHT.flags.writeable = False
 
 
+def rounded(values: FloatVector) -> Any:
+    """Return the values in single precision."""
+    single = np.empty(values.size, np.float32)
+    share(lambda first, end: np.copyto(single[first:end], values[first:end], "same_kind"), values.size, SHARED_FROM)
+    return single
+
+
 @dataclass(frozen=True, eq=False)
 class Operator:
     """A read-only CSR matrix as bare arrays."""
@@ -56,7 +63,7 @@ class Operator:
 
     def single(self) -> Operator:
         """Return it with its values in single precision."""
-        return Operator(self.indptr, self.indices, self.data.astype(np.float32))
+        return Operator(self.indptr, self.indices, rounded(self.data))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from ..equilibration import power_of_two
 from ..factors import dense_lu
 from ..matrix import Matrix, fact
 from ..row_sums import pivot_weight
-from ..symmetry import has_symmetric_entries
+from ..symmetry import has_symmetric_entries, is_mirrored
 from . import coarsening, galerkin
 from . import vectors as ways
 from .grids import (
@@ -200,7 +200,7 @@ def chosen_kinds(
     operands = indptr, indices, data, strength, n, is_strong, columns, last
     share(partial(coarsening.strong_couplings, *operands), n, SMALLEST_PIECE)
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
-    dependents, is_mutual = depends, coarsening.are_mutual(*depends[1:], indptr[:-1].copy())
+    dependents, is_mutual = depends, is_mirrored(*depends)
     if not is_mutual:
         first, rows = galerkin.transposed_pattern(*depends)
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))

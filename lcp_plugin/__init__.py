@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from .solving.march import march as march
     from .solving.march_derivative import MarchDerivative as MarchDerivative
     from .solving.march_derivative import MarchGradient as MarchGradient
+    from .solving.march_many import march_many as march_many
     from .solving.nonlinear import solve_nonlinear as solve_nonlinear
     from .solving.program_batch import ProgramBatchResult as ProgramBatchResult
     from .solving.program_proofs import Certification as Certification
@@ -110,6 +111,7 @@ _HOME = {
     "solve_many": "solving.batch",
     "march": "solving.march",
     "March": "solving.march",
+    "march_many": "solving.march_many",
     "MarchDerivative": "solving.march_derivative",
     "MarchGradient": "solving.march_derivative",
     "bounded_least_squares": "solving.least_squares",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import tracemalloc
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +14,18 @@ import scipy.sparse as sp
 from exact import LOWER, UPPER, exact_rows, solve_fractions
 from exact_derivatives import distance, exact, piece_at, product
 
-from lcp_plugin import LCP, Derivative, InvalidOption, InvalidProblem, UnsuitableProblem, derivative, march, solve
+from lcp_plugin import (
+    LCP,
+    Derivative,
+    InvalidOption,
+    InvalidProblem,
+    Status,
+    UnsuitableProblem,
+    derivative,
+    march,
+    march_many,
+    solve,
+)
 from lcp_plugin.kernels import banded_derivatives
 from lcp_plugin.kernels.compilation import compiling_at_once
 from lcp_plugin.solving.march import March
@@ -342,3 +354,91 @@ def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
             np.testing.assert_allclose(found.jvp(**change), dz, rtol=0, atol=1e-11)
         assert derivative(done).vjp(g).forcing.tobytes() == first.forcing.tobytes()
         assert [len(one.signatures) for one in compiled] == before
+
+
+# --- Many at once ---------------------------------------------------------------------------------------------
+
+
+def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
+    """American puts with one M: the problem, the payoff of each strike, a carry of a Crank–Nicolson scheme."""
+    x = np.linspace(-1.0, 1.0, n)
+    A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.02 * (n / 2) ** 2)
+    payoff = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
+    carry = sp.csr_array(A / (2 * k) - sp.eye_array(n))
+    return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, carry
+
+
+@pytest.mark.parametrize("keep_every", [1, 9])
+def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
+    """Bit for bit, on any number of threads, with results that say the same."""
+    problem, payoff, carry = strikes(120, 100, 41)
+    forcing = np.zeros((100, 120))
+    alone = [march(problem.with_q(problem.q, lower=g), forcing, carry, z0=g) for g in payoff]
+    for threads in (1, 2, 3):
+        found = march_many(problem, forcing, carry, lower=payoff, z0=payoff, threads=threads, keep_every=keep_every)
+        assert len(found) == 41
+        for ours, theirs in zip(found, alone, strict=True):
+            assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
+            for k in (0, 1, 50, 98, 99):
+                assert np.array_equal(ours.z[k], theirs.z[k])
+            assert np.array_equal(ours[50].w, theirs[50].w)
+            assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
+            assert ours[50].certificate.relative_residual <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+            assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
+    np.testing.assert_allclose(
+        derivative(found[7]).vjp(np.ones(120)).z0, derivative(alone[7]).vjp(np.ones(120)).z0, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("make", [
+    lambda: (LCP(grid(5), np.zeros(25)), -1.0), lambda: drawn(25, 2, width=2), lambda: drawn(25, 1, z=True),
+])
+def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) -> None:
+    """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
+    (problem, carry), rng = make(), np.random.default_rng(3)
+    forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
+    lower, upper = -rng.uniform(0.1, 1.0, (6, 25)), rng.uniform(0.1, 1.0, (6, 25))
+    upper[:, 3] = lower[:, 3]
+    found = march_many(problem, forcing, carry, lower=lower, upper=upper, z0=states)
+    for j, one in enumerate(found):
+        alone = march(problem.with_q(problem.q, lower=lower[j], upper=upper[j]), forcing[j], carry, z0=states[j])
+        assert one.all_solved
+        for ours, theirs in zip(one.z, alone.z, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
+    same = march_many(problem, forcing[0], carry, z0=states)
+    assert all(np.allclose(one.z[0], march(problem, forcing[0][:1], carry, z0=z).z[0], atol=1e-7)
+               for one, z in zip(same, states, strict=True))
+    assert [len(one) for one in march_many(problem, forcing[:, :0], carry)] == [0] * 6
+    assert len(march_many(problem, forcing[0], carry)) == 1
+
+
+def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
+    """One that overflows, and one that is not solved: each says so, the others reach their end."""
+    rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
+    forcing = np.full((3, 4, 6), -1.0)
+    forcing[1, 2:] = -1.7e308
+    found = march_many(rod, forcing, -0.5)
+    assert [len(one) for one in found] == [4, len(found[1]), 4]
+    assert [one.all_solved for one in found] == [True, False, True]
+    assert len(found[1]) < 4
+    cut = march_many(rod, forcing[[0, 2]], -0.5, algorithm="psor", max_iterations=0)
+    assert [(len(one), one.all_solved) for one in cut] == [(1, False)] * 2
+    late = march_many(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
+    assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"forcing": np.zeros((2, 2, 4))}, r"forcing must be .* \(m, k, n\), or \(k, n\) for all marches, n = 3, got"),
+    ({"forcing": np.full((1, 2, 3), np.nan)}, r"but forcing\[0, 0, 0\] = nan; repair that entry"),
+    ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
+    ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
+    ({"carry": np.eye(2)}, "carry must be"),
+])
+def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
+    """Data of other shapes or not finite, in words and before the first step."""
+    with pytest.raises(InvalidProblem, match=message):
+        march_many(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((2, 2, 3)), **given})
+    with pytest.raises(InvalidOption, match="march_many needs an LCP, got ndarray"):
+        march_many(np.eye(3), np.zeros((1, 3)))
+    with pytest.raises(InvalidOption, match="march has no option 'tol'"):
+        march_many(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)

@@ -28,6 +28,7 @@ from ..solving.batch import solve_batch
 from ..solving.derivative import derivative
 from ..solving.driver import solve
 from ..solving.march import march
+from ..solving.march_many import march_many
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
@@ -74,6 +75,7 @@ def _run(part: str) -> None:
         steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm=part))
         steps.vjp(np.ones(sparse.n))
         steps.jvp(dz0=np.ones(sparse.n))
+        march_many(gallery.build("american_put", size=20).problem, np.zeros((2, 1, 20)))
     else:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -149,6 +149,43 @@ class Banded(Algorithm):
             part = self.name, direct + blocks, work
             found.append(None if direct < 0 else FusedSolve(z, ratio_upwards(largest, least), work, (part,)))
         return found
+
+    def fused_marches(
+        self, problem: LCP, forcing: FloatVector, carry: Any, lower: FloatVector, upper: FloatVector, z: FloatVector,
+        tolerance: float, max_iterations: int,
+    ) -> tuple[FloatVector, Callable[[int, int], FusedSolve]]:
+        """Return the answers of the first steps of some marches, shape (m, steps, n), and the fused solve of each.
+
+        There are as many steps as have converged in all of them.
+
+        Parameters
+        ----------
+        problem : LCP
+            Gives M, tridiagonal, with no positive entry off the diagonal.
+        forcing : array, shape (k, n, m), or (k, n, 1) for all marches
+        carry : CSR array, shape (n, n)
+        lower, upper, z : arrays, shape (n, m)
+            Bounds, and the states before the first step, which are overwritten.
+        tolerance, max_iterations
+            As for `solve_fused`, of each step.
+        """
+        from ...kernels.marches import march_all
+
+        band, M, (k, (n, m)) = self._bands(problem), problem.csr, (len(forcing), z.shape)
+        answers, rounds, ends = np.empty((m, k, n)), np.empty((m, k), np.int64), np.empty((m, k, 2))
+        whole = [A.astype(np.int64) for A in (M.indptr, M.indices, carry.indptr, carry.indices)]
+        steps = march_all(
+            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], carry.data, forcing, lower, upper,
+            np.clip(0.0, lower, upper), tolerance, max_iterations, z, answers, rounds, ends,
+        )
+        answers.flags.writeable = False  # they are judged
+
+        def solve_of(march: int, step: int) -> FusedSolve:
+            count, (largest, least) = int(rounds[march, step]), ends[march, step].tolist()
+            work = _work(_costs(band, problem), count, 0)
+            return FusedSolve(answers[march, step], ratio_upwards(largest, least), work, ((self.name, count, work),))
+
+        return answers[:, :steps], solve_of
 
     def _bands(self, problem: LCP) -> Bands:
         band = bands(problem.matrix)

@@ -236,9 +236,7 @@ def _fused(
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
     first, clock = policy.first(problem), Clock(problem.communicator)
-    if not isinstance(first.algorithm, Banded) or parts(problem.matrix) is not None:  # each step has units of its own
-        return
-    if units_of_unknowns(problem.matrix) is not None:  # the loop does not judge rows in their own terms
+    if not (isinstance(first.algorithm, Banded) and has_common_units(problem)):
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
@@ -254,6 +252,11 @@ def _fused(
         if one is None:
             return
         yield one.z, partial(result_of, q, one)
+
+
+def has_common_units(problem: LCP) -> bool:
+    """Return whether a compiled loop may judge all rows alike: in no units of a step's own, nor of the unknowns."""
+    return parts(problem.matrix) is None and units_of_unknowns(problem.matrix) is None
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

@@ -18,11 +18,11 @@ from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem
 from ..kernels.threads import in_chunks
 from ..matrix.factors import bands
-from ..matrix.structure import parts
+from ..policy.marching import Lesson
 from ..problem.lcp import LCP
 from ..settings import Settings, checked_threads
 from .driver import asked_of_solve, fused_result
-from .march import BLOCK, March, march
+from .march import BLOCK, March, has_common_units, march
 from .result import Result
 
 SIDE_BY_SIDE = 24  # marches in one compiled loop: more do not stay near the processor
@@ -98,8 +98,14 @@ def march_many(
         if marches and steps.are_together:
             steps.take_together(checked_threads(threads))
         else:
-            for one in marches:
-                steps.take_alone(one, len(one.forcing))
+            for j, one in enumerate(marches):
+                try:
+                    marches[j] = march(one.problem, one.forcing, one.carry, z0=one.z0, keep_every=keep_every,
+                                       max_seconds=steps.seconds_left, **wishes)
+                except InvalidProblem as error:
+                    one.error, one.all_solved = error, False
+                if steps.is_interrupted(marches[j]):
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
         for one in marches:
             one.all_solved = one.all_solved and len(one) == len(one.forcing)
@@ -119,7 +125,7 @@ class _Steps:
         """Whether the compiled loop is for these."""
         problem = self.marches[0].problem
         is_unobserved = self.settings.is_unobserved and self.wishes.get("callback") is None
-        if not (is_unobserved and problem.n and parts(problem.matrix) is None):  # each step would have its own units
+        if not (is_unobserved and problem.n and has_common_units(problem)):
             return False
         self.first = self.policy.first(problem)
         band = bands(problem.matrix) if isinstance(self.first.algorithm, Banded) else None
@@ -172,26 +178,31 @@ class _Steps:
         for j, (one, rows) in enumerate(zip(group, answers, strict=True)):
             before = _state(one)
             for k, z in enumerate(rows):
-                one._take(z, partial(result_of, one, j, k, before))
+                one._take(z, partial(result_of, one, j, k, before), Lesson())
                 before = z
+
+    @property
+    def seconds_left(self) -> float | None:
+        """The seconds that all may still take, None for any number."""
+        return None if self.limit == np.inf else max(self.limit - self.clock.read(), 0.0)
+
+    def is_interrupted(self, one: March) -> bool:
+        """Return whether Ctrl-C has ended a march, which has kept that for itself."""
+        return len(one) < len(one.forcing) and one.error is None and (not one or one[-1].is_solved)
 
     def take_alone(self, one: March, end: int) -> None:
         """Take the steps up to that number of one march, after those that it has; at most one that is not solved."""
-        left = None if self.limit == np.inf else max(self.limit - self.clock.read(), 0.0)
-        first = len(one)
         try:
-            rest = march(
-                one.problem, one.forcing[first:end], one.carry, z0=_state(one), max_seconds=left,
-                keep_every=one.keep_every if first == 0 and end == len(one.forcing) else 1, **self.wishes,
-            )
+            rest = march(one.problem, one.forcing[len(one) : end], one.carry, z0=_state(one),
+                         max_seconds=self.seconds_left, **self.wishes)
         except InvalidProblem as error:
             one.error, one.all_solved = error, False
             return
         for k in range(len(rest)):
-            one._take(rest.z[k], partial(rest.at, k))
+            one._take(rest.z[k], partial(rest.at, k), rest._lessons[k])
         one.error, one.all_solved = rest.error, rest.all_solved
-        if len(rest) < end - first and rest.error is None and (not rest or rest[-1].is_solved):
-            raise KeyboardInterrupt  # which that march has kept for itself
+        if self.is_interrupted(rest):
+            raise KeyboardInterrupt
 
 
 def _unfinished(group: list[March]) -> list[March]:

@@ -356,3 +356,17 @@ def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) 
     by_w = (fischer_burmeister(problem, z, w + h * d).value - fischer_burmeister(problem, z, w - h * d).value) / (2 * h)
     assert np.allclose(phi.by_z, by_z, atol=1e-4)
     assert np.allclose(phi.by_w, by_w, atol=1e-4)
+
+
+@pytest.mark.parametrize("wind", [0.0, 0.3, 0.9])
+def test_a_wind_makes_a_factor_no_larger(wind: float) -> None:
+    """A nonsymmetric M of a symmetric pattern is ordered as a symmetric one: the same fill, the same work."""
+    line = sp.diags_array([np.full(59, -1.0 - wind), np.full(60, 2.0), np.full(59, wind - 1.0)], offsets=[-1, 0, 1])
+    identity = sp.eye_array(60)
+    M = sp.csr_array(sp.kron(line, identity) + sp.kron(identity, line))
+    ordered, found = factorise(M, is_symmetric=True), factorise(M)
+    assert found is not None
+    assert ordered is not None
+    assert found.work <= ordered.work
+    assert found.solve_work <= ordered.solve_work
+    assert np.abs(M @ found.solve(M @ np.ones(3600)) - M @ np.ones(3600)).max() < 1e-10

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from ..checks import FloatVector, read_only
 from ..deadline import interruptible
 from .equilibration import power_of_two
-from .matrix import Matrix, fact
+from .matrix import Matrix, fact, largest_in_rows
 from .structure import row_numbers
 
 T = TypeVar("T")
@@ -29,6 +29,7 @@ DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diag
 DENSE_ABOVE_DENSITY = 0.25
 LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
+SYMMETRIC_SHARE = 0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
 SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
@@ -85,7 +86,7 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
         Not modified.
     is_symmetric : bool
         The matrix is symmetric up to rounding: Cholesky is tried first where it is dense, and a sparse one is
-        ordered by the pattern of A + Aᵀ.
+        ordered by the pattern of A + Aᵀ, as others are where most of their pattern is symmetric.
     bandwidth : (int, int), optional
         Numbers of sub- and superdiagonals of a sparse matrix, where they are known.
     """
@@ -182,7 +183,8 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
 def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     if not np.isfinite(matrix.data).all():
         return None
-    options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if is_symmetric else {"permc_spec": "COLAMD"}
+    in_one_order = is_symmetric or _suits_one_order(matrix)
+    options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if in_one_order else {"permc_spec": "COLAMD"}
     try:
         factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
     except RuntimeError:
@@ -192,6 +194,17 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
         return lambda right: factor.solve(right, trans=trans)
 
     return Factor("sparse LU", solver("T"), solver("N"), sparse_work(factor), float(factor.nnz))
+
+
+def _suits_one_order(matrix: sp.csr_array) -> bool:
+    """Return whether rows and columns do best in one order, as those of grids with a wind: half the fill, or less.
+
+    The diagonal is large enough to be kept as pivots, and most entries have one on the other side of it.
+    """
+    if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
+        return False
+    pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
+    return bool(pattern.multiply(pattern.T).nnz >= SYMMETRIC_SHARE * matrix.nnz)
 
 
 def sparse_work(factor: Any) -> float:

@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from numba import njit
+from numba import njit, typeof
 from small_families import FAMILIES, problem
 from typer.testing import CliRunner
 
 import lcp_plugin
 from lcp_plugin import LCP, QuadraticProgramBatch, Status, bounded_least_squares, gallery, solve, solve_batch
+from lcp_plugin.checks import read_only
 from lcp_plugin.commands.cli import app
 from lcp_plugin.communicator.alone import ALONE
 from lcp_plugin.deadline import NEW_KERNELS, Clock, compilation
@@ -407,6 +408,23 @@ def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:
         kinds = [tuple(str(kind) for kind in signature) for signature in kernel.signatures]
         assert len(kinds) == len(set(kinds))
         assert not any("Literal" in kind for key in kinds for kind in key)
+
+
+def test_a_kernel_that_two_threads_asked_for_is_found_at_once() -> None:
+    """Asked for twice for the same read-only arrays, as by two threads at once, a kernel has one entry for them."""
+
+    @compiled
+    def last(values):  # type: ignore[no-untyped-def]
+        return values[-1]
+
+    values = read_only(np.ones(3))
+    signature = (typeof(values),)
+    for _ in range(2):  # as if the second had asked before the first was answered
+        last.compile(signature)
+    asked, compile_for = [], last._compile_for_args
+    last._compile_for_args = lambda *arguments: asked.append(arguments) or compile_for(*arguments)
+    assert last(values) == 1.0
+    assert asked == []
 
 
 def test_two_types_compiled_at_once_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -228,6 +228,7 @@ def _as_one_type(dispatcher: Any) -> Any:
     if not hasattr(dispatcher, "compile"):
         return dispatcher
     template, compile_for = dispatcher.get_call_template, dispatcher.compile
+    known: dict[tuple[int, ...], object] = {}
 
     def of_types(arguments: Any, named: Any) -> Any:
         return template(tuple(map(_plain, arguments)), {name: _plain(kind) for name, kind in named.items()})
@@ -235,9 +236,11 @@ def _as_one_type(dispatcher: Any) -> Any:
     def compile_once(signature: Any) -> Any:
         arguments, _ = normalize_signature(signature)  # type: ignore[no-untyped-call]
         plain = tuple(map(_plain, arguments))
-        entry = compile_for(plain)
-        if plain != arguments:
-            dispatcher._insert([kind._code for kind in arguments], entry, False)
+        entry, mine = compile_for(plain), object()
+        codes = tuple(kind._code for kind in arguments)
+        # Two threads may ask at once. Of what was entered twice numba takes neither, and asks again at every call.
+        if plain != arguments and known.setdefault(codes, mine) is mine:
+            dispatcher._insert(list(codes), entry, False)
         return entry
 
     dispatcher.get_call_template, dispatcher.compile = of_types, compile_once

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import marches
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from lcp_plugin import LCP, Status, march, solve
 from lcp_plugin.algorithms.active_sets.condensed import Condensed
@@ -70,16 +73,56 @@ def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
 
 @pytest.mark.parametrize("slow", [PSOR(relaxation=1e-3), Multigrid(nested=False, smoother="npsor", relaxation=1e-3)])
 def test_what_has_become_slow_is_left(slow: object) -> None:
-    """A step whose predecessor's method does not get there asks anew, and the next begins with what finished."""
+    """A step whose predecessor's method does not get there asks anew, and so does the next one."""
     problem = gallery.build("obstacle_2d", size=40).problem
     policy = StepPolicy(Lesson(7, slow, 1.0), refutes=True)
     found = solve(problem, policy)
     assert found.status is Status.SOLVED
     assert found.stages[0].name == slow.name
     assert len(found.stages) > 1
-    after = policy.lesson(problem, 5).algorithm
-    assert after is not None
-    assert after != slow
+    after = policy.lesson(problem, 5)
+    assert after.algorithm is None
+    assert after.left == 1
+
+
+def without_diagonal(rng: np.random.Generator) -> LCP:
+    """A program's optimality conditions, whose multipliers have no diagonal entry."""
+    H, A = sp.diags_array(1.0 + rng.random(300)), sp.random_array((120, 300), density=0.02, rng=rng)
+    return LCP(sp.block_array([[H, -A.T], [A, None]], format="csr"), np.zeros(420))
+
+
+def with_jumps(rng: np.random.Generator) -> LCP:
+    """A large sparse matrix of positive diagonal."""
+    return gallery.build("random_h_plus", n=3000).problem
+
+
+@pytest.mark.parametrize("make", [without_diagonal, with_jumps])
+def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
+    """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""
+    rng = np.random.default_rng(3)
+    problem = make(rng)
+    forcing = rng.standard_normal((24, problem.n)) * 10.0 ** rng.integers(-2, 3, (24, 1))
+    done, state, work = march(problem, forcing, 0.1), problem.nearest_to_zero, 0.0
+    assert done.all_solved
+    for k in range(24):
+        work += solve(problem.with_q(forcing[k] + 0.1 * state), z0=state).work
+        state = done.z[k]
+    assert sum(step.work for step in done) <= 1.1 * work
+
+
+def test_a_march_whose_steps_differ_asks_at_every_one() -> None:
+    """What had to be left twice is not tried a third time; and every sixteenth step asks in any case."""
+    problem, slow = gallery.build("obstacle_2d", size=40).problem, PSOR(relaxation=1e-3)
+    policy = StepPolicy(Lesson(9, slow, 1.0, left=1), refutes=True)
+    solve(problem, policy)
+    lesson = policy.lesson(problem, 100)
+    assert (lesson.left, lesson.algorithm) == (2, None)
+    again = StepPolicy(lesson, refutes=True)
+    solve(problem, again)
+    assert again.lesson(problem, 100).algorithm is None
+    sixteenth = StepPolicy(Lesson(15, PSOR(), 1e6), refutes=True)
+    solve(problem, sixteenth)
+    assert sixteenth.lesson(problem, 100).algorithm is None
 
 
 def test_rows_without_bounds_are_eliminated_once() -> None:

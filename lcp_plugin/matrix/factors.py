@@ -331,6 +331,12 @@ def within_envelope(matrix: Any) -> tuple[float, float]:
     return _sizes(_envelope(position[rows], position[pattern.indices], n))
 
 
+@fact
+def sizes_within_envelope(matrix: Matrix) -> tuple[float, float]:
+    """Return the same of M."""
+    return within_envelope(matrix.csr)
+
+
 def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
     """Return how far each row of the lower triangle of A + Aᵀ reaches from the diagonal, shape (n,)."""
     first = np.arange(n)

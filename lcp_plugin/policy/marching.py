@@ -2,8 +2,9 @@
 
 Steps of one M and nearby q resemble each other. The first one begins anywhere, the second one near its answer, as all
 that follow do: both ask as `auto` does, and from then on a step begins with what finished the one before, and with what
-it learned (psor: its relaxation). Where that fails, or has cost three times as much as it did when it was chosen,
-`auto` asks from the best iterate, and the step after begins with what finished then.
+it learned (psor: its relaxation). Where that fails, or has cost three times as much as when it was chosen, `auto` asks
+from the best iterate, and once more in the step after; where that has happened twice, in every step. Every sixteenth
+step asks as well: what was best once need not be so for ever.
 
 Where few rows have a bound, as in contact, the others are eliminated once for all steps (`condensed`), if that is
 predicted to take less than the steps to come would at the cost of the last.
@@ -24,6 +25,8 @@ from .choice import Auto, Policy
 from .stages import Choice, Stage
 
 ASKING_STEPS = 2  # one from anywhere, one from nearby
+ASKED_EVERY = 16  # steps: tens of sweeps, where an answer takes a hundred passes
+MOST_LEFT = 2  # times; then the steps do not resemble each other
 SLOW = 3.0  # times the work of the run in which it was chosen
 LEAST_WORK = 20.0  # passes over M that are slow for nobody
 ITERATIVE = ("npsor", "psor", "multigrid")
@@ -43,12 +46,15 @@ class Lesson:
         In passes over M, what it took in the step in which it was chosen.
     may_condense : bool
         Whether nothing speaks against the elimination of rows without bounds.
+    left : int
+        How often what a step began with did not finish it.
     """
 
     steps: int = 0
     algorithm: Algorithm | None = None
     work: float = 0.0
     may_condense: bool = True
+    left: int = 0
 
 
 class StepPolicy(Policy):
@@ -93,13 +99,16 @@ class StepPolicy(Policy):
         if not self._stages:  # solved at once
             return replace(before, steps=steps)
         last = self._stages[-1]
-        is_as_before = before.algorithm is not None and len(self._stages) == 1
-        may_condense = before.may_condense and (is_as_before or not isinstance(before.algorithm, Condensed))
-        algorithm = last.successor or last.algorithm
-        if is_as_before:
+        algorithm, is_condensed = last.successor or last.algorithm, isinstance(before.algorithm, Condensed)
+        asks = Lesson(steps, may_condense=before.may_condense, left=before.left)
+        if before.algorithm is not None and len(self._stages) > 1:
+            return replace(asks, left=before.left + 1, may_condense=before.may_condense and not is_condensed)
+        if not is_condensed and steps % ASKED_EVERY == 0:
+            return asks
+        if before.algorithm is not None:
             return replace(before, steps=steps, algorithm=algorithm)
-        if may_condense and condensing_pays(problem, left * sum(stage.work for stage in self._stages)):
-            return Lesson(steps, Condensed(), math.inf)
-        if steps < ASKING_STEPS or algorithm.name not in ITERATIVE:
-            return Lesson(steps, may_condense=may_condense)
-        return Lesson(steps, algorithm, last.work, may_condense)
+        if before.may_condense and condensing_pays(problem, left * sum(stage.work for stage in self._stages)):
+            return replace(asks, algorithm=Condensed(), work=math.inf)
+        if steps < ASKING_STEPS or before.left >= MOST_LEFT or algorithm.name not in ITERATIVE:
+            return asks
+        return replace(asks, algorithm=algorithm, work=last.work)

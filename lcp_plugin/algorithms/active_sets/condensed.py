@@ -14,7 +14,7 @@ import numpy as np
 
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
-from ...matrix.factors import within_envelope
+from ...matrix.factors import sizes_within_envelope
 from ...matrix.free_systems import FreeSystem
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
@@ -118,5 +118,5 @@ def condensing_pays(problem: LCP, work: float) -> bool:
     count = int(np.count_nonzero(has_bound(problem)))
     if not 0 < count <= min(BOUNDED_UP_TO, BOUNDED_SHARE * problem.n) or problem.is_dense:
         return False
-    fill, operations = within_envelope(problem.csr)
+    fill, operations = sizes_within_envelope(problem.matrix)
     return operations + 2.0 * fill * count + count**3 <= work * problem.nonzeros

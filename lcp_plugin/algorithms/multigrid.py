@@ -46,13 +46,16 @@ class Multigrid(Algorithm):
     are too far); columns may have any units. Unknowns at a bound are taken out of all grids, fine ones that are
     held by them follow no coarse one any more, and a coarse row is computed again only where that changes it. Where
     the free set hardly changes and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
-    symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle each. A correction that
-    raises the energy (M symmetric) is shortened. Where the residual grows a hundredfold, the energy rises all the
-    same, or neither has fallen enough for twelve cycles, projected Gauss–Seidel sweeps from the last accepted
-    iterate take over for a while: with this safeguard the run converges on every symmetric positive definite M,
-    from any start, whatever the corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the proof).
-    It ends where three such rounds gain nothing but rounding; without symmetry, where they gain little. Where
-    coarser grids would cost too much there are sweeps only.
+    symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle each. Where corrections
+    fail, few contacts hold much: then, and where couplings jump from edge to edge from the beginning, such steps
+    solve on one free set after the other, each what the cut answer on the last one leaves free, and only the last
+    is looked at (primal–dual active sets). A correction that raises the energy (M symmetric) is shortened. Where
+    the residual grows a hundredfold, the energy rises all the same, or neither has fallen enough for twelve cycles,
+    and such rounds were tried, projected Gauss–Seidel sweeps from the last accepted iterate take over for a while:
+    with this safeguard the run converges on every symmetric positive definite M, from any start, whatever the
+    corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the proof). It ends where three such
+    rounds gain nothing but rounding; without symmetry, where they gain little. Where coarser grids would cost too
+    much there are sweeps only.
 
     Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.
     They are in double on ranks, where diagonal entries lie too far apart, where M is so near to a singular matrix that

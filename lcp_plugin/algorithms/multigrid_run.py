@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,6 +33,10 @@ SETTLED = 1e-3  # share of the unknowns that may still change sides while they d
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
+MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
+ROUND_GAIN = 0.1
+JUMPS, ROUND_GAIN_AT_JUMPS = 1e6, 1e-5  # of couplings: w of what is not quite solved has wrong signs
+TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
 FALL_BACK_SWEEPS = 20
 NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
 HALVINGS = 4
@@ -57,6 +61,10 @@ class MultigridRun:
             np.array_equal(problem.residual_scale, problem.diagonal)
         )
         self.truncation = Truncation(hierarchy)
+        self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
+        jumps = hierarchy.extends and self.communicator.largest(finest.spread) > JUMPS
+        self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
+        self.has_tried_rounds = not self.is_symmetric
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
         self.size = self.communicator.total(finest.n)
         self.entries = max(self.communicator.total(finest.matrix.data.size), 1.0)
@@ -187,7 +195,7 @@ class MultigridRun:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
             self.work += self.entries
-            if is_lost := guard.is_out_of_hand(largest):
+            if is_lost := guard.is_out_of_hand(z, largest):
                 np.copyto(z, guard.z)
                 largest = guard.residual
             yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
@@ -195,12 +203,7 @@ class MultigridRun:
             self.work += guard.take_products() * self.entries
             if is_lost:
                 previous = np.inf
-                if self._goes_on_in_double(z):
-                    guard.forget()
-                    continue
-                np.copyto(z, guard.z)
-                yield from self._fall_back(z)
-                if not guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over):
+                if not (yield from self._tries_again(z, guard)):
                     return
                 continue
             is_slow = cycles >= 1 and largest > SLOW * previous
@@ -213,13 +216,30 @@ class MultigridRun:
                 self.truncation.start_at(0)
                 changed_before, crept, nested_at = self.size, 0, largest
             elif is_slow and changed <= max(SETTLED * self.size, 1):
-                long = LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV
-                yield from self._krylov(z, SHORT_KRYLOV if changed else long)
+                yield from self._krylov(z, is_settled=not changed)
             else:
                 self.truncation.unit = power_of_two(largest)
                 self._correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
+
+    def _tries_again(self, z: FloatVector, guard: Safeguard) -> Generator[Step, None, bool]:
+        """Go on from the accepted iterate by other means than those that have failed; return False where none is left.
+
+        They are grids in double precision, free sets found by Krylov steps in rounds, and sweeps.
+        """
+        if self._goes_on_in_double(z):
+            guard.forget()
+            return True
+        guard.restore(z)
+        if not self.has_tried_rounds:
+            self.has_tried_rounds, self.rounds = True, MOST_ROUNDS
+            self._look(0, z)
+            yield from self._krylov(z, is_settled=False)
+            return True
+        self.gain = max(TIGHTER * self.gain, LEAST_GAIN)
+        yield from self._fall_back(z)
+        return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
 
     def _goes_on_in_double(self, z: FloatVector) -> bool:
         """Take coarser grids in double precision, and what they answer as z; False where they are so already.
@@ -303,23 +323,38 @@ class MultigridRun:
             np.copyto(z[:n], before + size * unit * step[:n])
         self.truncation.spare.append(product)
 
-    def _krylov(self, z: FloatVector, most: int) -> Iterator[Step]:
-        """Add to z the correction of the free rows by a few Krylov steps, one V-cycle each."""
-        fine = self.problems[0]
-        correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
-        enough = KRYLOV_GAIN * correction.largest()
-        part = z[: fine.q.size]
-        origin = self.truncation.vector()
-        np.copyto(origin, part)
-        for k in range(most):
-            if not correction.step():
+    def _krylov(self, z: FloatVector, *, is_settled: bool) -> Iterator[Step]:
+        """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
+
+        In rounds: that cut off at the bounds gives the next free rows, until none changes; the method of primal-dual
+        active sets, which no single V-cycle can stand in for where few contacts hold much.
+        """
+        fine, part, origin = self.problems[0], z[: self.problems[0].q.size], self.truncation.vector()
+        most, gain = (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV, KRYLOV_GAIN
+        if self.rounds > 1:
+            most, gain = LONG_CONJUGATE, self.gain
+        for rounds_left in range(self.rounds - 1, -1, -1):
+            correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
+            left = begun = correction.largest()
+            np.copyto(origin, part)
+            for step in range(most):
+                if not correction.step():
+                    break
+                correction.apply_within(origin, fine.lower, fine.upper, part)
+                left = correction.largest()
+                if left <= gain * begun or step == most - 1:
+                    break
+                yield Step(z, increment=left, work=self._spent())
+            correction.give_back()
+            if rounds_left == 0:
                 break
-            correction.apply_within(origin, fine.lower, fine.upper, part)
-            left = correction.largest()
-            if left <= enough or k == most - 1:
+            if left > ROUND_GAIN * begun:  # V-cycles do not do here
+                self.rounds = 1
                 break
-            yield Step(z, increment=left, work=self._spent())
-        correction.give_back()
+            largest, changed = self._look(0, z)
+            if not changed:
+                break
+            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
         self.truncation.spare.append(origin)
 
     # --- without coarser grids --------------------------------------------------------------------------

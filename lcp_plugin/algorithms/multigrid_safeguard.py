@@ -7,7 +7,8 @@ Krylov steps, a nested iteration), cut off at the bounds and followed by sweeps.
 (a)  ρ(z) ≤ 0.9 · the least ρ of all accepted iterates, or
 (b)  J(z) ≤ J(y) − σ min(d) ρ(y)²,  σ = 1e-4.
 
-Where J rises, and where neither holds for twelve cycles in a row, it goes back and accepts S²⁰(y).
+Where J rises, and where neither holds for twelve cycles in a row, it goes back and accepts S²⁰(y); but the first time
+it tries other corrections from y.
 
 **Theorem.** Let M be symmetric positive definite, with any bounds. In exact arithmetic the accepted iterates converge
 to the solution z* from any start, whatever the corrections are.
@@ -77,9 +78,11 @@ class Safeguard:
         self._slack: FloatVector | None = None
         self._products = 0
 
-    def is_out_of_hand(self, residual: float) -> bool:
-        """Return whether the residual is far beyond the least one, or no number."""
-        return not residual <= OUT_OF_HAND * self.least
+    def is_out_of_hand(self, z: FloatVector, residual: float) -> bool:
+        """Return whether the residual is no number, or far beyond the least one while the energy has not fallen."""
+        if residual <= OUT_OF_HAND * self.least:
+            return False
+        return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)
 
     def lets_pass(self, z: FloatVector, residual: float) -> bool:
         """Return whether the run may go on from z, which is accepted if it has gained enough."""
@@ -93,6 +96,11 @@ class Safeguard:
             if change < -max(noise, SUFFICIENT * self._least_diagonal * self.residual**2):
                 self._accept(z, residual, slack)
         return self.idle < PATIENCE
+
+    def restore(self, z: FloatVector) -> None:
+        """Overwrite z by the accepted iterate, from which other corrections are tried."""
+        np.copyto(z, self.z)
+        self.idle = 0
 
     def forget(self) -> None:
         """Accept the next iterate, whatever was before."""

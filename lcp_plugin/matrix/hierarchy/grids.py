@@ -112,10 +112,15 @@ class Grid:
         return self.inverse.size + self.communicator.foreign
 
     @property
+    def spread(self) -> float:
+        """How many times the least pivot the largest one is, ∞ where not all are positive."""
+        largest, least = float(self.inverse.max(initial=0.0)), float(self.inverse.min(initial=np.inf))
+        return largest / least if 0.0 < least < np.inf else np.inf
+
+    @property
     def fits_single(self) -> bool:
         """Whether the pivots are so near to one another that single precision holds all, and there are no others."""
-        largest, least = float(self.inverse.max(initial=0.0)), float(self.inverse.min(initial=np.inf))
-        return largest < LARGEST_SINGLE * least
+        return self.spread < LARGEST_SINGLE
 
     def single(self) -> Grid:
         """Return it with its values in single precision."""
@@ -160,12 +165,15 @@ class Hierarchy:
         Matrix entries touched to build them.
     is_helpful : bool
         False where coarser grids would cost too much: then there is only the finest.
+    extends : bool
+        Whether interpolation reaches through fine unknowns: couplings jump from edge to edge.
     """
 
     grids: tuple[Grid, ...]
     transfers: tuple[Transfer, ...]
     work: float
     is_helpful: bool
+    extends: bool = False
 
     @property
     def is_single(self) -> bool:

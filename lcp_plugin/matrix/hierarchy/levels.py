@@ -159,7 +159,7 @@ def build_hierarchy(
     if single and carries_single(grids, transfers):
         for k, transfer in enumerate(transfers):  # one after the other: there is no room for all of them twice
             transfers[k], grids[k + 1] = transfer.single(), grids[k + 1].single()
-    return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True)
+    return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True, extends=bool(extends))
 
 
 @fact

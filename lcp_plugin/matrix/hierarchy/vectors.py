@@ -6,8 +6,8 @@ zero. Of D M D, or of M with scaled columns, others do: those v > 0 with M v abo
 one, if they begin in units not too far from it. Where they begin is tried: in the given ones, and in those that bring
 the diagonal of V M V, or of M V, to 1.
 
-`inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have almost four
-fifths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
+`inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have seven
+eighths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
 interpolated then: where couplings jump, conjugate gradients took ten times as many steps with its row of P.
 """
 
@@ -165,7 +165,7 @@ def smooth_units(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-d
     return lacking
 
 
-HELD = 0.22  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+HELD = 0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
 NO_FLAGS = np.zeros(0, np.bool_)
 
 

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
 from lcp_plugin.matrix.equilibration import units_of_unknowns
+from lcp_plugin.solving import batch_run
 
 FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
 
@@ -119,6 +120,21 @@ def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
     assert result.is_solved
     assert Certificate.of(problem, rough).is_right_in_terms(1e-8)
     assert Certificate.of(problem, rough).term_residual == 0.0
+
+
+def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel asks for own terms no more than the certificate does: of a batch no problem is solved by itself."""
+    n = 14
+    near = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    M = 10.0 * np.eye(n) - (near == 1) - 0.1 * (near == 2)
+
+    def alone(*args: Any, **wishes: Any) -> None:
+        raise AssertionError("solved by itself")
+
+    monkeypatch.setattr(batch_run, "solve", alone)
+    batch = solve_batch(M, -np.eye(n)[-3:], tolerance=0.1)
+    assert batch.all_solved
+    assert (batch.z[:, 0] == 0.0).all()  # where the answer is positive: wrong in its own terms
 
 
 def test_what_is_small_by_the_callers_word_is_right() -> None:

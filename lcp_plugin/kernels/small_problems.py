@@ -26,6 +26,7 @@ from .compilation import (
 )
 from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from .floats import NEGLIGIBLE_DIAGONAL
+from .own_terms import is_right_in_terms
 from .small_systems import solve_free
 from .tableau import follow_path
 from .workspace import (
@@ -275,23 +276,6 @@ def _is_dense(nonzeros, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _is_right_in_terms(M, k, real, tolerance):  # type: ignore[no-untyped-def]
-    """Return whether each row is right beside its own terms, as :mod:`lcp_plugin.certificates.own_terms` has it."""
-    root, share = np.sqrt(tolerance), np.sqrt(tolerance) * np.sqrt(np.sqrt(tolerance))
-    for i in range(M.shape[1]):
-        z, w = real[Z, i], real[W, i]
-        distance = z - real[LOWER, i] if w > 0.0 else real[UPPER, i] - z
-        size, terms = abs(w), abs(real[Q, i])
-        if not (distance > 0.0 and size > share * terms and size > share * abs(M[k, i, i] * z)):
-            continue
-        for j in range(M.shape[1]):
-            terms += abs(M[k, i, j] * real[Z, j])
-        if size > share * terms and distance > root * abs(z):
-            return False
-    return True
-
-
-@compiled_into_others
 def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
     """Write the relative residual of Z, enclosed where `size` lets it hope for that, and return what it says.
 
@@ -303,7 +287,7 @@ def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):
     _, largest = _ends(M, k, real, False, is_dense)
     residual[item] = _ratio_upwards(largest, least)
     is_within = residual[item] <= tolerance
-    return GOES_ON if not is_within else SOLVED if _is_right_in_terms(M, k, real, tolerance) else IN_DOUBT
+    return GOES_ON if not is_within else SOLVED if is_right_in_terms(M, k, real, tolerance) else IN_DOUBT
 
 
 @interpreted_while_small

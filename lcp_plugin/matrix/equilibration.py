@@ -10,12 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector, read_only
+from ..kernels.floats import DIAGONAL_SPREAD, LARGEST_RATIO
 from .matrix import Matrix, fact, residual_scale_of
 from .structure import IntVector, row_numbers
 from .symmetry import has_symmetric_entries
 
-LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
-DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 DENSE_LIMIT = 300
 BALANCING_SWEEPS = 12
 LARGEST_EXPONENT = 1000.0

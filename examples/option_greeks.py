@@ -1,20 +1,21 @@
 """The Greeks of an American put: how its value changes with spot, volatility and rate, up to the exercise boundary.
 
 As in american_put.py, the value V ≥ g = max(K − S, 0) takes steps in the time to maturity τ, each an LCP. With
-x = log(S/K) the operator is A = σ² D + r R, so that dA/dσ = 2σ D and dA/dr = R, and a step of length Δτ reads
+x = log(S/K) the operator is A = σ² D + r R, so that dA/dσ = 2σ D and dA/dr = R, and a Crank–Nicolson step reads
 
-    M V_new + q ≥ 0,   V_new ≥ g,   complementary;   M = I + ½Δτ A,   q = −(I − ½Δτ A) V_old.
+    M V_new + C V_old ≥ 0,   V_new ≥ g,   complementary;   M = I + ½Δτ A,   C = ½Δτ A − I.
 
-The derivative of a step is one linear solve on the prices where waiting is right, and feeds that of the next step:
+The first four steps are implicit and half as long, with the same M and C = −I: they damp what the kink of g excites
+(Rannacher). `march` takes the steps, ten marches in a row with longer and longer ones. `derivative` goes through them
+forwards, for the change of all prices with one of the data, or backwards, for that of one price with all of them.
 
-    dV_new = jvp(dM = ½Δτ dA,  dq = −(I − ½Δτ A) dV_old + ½Δτ dA V_old).
+Delta is the derivative by a shift of the payoff along x, which comes in through the bound and the first V. The checks:
+differences of a binomial tree, extrapolated in its levels, today and 15 % above the exercise boundary, at which vega
+and rho vanish; and backwards as forwards.
 
-Delta is the derivative by a shift of the payoff along x, which comes in through the bound. Steps grow with τ, the first
-four are implicit (1 instead of ½). The check: differences of a binomial tree, extrapolated in its levels, today and
-15 % above the exercise boundary, at which vega and rho vanish.
-
-Sources: Forsyth, Vetzal, SIAM J. Sci. Comput. 23, 2002, doi:10.1137/S1064827500382324 (steps in time); Leisen, Reimer,
-Applied Mathematical Finance 3, 1996, doi:10.1080/13504869600000015 (tree).
+Sources: Forsyth, Vetzal, SIAM J. Sci. Comput. 23, 2002, doi:10.1137/S1064827500382324 (steps in time); Rannacher,
+Numer. Math. 43, 1984, doi:10.1007/BF01390130 (damping); Leisen, Reimer, Applied Mathematical Finance 3, 1996,
+doi:10.1080/13504869600000015 (tree).
 """
 
 from pathlib import Path
@@ -24,36 +25,66 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP, derivative, solve
+from lcp_plugin import LCP, MarchDerivative, derivative, march
 from lcp_plugin.evidence.drawing import STYLE
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
-SIZE, STEPS, KEPT, LEVELS = 5999, 1000, 10, (1001, 4001, 4001)  # every tenth step is kept; trees for each Greek
+SIZE, MARCHES, STEPS, KEPT = 5999, 10, 120, 12  # unknowns, marches, steps of each; every twelfth is drawn
+LEVELS = 1001, 4001, 4001  # of the trees for each Greek
+
+Leg = tuple[MarchDerivative, float, float]  # of one march: the shares of A in M and in C
 
 
-def march(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times to maturity, the exercise boundary at each, and from the second on delta, vega, rho; (.., 3, n)."""
+def operator(x: np.ndarray) -> tuple[sp.sparray, np.ndarray, list[tuple[sp.sparray, np.ndarray]]]:
+    """Return A and g, and how these two change with the shift of the payoff, the volatility and the rate."""
     n, h, identity = x.size, x[1] - x[0], sp.eye_array(x.size)
     slope = sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2 * h)
     curvature = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / h**2
     D, R = 0.5 * (slope - curvature), identity - slope
-    A = VOLATILITY**2 * D + RATE * R
     spot = STRIKE * np.exp(x)  # the ends need no more: the first price is exercised, at the last the put is worthless
     payoff, shift = np.maximum(STRIKE - spot, 0.0), -spot * np.heaviside(-np.rint(x / h), 0.5)
-    changes = ((0 * A, shift), (2 * VOLATILITY * D, 0 * shift), (R, 0 * shift))  # of A and of the bound
-    years, value, tangents = MATURITY * np.linspace(0, 1, STEPS + 1) ** 2, payoff, [dg for _, dg in changes]
-    boundary, kept = [STRIKE], []
-    for k, step in enumerate(np.diff(years)):
-        new = step if k < 4 else step / 2
-        old = step - new
-        at = derivative(solve(LCP(identity + new * A, old * (A @ value) - value, lower=payoff), z0=value))
-        tangents = [at.jvp(dM=new * dA, dq=old * (A @ dV + dA @ value) - dV, dlower=dg)
-                    for (dA, dg), dV in zip(changes, tangents, strict=True)]
-        value = at.z
-        boundary.append(spot[at.free.argmax()])
-        if (k + 1) % KEPT == 0:
-            kept.append([tangents[0] / spot, *tangents[1:]])
-    return years[::KEPT], np.array(boundary[::KEPT]), np.array(kept)
+    return VOLATILITY**2 * D + RATE * R, payoff, [(0 * D, shift), (2 * VOLATILITY * D, 0 * x), (R, 0 * x)]
+
+
+def legs(A: sp.sparray, payoff: np.ndarray) -> list[Leg]:
+    """Return the derivatives of all marches, one after the other; the k-th ends at τ = (k/MARCHES)² years."""
+    identity, value, done = sp.eye_array(payoff.size), payoff, []
+    for k in range(MARCHES):
+        half = MATURITY * (2 * k + 1) / MARCHES**2 / STEPS / 2
+        problem = LCP(identity + half * A, 0 * payoff, lower=payoff)
+        for steps, old in ((4, 0.0), (STEPS - 2, half)) if k == 0 else ((STEPS, half),):
+            found = march(problem, np.zeros((steps, payoff.size)), old * A - identity, z0=value)
+            done.append((derivative(found), half, old))
+            value = found.z[-1]
+    return done
+
+
+def forwards(
+    spot: np.ndarray, done: list[Leg], payoff: np.ndarray, changes: list[tuple[sp.sparray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times to maturity, the exercise boundary at each, and from the second on delta, vega, rho; (.., 3, n)."""
+    boundary, kept, tangents = [STRIKE], [], [dg for _, dg in changes]
+    for found, half, old in done:
+        moves = [found.jvp(dM=half * dA, dcarry=old * dA, dlower=dg, dz0=dV)
+                 for (dA, dg), dV in zip(changes, tangents, strict=True)]
+        tangents = [dV[-1] for dV in moves]
+        for k in range(len(found) - 1, 0, -KEPT)[::-1] if old else ():  # the damping steps are not drawn
+            boundary.append(spot[(found.march.z[k] > payoff).argmax()])
+            kept.append([moves[0][k] / spot, *(dV[k] for dV in moves[1:])])
+    of_march = np.arange(MARCHES + 1)
+    years = np.interp(np.linspace(0, MARCHES, len(boundary)), of_march, MATURITY * (of_march / MARCHES) ** 2)
+    return years, np.array(boundary), np.array(kept)
+
+
+def backwards(node: int, done: list[Leg], changes: list[tuple[sp.sparray, np.ndarray]]) -> np.ndarray:
+    """Return how the price at one node changes with the shift of the payoff, the volatility and the rate."""
+    weights, greeks = np.zeros(SIZE), np.zeros(len(changes))
+    weights[node] = 1.0
+    for found, half, old in reversed(done):
+        by = found.vjp(weights)
+        weights, shares = by.z0, half * by.M + old * by.carry
+        greeks += [shares.multiply(dA).sum() + by.lower @ dg for dA, dg in changes]
+    return greeks + [weights @ dg for _, dg in changes]
 
 
 def tree(spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, levels: int) -> np.ndarray:
@@ -88,7 +119,9 @@ def tree_greeks(spot: np.ndarray, years: np.ndarray) -> np.ndarray:
 def main(out: Path = Path()) -> None:
     """Compute the Greeks at all times, compare with a binomial tree, save a picture into the folder OUT."""
     x = np.linspace(-1.5, 1.5, SIZE + 2)[1:-1]
-    spot, (years, boundary, kept) = STRIKE * np.exp(x), march(x)
+    spot, (A, payoff, changes) = STRIKE * np.exp(x), operator(x)
+    done = legs(A, payoff)
+    years, boundary, kept = forwards(spot, done, payoff, changes)
     at = np.array([100, 100, 100, 80, 60])  # three prices today, the last of them along the boundary
     prices = np.array([100.0, 120.0, *1.15 * boundary[at[2:]]])
     ours = np.array([[np.interp(price, spot, one) for one in kept[k - 1]] for price, k in zip(prices, at, strict=True)])
@@ -97,6 +130,9 @@ def main(out: Path = Path()) -> None:
         print(f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}")
     off = abs(ours / theirs - 1).max(axis=0)
     print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(*off))
+    node, to_spot = SIZE // 2, np.array([1 / STRIKE, 1.0, 1.0])
+    both = backwards(node, done, changes) * to_spot / kept[-1][:, node]
+    print(f"check: backwards they are the same at the money to {abs(both - 1).max():.1e}")
     plt.style.use(STYLE)
     figure, panels = plt.subplots(2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1])
     shown, today = slice(*np.searchsorted(spot, (60, 150)), 5), MATURITY - years
@@ -108,7 +144,7 @@ def main(out: Path = Path()) -> None:
         above.plot(today, boundary, color="#D55E00", linewidth=2)
         above.plot(today[at], prices, "o", color="#D55E00", markersize=4, markerfacecolor="white", clip_on=False)
         above.set(xlim=(0, MATURITY), ylim=(60, 150), title=name, xlabel="time (years)", ylabel="S (EUR)")
-        below.plot(spot[shown], field[:, -1], color="#0072B2", linewidth=1.8, label="derivative of the LCPs")
+        below.plot(spot[shown], field[:, -1], color="#0072B2", linewidth=1.8, label="derivative")
         below.plot(prices[:3], theirs[:3, greek], "o", color="#D55E00", markerfacecolor="white", label="tree")
         below.set(xlim=(60, 150), xlabel="spot price S (EUR)", title=f"{name.split()[0]} today")
         above.text(0.3, 63, "exercise", color="#D55E00")

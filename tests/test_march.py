@@ -265,6 +265,31 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     assert derivative(marched(*drawn(20, 1, z=True), 6, 1)).is_unique is True
 
 
+def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
+    """Prices of 10⁻³²⁰ far from the money: the compiled loop takes every step, forwards and backwards, as elsewhere."""
+    n, k = 240, 6
+    M = sp.diags_array([-0.01, 1.03, -0.01], offsets=[-1, 0, 1], shape=(n, n))
+    payoff = np.maximum(20.0 - np.arange(n), 0.0)
+    done = march(LCP(M, np.zeros(n), lower=payoff), np.zeros((k, n)), z0=payoff)
+    assert 0.0 < done.z[-1][done.z[-1] > 0.0].min() < 1e-300
+    found, change = derivative(done), change_of(done, 1)
+    assert all(part.is_plain.all() for part in found._parts())
+    change["dM"], change["dcarry"], change["dforcing"] = M, 0.5, np.zeros((k, n))
+    del change["dupper"]
+    change["dz0"] = change["dlower"] = np.where(payoff > 0.0, change["dlower"], 0.0)
+    dz, eps = found.jvp(**change), 1e-6
+
+    def moved(t: float) -> np.ndarray:
+        problem = LCP((1.0 + t) * M, np.zeros(n), lower=payoff + t * change["dlower"])
+        return np.array(march(problem, np.zeros((k, n)), 0.5 * t - 1.0, z0=payoff + t * change["dz0"]).z)
+
+    np.testing.assert_allclose(dz, (moved(eps) - moved(-eps)) / (2 * eps), rtol=0, atol=1e-7)
+    g = np.random.default_rng(0).normal(size=(k, n))
+    gradient = found.vjp(g)
+    total = gradient.M.multiply(M).sum() + 0.5 * gradient.carry.diagonal().sum()
+    assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx((g * dz).sum(), rel=1e-10)
+
+
 def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
     """A row nearly at a kink is left by the compiled loop, in the middle of others, and all agree with one problem."""
     problem, carry = drawn(20, 1, z=True)

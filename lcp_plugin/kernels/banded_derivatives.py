@@ -3,6 +3,8 @@
 First each z is solved for once more, with w in twice the precision, and its rows are told apart. A tangent goes through
 the steps forwards, an adjoint backwards. Either ends before a step that more digits have to decide, or a small LCP:
 where a row is about degenerate, where the free block is about singular. That step is the caller's.
+
+Rows whose numbers underflow, as far from the money as nothing is left of a price, count as degenerate: at the bound.
 """
 
 from __future__ import annotations
@@ -10,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from .bands import add_product, eliminate
-from .compilation import compiled_part, interpreted_while_small
-from .enclosures import fused, split_sum
+from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .enclosures import MAY_UNDERFLOW, fused, split_sum
 from .floats import EPSILON
 from .tridiagonal import substitute
 
@@ -36,7 +38,10 @@ def _solve(band, right, value, state, x, rows, room):  # type: ignore[no-untyped
 
 @compiled_part
 def _is_regular(band, right, state, x, w):  # type: ignore[no-untyped-def]
-    """Fill w = B x + right; return whether it is rounding on the free rows, and no block about singular solved."""
+    """Fill w = B x + right; return whether it is rounding on the free rows and these not about singular, and rounding.
+
+    That is of the largest terms, in units of the rows.
+    """
     bands, below, _, weights = band
     width, n = bands.shape
     largest = terms = error = 0.0
@@ -52,8 +57,8 @@ def _is_regular(band, right, state, x, w):  # type: ignore[no-untyped-def]
             largest = max(largest, abs(given) * weights[i])
             terms, error = max(terms, size * weights[i]), max(error, abs(total) * weights[i])
             if not size < np.inf:
-                return False
-    return error <= BACKWARD * terms and terms <= CANCELLED * largest
+                return False, 0.0
+    return error <= BACKWARD * terms and terms <= CANCELLED * largest, EPSILON * terms
 
 
 @compiled_part
@@ -70,15 +75,23 @@ def _slacks(indptr, indices, data, q, z, change, w, size, spread):  # type: igno
         w[i], size[i], spread[i] = total + errors, largest * EPSILON * (indptr[i + 1] - indptr[i] + 1), moved
 
 
+@compiled_into_others
+def _is_negligible(distance, slack):  # type: ignore[no-untyped-def]
+    """Return whether nothing is left of a row's distance from its bound and of its slack, both in the unit of w."""
+    return (distance < MAY_UNDERFLOW) & (abs(slack) < MAY_UNDERFLOW)
+
+
 @compiled_part
 def _take_sides(z, w, scale, lower, upper, state):  # type: ignore[no-untyped-def]
-    """Fill state with the bound that z − w/d reaches (−1, 0, 1); return whether that changes nothing."""
+    """Fill state with the bound that z − w/d reaches (−1, 0, 1); return whether that changes nothing of any size."""
     is_same = True
     for i in range(z.size):
         step, above, beyond = w[i] / scale[i], z[i] - lower[i], z[i] - upper[i]
         side = -1 if above <= step else 1 if beyond >= step else 0
         if lower[i] == upper[i]:
             side = 1 if w[i] < 0.0 else -1
+        elif _is_negligible(min(above, -beyond) * scale[i], w[i]):
+            side, state[i] = -1 if above <= -beyond else 1, -1 if above <= -beyond else 1
         is_same &= state[i] == side
         state[i] = side
     return is_same
@@ -91,10 +104,13 @@ def _is_told_apart(z, w, scale, lower, upper, change, size, spread, state):  # t
         above, below = z[i] - lower[i], upper[i] - z[i]
         distance, slack, floor = min(above, below) * scale[i], abs(w[i]), size[i]
         near, slight = floor + LEFT * change[i] * scale[i], floor + LEFT * spread[i]
-        if lower[i] == upper[i] or distance > CLEAR * near or slack > CLEAR * slight:
+        if lower[i] == upper[i]:
             continue
-        if not (distance <= floor and slack <= floor):
-            return False
+        if not _is_negligible(distance, slack):
+            if distance > CLEAR * near or slack > CLEAR * slight:
+                continue
+            if not (distance <= floor and slack <= floor):
+                return False
         state[i] = KINK if below < above else -KINK
     return True
 
@@ -170,18 +186,20 @@ def tangents(  # type: ignore[no-untyped-def]
     h, value, state, change = np.empty(n), np.empty(n), np.empty(n, np.int8), np.empty(n)
     w, room, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(first, Z.shape[0]):
-        is_regular = is_plain[k]
+        if not is_plain[k]:
+            return k
         for i in range(n):
             h[i], state[i] = dforcing[min(k, dforcing.shape[0] - 1), i], sides[k, i]
             value[i] = 0.0 if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
-            is_regular &= abs(state[i]) != KINK  # a small LCP
-        if not is_regular:
-            return k
         add_product(carry[0], carry[1], carry[2], before, h)
         add_product(dM[0], dM[1], dM[2], Z[k], h)
         add_product(dcarry[0], dcarry[1], dcarry[2], states[k], h)
         _solve(band, h, value, state, change, rows, room)
-        if not _is_regular(band, h, state, change, w):
+        is_regular, rounding = _is_regular(band, h, state, change, w)
+        for i in range(n):
+            if abs(state[i]) == KINK:  # held, if its slack agrees; else a small LCP has to tell
+                is_regular &= (w[i] if state[i] > 0 else -w[i]) * band[3][i] <= rounding
+        if not is_regular:
             return k
         to = min(k, dz.shape[0] - 1)
         for i in range(n):
@@ -222,7 +240,8 @@ def adjoints(  # type: ignore[no-untyped-def]
             state[i] = sides[k, i]
             right[i] = -(after[i] + g[k, i]) if g.shape[0] > 0 else -after[i]
         _solve(band, right, value, state, multiplier, rows, room)
-        if not _is_regular(band, right, state, multiplier, w):
+        is_regular, _ = _is_regular(band, right, state, multiplier, w)
+        if not is_regular:
             return k
         for i in range(n):
             multiplier[i] = -multiplier[i]

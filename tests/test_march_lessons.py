@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import marches
@@ -135,6 +136,14 @@ def test_rows_without_bounds_are_eliminated_once() -> None:
         assert step.work < 0.1 * done[0].work
     alone = [step for step in march(steps.problem, steps.forcing[:1], steps.carry, z0=steps.z0)]
     np.testing.assert_array_equal(alone[0].z, done[0].z)
+
+
+def test_a_march_that_has_condensed_goes_through_pickle() -> None:
+    """A march by condensation is the same after pickle; answers that were not kept are computed once more."""
+    done = marched(SMALL["contact"](), keep_every=3)
+    again = pickle.loads(pickle.dumps(done))
+    np.testing.assert_array_equal(np.array(list(done.z)), np.array(list(again.z)))
+    assert [step.status for step in again] == [Status.SOLVED] * len(done)
 
 
 def test_what_cannot_be_condensed_is_left_to_auto() -> None:

@@ -26,6 +26,7 @@ from .stages import Choice, Stage
 
 ASKING_STEPS = 2  # one from anywhere, one from nearby
 ASKED_EVERY = 16  # steps: tens of sweeps, where an answer takes a hundred passes
+AS_BEFORE = "it finished the step before"
 MOST_LEFT = 2  # times; then the steps do not resemble each other
 SLOW = 3.0  # times the work of the run in which it was chosen
 LEAST_WORK = 20.0  # passes over M that are slow for nobody
@@ -48,6 +49,8 @@ class Lesson:
         Whether nothing speaks against the elimination of rows without bounds.
     left : int
         How often what a step began with did not finish it.
+    because : str
+        Why that algorithm.
     """
 
     steps: int = 0
@@ -55,6 +58,7 @@ class Lesson:
     work: float = 0.0
     may_condense: bool = True
     left: int = 0
+    because: str = AS_BEFORE
 
 
 class StepPolicy(Policy):
@@ -77,7 +81,7 @@ class StepPolicy(Policy):
         """Return what finished the step before, or what `auto` begins with."""
         if self._lesson.algorithm is None:
             return self._auto.first(problem)
-        return Choice(self._lesson.algorithm, "it finished the step before")
+        return Choice(self._lesson.algorithm, self._lesson.because)
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
         """Return what `auto` chooses; None as long as what finished the step before is no slower than then."""
@@ -106,9 +110,10 @@ class StepPolicy(Policy):
         if not is_condensed and steps % ASKED_EVERY == 0:
             return asks
         if before.algorithm is not None:
-            return replace(before, steps=steps, algorithm=algorithm)
+            return replace(before, steps=steps, algorithm=algorithm, because=AS_BEFORE)
         if before.may_condense and condensing_pays(problem, left * sum(stage.work for stage in self._stages)):
-            return replace(asks, algorithm=Condensed(), work=math.inf)
+            why = "few rows have a bound: the others are eliminated, once for all steps"
+            return replace(asks, algorithm=Condensed(), work=math.inf, because=why)
         if steps < ASKING_STEPS or before.left >= MOST_LEFT or algorithm.name not in ITERATIVE:
             return asks
         return replace(asks, algorithm=algorithm, work=last.work)

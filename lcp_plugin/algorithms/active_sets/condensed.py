@@ -77,6 +77,10 @@ class Condensed(Algorithm):
 
     condensation: Condensation | None = field(default=None, repr=False, compare=False)
 
+    def __reduce__(self) -> tuple[type[Condensed], tuple[()]]:
+        """Leave the factor behind: it can be computed again, and not be written down."""
+        return Condensed, ()
+
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each round; end where a round gains nothing."""
         return without_warnings(self._steps(problem, z0))

@@ -288,8 +288,10 @@ def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
         return 0.0
     gain, is_free = now.residuals[-1][1] / target, (problem.lower < now.z) & (now.z < problem.upper)
     with np.errstate(all="ignore"):
-        sums, diagonal = (problem.csr @ is_free)[is_free], problem.diagonal[is_free]
-        slowest = max(0.5 * (math.pi * sums.sum() / diagonal.sum()) ** 2, (sums / diagonal).min(initial=1.0))
+        free = is_free.astype(np.float64)
+        sums, diagonal = problem.csr @ free, problem.diagonal
+        share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)
+        slowest = max(0.5 * (math.pi * share) ** 2, least)
     is_far = gain > 1.0 and 0.0 < slowest < 1.0
     if not (is_far and has_symmetric_entries(problem.matrix)):
         return 0.0

@@ -169,6 +169,15 @@ def march(
     first two steps; the others begin with what finished the step before, as long as that gets no slower. Where few rows
     have a bound, as in contact, the others are eliminated by one factor, once for all steps, if that pays.
 
+    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the carry
+    (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only where it
+    is damped: by four implicit steps at first, half as long, which have the same M, and the carry −B (Rannacher 1984).
+
+    References
+    ----------
+    R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
+    doi:10.1007/BF01390130.
+
     Examples
     --------
     >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left

@@ -307,7 +307,8 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual
-        p, product = self.truncation.vector(), self.truncation.vector()
+        takes_room = top.x.size == top.grid.n and not self.transposed  # the cycle's own room, and gives other for it
+        p, product = (top.x, top.residual) if takes_room else (self.truncation.vector(), self.truncation.vector())
         if self.transposed:
             self.truncation.correct_transposed(0)
             np.copyto(p, top.x)
@@ -316,7 +317,8 @@ class KrylovCorrection:
             product *= top.is_free
         else:
             self.truncation.correct(0)
-            np.copyto(p, top.x[: top.grid.n])
+            if not takes_room:
+                np.copyto(p, top.x[: top.grid.n])
             self.communicator.fetch(top.x)
             sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
@@ -332,6 +334,8 @@ class KrylovCorrection:
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))
+        if takes_room:
+            top.x, top.residual = self.truncation.vector(), self.truncation.vector()
         return True
 
     def _forget_directions(self) -> None:

@@ -7,7 +7,7 @@ of the Schur complement S = M_BB − M_BI M_II⁻¹ M_IB. A contact problem has 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
 from ...matrix.factors import sizes_within_envelope
 from ...matrix.free_systems import FreeSystem
+from ...matrix.matrix import Matrix, fact
 from ...problem.lcp import LCP
 from ..base import Algorithm, Step, without_warnings
 from .semismooth_newton import Newton
@@ -30,17 +31,22 @@ class Condensation:
     """The LCP of the Schur complement on the rows with a bound, and what puts the others back.
 
     Where the block of the others is singular to working precision, there is none, and `problem` is None.
+
+    Attributes
+    ----------
+    work, solve_work : float
+        Multiplications that all this has taken, and that one solution with M_II takes.
     """
 
     problem: LCP | None = None
+    solve_work = 0.0
 
-    def __init__(self, problem: LCP) -> None:
-        self.matrix, self.bounded = problem.matrix, has_bound(problem)
-        self.others = FreeSystem(self.matrix, ~self.bounded, by_factor=True)
+    def __init__(self, matrix: Matrix, bounded: BoolVector) -> None:
+        self.others, self.rows = FreeSystem(matrix, ~bounded, by_factor=True), np.flatnonzero(bounded)
+        self.work = self.others.work
         if self.others.is_singular:
             return
-        self.rows = np.flatnonzero(self.bounded)
-        self.coupling, self.columns = self.matrix.csr[self.rows], self.matrix.csc[:, self.rows]
+        self.coupling, self.columns = matrix.csr[self.rows], matrix.csc[:, self.rows]
         count = self.rows.size
         complement = np.empty((count, count))
         for first in range(0, count, COLUMNS):
@@ -49,7 +55,9 @@ class Condensation:
             whole = -self.free(part)
             whole[self.rows[held], held - first] = 1.0
             complement[:, held] = self.coupling @ whole
-        self.problem = LCP(complement, np.zeros(count))
+        self.solve_work, self.work = (self.others.work - self.work) / max(count, 1), self.others.work
+        if np.isfinite(complement).all():
+            self.problem = LCP(complement, np.zeros(count))
 
     def free(self, right: FloatVector) -> FloatVector:
         """Return M_II⁻¹ of what the right-hand sides have there, 0 on the rows with a bound."""
@@ -57,42 +65,31 @@ class Condensation:
         x[self.others.rows] = self.others.solve_as_is(right[self.others.rows])
         return x
 
-    def belongs_to(self, problem: LCP) -> bool:
-        """Return whether the problem has this matrix, and bounds on these rows."""
-        return problem.matrix is self.matrix and np.array_equal(has_bound(problem), self.bounded)
+
+@fact
+def condensation(matrix: Matrix, packed: bytes) -> Condensation:
+    """Return that of the rows whose bits are set: it serves all steps, and all marches of the same M."""
+    return Condensation(matrix, np.unpackbits(np.frombuffer(packed, np.uint8), count=matrix.n).astype(np.bool_))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Condensed(Algorithm):
-    """newton on the Schur complement of the rows with a bound, in rounds that refine the others.
-
-    Parameters
-    ----------
-    condensation : Condensation, optional
-        That of another problem with the same M and bounds on the same rows.
-    """
+    """newton on the Schur complement of the rows with a bound, in rounds that refine the others."""
 
     name: ClassVar[str] = "condensed"
     is_monotone: ClassVar[bool] = False
-
-    condensation: Condensation | None = field(default=None, repr=False, compare=False)
-
-    def __reduce__(self) -> tuple[type[Condensed], tuple[()]]:
-        """Leave the factor behind: it can be computed again, and not be written down."""
-        return Condensed, ()
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each round; end where a round gains nothing."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
-        entries, known = max(problem.nonzeros, 1), self.condensation
-        begun = 0.0 if known is None else known.others.work
-        if known is None or not known.belongs_to(problem):
-            known, begun = Condensation(problem), 0.0
+        entries, packed = max(problem.nonzeros, 1), np.packbits(has_bound(problem)).tobytes()
+        is_known = condensation.is_known(problem.matrix, packed)
+        known = condensation(problem.matrix, packed)
         w = problem.slack(z)
         residual = float(np.abs(scaled_residual(problem, z, w)).max(initial=0.0))
-        yield Step(z, residual, work=1.0, successor=replace(self, condensation=known))
+        yield Step(z, residual, work=1.0 + (0.0 if is_known else known.work / entries))
         while known.problem is not None:
             change, rows = -known.free(w), known.rows
             offset = w[rows] + known.coupling @ change - known.problem.matrix.array @ z[rows]
@@ -105,8 +102,7 @@ class Condensed(Algorithm):
             z[rows] = held
             w, before = problem.slack(z), residual
             residual = float(np.abs(scaled_residual(problem, z, w)).max(initial=0.0))
-            work, begun = 4.0 + (known.others.work - begun) / entries, known.others.work
-            yield Step(z, residual, work=work)
+            yield Step(z, residual, work=4.0 + 2.0 * known.solve_work / entries)
             if not residual < NO_GAIN * before:
                 return
 

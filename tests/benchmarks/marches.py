@@ -34,7 +34,8 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line a scene and way."""
     for name, (large, small) in SCENES.items():
         make = small if quick else large
-        _alone(make()._replace(forcing=make().forcing[:2]))  # compiles
+        short = make()._replace(forcing=make().forcing[:3])
+        _alone(short), _together(short)  # compile
         alone, by_solves = _alone(make())
         together, by_march = _together(make())
         change = np.abs(alone[-1].z - together[-1].z).max() / np.abs(alone[-1].z).max()

@@ -3,7 +3,8 @@
 An American put in Heston's model (cross derivative, nonsymmetric), one on a basket of two prices in the logarithms
 (nine points), heat over an obstacle (symmetric), a viscous elastic block on which a load rolls (contact). Processor
 seconds on one thread, the first step, which has all the set-up, apart. `change` is the largest difference of the
-answers beside the largest entry.
+answers beside the largest entry. Then American puts in one price: the gradient of one price by all data, backwards
+through the steps, beside the march; and 41 strikes at once beside one after the other.
 """
 
 from __future__ import annotations
@@ -15,11 +16,14 @@ from typing import Any
 
 import marches
 import numpy as np
+import scipy.sparse as sp
 
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.solving.derivative import derivative
 from lcp_plugin.solving.driver import solve
-from lcp_plugin.solving.march import march
+from lcp_plugin.solving.march import March, march
+from lcp_plugin.solving.march_many import march_many
 from lcp_plugin.solving.result import Result
 
 SCENES: dict[str, tuple[Callable[[], marches.Steps], Callable[[], marches.Steps]]] = {
@@ -43,6 +47,35 @@ def run(*, quick: bool = False) -> Iterator[str]:
         yield _line(f"{name}, n = {n}, solve", alone, by_solves)
         ratio = statistics.mean(by_march[1:]) / statistics.mean(by_solves[1:])
         yield f"{_line(f'{name}, n = {n}, march', together, by_march)}   ÷ solve {ratio:.2f}, change {change:.0e}"
+    yield from _puts(*((60, 20, 5) if quick else (1000, 500, 41)))
+
+
+def _puts(n: int, steps: int, count: int) -> Iterator[str]:
+    x = np.linspace(-1.5, 1.5, n)
+    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.045 / (x[1] - x[0]) ** 2)
+    problem = LCP(sp.csr_array(sp.eye_array(n) * (1.0 + 0.05 / steps) + A / steps), np.zeros(n))
+    payoffs = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
+    forcing, weights = np.zeros((steps, n)), np.eye(n)[n // 2]
+
+    def alone() -> list[March]:
+        return [march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff) for payoff in payoffs]
+
+    def together() -> list[March]:
+        return march_many(problem, forcing, lower=payoffs, z0=payoffs, threads=1)
+
+    def taken(work: Callable[[], Any]) -> float:
+        began = time.process_time()
+        work()
+        return time.process_time() - began
+
+    one = alone()[0], together()[0]
+    change = max(abs(a - b).max() for a, b in zip(one[0].z, one[1].z, strict=True))
+    derivative(one[0]).vjp(weights)
+    rounds = [(taken(alone), taken(together), taken(lambda: derivative(one[0]).vjp(weights))) for _ in range(3)]
+    by_one, by_all, by_gradient = (statistics.median(seconds) for seconds in zip(*rounds, strict=True))
+    ratio = by_gradient * count / by_one
+    yield f"put, n = {n}, {steps} steps: march {by_one / count:.4f} s, its gradient ÷ march {ratio:.2f}"
+    yield f"{count} strikes: one by one {by_one:.3f} s, at once ÷ one by one {by_all / by_one:.2f}, change {change:.0e}"
 
 
 def _line(what: str, results: list[Result], seconds: list[float]) -> str:

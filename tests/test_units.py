@@ -163,7 +163,19 @@ def test_a_march_judges_each_step_in_the_rows_own_terms() -> None:
 
 def test_entries_near_the_end_of_the_range_have_units_too() -> None:
     """In units of the unknowns 1e307 overflows, and is no error: the certificate still says what is wrong."""
-    problem = LCP([[1e307, 1e307], [1.0, 1e8]], [-1e307, -1e8])
+    problem = LCP([[1e300, 1e307], [1.0, 1e8]], [-1e307, -1e8])
     assert units_of_unknowns(problem.matrix) is not None
     assert solve(problem, "lemke").certificate.is_right_in_terms(1e-8)
     assert not Certificate.of(problem, [0.5, 0.5]).is_right_in_terms(1e-8)
+
+
+@pytest.mark.parametrize("algorithm", ["newton", "lemke", "interior_point"])
+def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
+    """Upwind differences with one value held by 1e8: the wind grades no units, and nothing else is asked."""
+    n = 200
+    M = sp.diags_array([np.full(n - 1, -61.0), np.full(n, 62.01), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tolil()
+    M[0, 0], M[0, 1] = 1e8, 0.0
+    q = np.where(np.arange(n) < n - 2, 0.0, -1.0)
+    result = solve(LCP(sp.csr_array(M), q), algorithm)
+    assert result.is_solved
+    assert result.iterations <= 20

@@ -104,7 +104,8 @@ def units_of_unknowns(matrix: Matrix) -> Units | None:
     """Return the units in which D⁻¹M, D the diagonal of M, is balanced; None where they are alike.
 
     Balancing undoes any units of rows and unknowns of a matrix that was balanced, and leaves far fields of one unit as
-    they are. Where the diagonal has a zero, columns are evened.
+    they are. Where the diagonal has a zero, columns are evened. Where M is not symmetric, units differ only where an
+    entry of D⁻¹M is large: balancing would take a wind for a grading of units, and single rows may be penalties.
 
     Examples
     --------
@@ -115,10 +116,13 @@ def units_of_unknowns(matrix: Matrix) -> Units | None:
     M = matrix.csr
     if has_even_entries(matrix):
         return None
-    if not matrix.diagonal.all():
+    is_symmetric, pivots = has_symmetric_entries(matrix), np.abs(matrix.diagonal)
+    if not pivots.all():
         found: Exponents | None = evened(M, LARGEST_ENTRIES)
+    elif not is_symmetric and bool(np.all(np.abs(M.data) * 2.0**-LARGEST_RATIO <= pivots[row_numbers(M)])):
+        found = None
     else:
-        found = scaling_exponents(M, has_symmetric_entries(matrix))
+        found = scaling_exponents(M, is_symmetric)
     if found is None or np.ptp(found.column) <= ALIKE:
         return None
     in_units = scaled(M, found)

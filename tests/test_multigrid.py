@@ -214,6 +214,35 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
     return LCP(M, w - M @ z, lower=lower, upper=upper), z
 
 
+def second_order(cells: int) -> LCP:
+    """Return a pulled membrane above the ground by finite elements of second order on right triangles."""
+    stiffness = np.array([
+        [6, 1, 1, -4, 0, -4], [1, 3, 0, -4, 0, 0], [1, 0, 3, 0, 0, -4], [-4, -4, 0, 16, -8, 0], [0, 0, 0, -8, 16, -8],
+        [-4, 0, -4, 0, -8, 16],
+    ]) / 6.0
+    corners = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]])  # and middles of edges, in half cells
+    size, (x, y) = 2 * cells + 1, 2 * np.indices((cells, cells)).reshape(2, -1)
+    places = [(x + i) * size + y + j for i, j in corners], [(x + 2 - i) * size + y + 2 - j for i, j in corners]
+    elements = np.concatenate([np.stack(one, axis=1) for one in places])
+    rows, columns = np.repeat(elements, 6, axis=1).ravel(), np.tile(elements, 6).ravel()
+    M = sp.csr_array((np.tile(stiffness.ravel(), len(elements)), (rows, columns)), shape=(size**2, size**2))
+    inside = np.arange(size**2).reshape(size, size)[1:-1, 1:-1].ravel()
+    axis = np.linspace(0.0, 1.0, size)[1:-1]
+    force = np.multiply.outer(np.sin(3.0 * np.pi * axis), np.sin(2.0 * np.pi * axis)).ravel()
+    return LCP(sp.csr_array(M[inside][:, inside]), -force / cells**2)
+
+
+def test_elements_of_second_order_need_few_cycles() -> None:
+    """Positive couplings end with the finest grid: coarser ones shrink as usual, and 10 cycles do."""
+    problem = second_order(60)
+    sizes = [grid.n for grid in hierarchy_of(problem.matrix, Multigrid.coarsest).grids]
+    assert sizes[2] <= 0.3 * sizes[1]
+    assert sizes[3] <= 0.3 * sizes[2]
+    result = solve(problem, "multigrid", max_iterations=10)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:

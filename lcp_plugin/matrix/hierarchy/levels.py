@@ -49,6 +49,7 @@ from .vectors import span, units_of
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
+NEGLIGIBLE_POSITIVE = 1e-3  # of coarser grids: less is none
 MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no units to be found
 NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 COARSEST = 60
@@ -94,8 +95,8 @@ def build_hierarchy(
     coarsest : int
         A grid with at most so many unknowns is not made coarser.
     strength : float, optional
-        Couplings smaller than this share of the row's largest are not used for interpolation. By default 0.25, and
-        0.5 where M has noteworthy positive couplings: those of a rotated anisotropy mislead the weak ones.
+        Couplings smaller than this share of the row's largest are not used for interpolation. By default 0.25, and on
+        grids with noteworthy positive couplings 0.5: those of a rotated anisotropy mislead the weak ones.
     scales_rows : bool
         Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
         but coarse matrices of a symmetric M are not symmetric.
@@ -122,8 +123,9 @@ def build_hierarchy(
     work = 0.0
     positive, total, lacking = map(grid.communicator.total, coarsening.couplings_by_sign(*grid.own_arrays))
     work += entries
+    is_mixed = strength is None and positive > NOTEWORTHY_POSITIVE * total
     if strength is None:
-        strength = STRENGTH_AMONG_POSITIVE if positive > NOTEWORTHY_POSITIVE * total else STRENGTH
+        strength = STRENGTH_AMONG_POSITIVE if is_mixed else STRENGTH
     units, extends = None, None
     if communicator.is_empty and positive <= MOST_POSITIVE * total:
         units, further = units_of(matrix, lacking)
@@ -154,6 +156,10 @@ def build_hierarchy(
         if communicator.total(grid.own_entries) > growth * communicator.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = communicator.total(grid.n)
+        if is_mixed:  # finite elements of second order have coarser grids without positive couplings
+            positive, total, _ = map(grid.communicator.total, coarsening.couplings_by_sign(*grid.own_arrays))
+            strength = STRENGTH_AMONG_POSITIVE if positive > NEGLIGIBLE_POSITIVE * total else STRENGTH
+            work += grid.own_entries
         grids.append(grid)
         transfers.append(transfer)
     if single and carries_single(grids, transfers):

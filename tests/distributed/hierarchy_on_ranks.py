@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from lcp_plugin import LCP, gallery
+from lcp_plugin.matrix.hierarchy import vectors
 from lcp_plugin.matrix.hierarchy.grids import Grid, Hierarchy, Operator
 from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
 from lcp_plugin.matrix.hierarchy.truncation import Truncation
@@ -99,15 +100,26 @@ def truncation_fits(hierarchy: Hierarchy) -> float:
         top.is_free[: flips.size] ^= flips
         truncation.update()
         matrix, free = M[0], everybody_s(top.is_free[: flips.size])
-        for level, prolongation, restriction in zip(truncation.grids[1:], P, R, strict=True):
-            matrix = (restriction * free) @ (matrix * free) @ prolongation if matrix is M[0] else (
-                (restriction * free) @ matrix @ (prolongation * free[:, None]))
+        levels = zip(truncation.grids[1:], M, P, R, hierarchy.transfers, strict=False)
+        for level, before, prolongation, restriction, transfer in levels:
+            left = coupling(matrix * free) / diagonal_and_positive(matrix)
+            is_held = left < vectors.HELD * coupling(before) / diagonal_and_positive(before)
+            carried = free & ~(is_held & ~everybody_s(transfer.is_coarse))
+            matrix = (restriction * carried) @ matrix @ (prolongation * carried[:, None])
             free = matrix.diagonal() > 1e-300
             grid = level.grid
             arrays = Operator(grid.matrix.indptr, grid.matrix.indices, level.values).arrays
             worst = max(worst, far(whole(arrays, grid.n, numbers(grid), grid.communicator.n), matrix))
             worst = max(worst, float(not np.array_equal(everybody_s(level.is_free[: grid.n]), free)))
     return worst
+
+
+def coupling(matrix: np.ndarray) -> np.ndarray:
+    return -np.minimum(matrix, 0.0).sum(axis=1)
+
+
+def diagonal_and_positive(matrix: np.ndarray) -> np.ndarray:
+    return np.maximum(np.maximum(matrix, 0.0).sum(axis=1), 1e-300)
 
 
 def cycle_is_symmetric(hierarchy: Hierarchy) -> float:
@@ -120,14 +132,14 @@ def cycle_is_symmetric(hierarchy: Hierarchy) -> float:
     top.is_free[:n] = ~fixed
     top.free_changed[:n] = fixed
     truncation.update()
-    images, vectors = [], []
+    images, rights = [], []
     for _ in range(3):
         b = generator.standard_normal(layout.n)[layout.first : layout.last] * ~fixed
         top.b[:] = b
         truncation.correct(0)
         images.append(everybody_s(top.x[:n]))
-        vectors.append(everybody_s(b))
-    table = np.array(vectors) @ np.array(images).T
+        rights.append(everybody_s(b))
+    table = np.array(rights) @ np.array(images).T
     moved = float(np.abs(np.array(images)[:, everybody_s(fixed)]).max())
     return max(far(table, table.T), moved)
 

@@ -142,6 +142,14 @@ def test_large_free_regions_are_not_swept(scene: str, expected: list[str]) -> No
     assert names(solve(gallery.parse(scene).problem)) == expected
 
 
+def test_few_points_off_the_contact_are_swept() -> None:
+    """After one sweep almost all is off its bound by rounding's breadth, which is no free region."""
+    problem = gallery.build("obstacle_2d", size=100).problem
+    q = np.ones(problem.n)
+    q[np.random.default_rng(3).integers(0, problem.n, 20)] = -3.0
+    assert names(solve(LCP(problem.csr, q))) == ["npsor"]
+
+
 def test_from_a_start_near_the_answer_sweeps_go_on() -> None:
     """Where the residual has little to fall, a local error is swept away, however large the free region is."""
     problem = gallery.build("obstacle_2d", size=100).problem

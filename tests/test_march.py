@@ -471,6 +471,28 @@ def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
         march_many(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
 
 
+def test_ctrl_c_ends_all_marches() -> None:
+    """What is interrupted within a step ends its march and those behind it; what was taken stays."""
+    rod, seen = LCP(sp.eye_array(300) * 3.0 + sp.eye_array(300, k=40) + sp.eye_array(300, k=-40), np.zeros(300)), [0]
+
+    def callback(*_: Any) -> None:
+        seen[0] += 1
+        if seen[0] == 10:
+            raise KeyboardInterrupt
+
+    forcing = np.random.default_rng(0).normal(size=(3, 30, 300))
+    done = march_many(rod, forcing, algorithm="psor", callback=callback)
+    assert seen[0] == 10
+    assert not any(one.all_solved for one in done)
+
+
+def test_the_last_answer_of_no_step_is_the_start() -> None:
+    """A march without a step moves with z0, and has no rows."""
+    found = derivative(march(LCP(2.0 * np.eye(3), np.zeros(3)), np.zeros((0, 3))))
+    assert found.jvp(dz0=np.ones(3), only_last=True).tolist() == [1.0, 1.0, 1.0]
+    assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
+
+
 # --- Schemes in time ------------------------------------------------------------------------------------------
 
 

@@ -93,7 +93,7 @@ class Safeguard:
             change, noise, slack = self._energy_change(z)
             if change > noise:
                 return False
-            if change < -max(noise, SUFFICIENT * self._least_diagonal * self.residual**2):
+            if change < -max(noise, SUFFICIENT * self._least_diagonal * self.residual * self.residual):
                 self._accept(z, residual, slack)
         return self.idle < PATIENCE
 

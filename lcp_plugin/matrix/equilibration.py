@@ -105,7 +105,7 @@ def units_of_unknowns(matrix: Matrix) -> Units | None:
 
     Balancing undoes any units of rows and unknowns of a matrix that was balanced, and leaves far fields of one unit as
     they are. Where the diagonal has a zero, columns are evened. Where M is not symmetric, units differ only where an
-    entry of D⁻¹M is large: balancing would take a wind for a grading of units, and single rows may be penalties.
+    entry of D⁻¹M is large: else one penalty row and a wind would be taken for a grading of units.
 
     Examples
     --------

@@ -27,8 +27,8 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
 The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
-the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
-factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
+the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by
+a factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
 below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in
 the plane the residual falls as 1/k². That is the least that npsor is reckoned to need; where multigrid needs less, it
 comes after one sweep.
@@ -75,6 +75,7 @@ PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
 BANDED = Banded()
+NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
 PATHS = 2  # of pivots, on a linearisation
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
@@ -286,8 +287,10 @@ def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
     """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
     if now.z is None or not now.residuals or not target > 0.0:
         return 0.0
-    gain, is_free = now.residuals[-1][1] / target, (problem.lower < now.z) & (now.z < problem.upper)
+    gain = now.residuals[-1][1] / target
     with np.errstate(all="ignore"):
+        room = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
+        is_free = (problem.lower + room < now.z) & (now.z < problem.upper - room)
         free = is_free.astype(np.float64)
         sums, diagonal = problem.csr @ free, problem.diagonal
         share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)

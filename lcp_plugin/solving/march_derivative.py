@@ -135,6 +135,7 @@ class MarchDerivative:
         Returns
         -------
         array, shape (k, n), or (n,) for the last answer alone
+            That of z0 where there is no step.
 
         Raises
         ------
@@ -161,7 +162,7 @@ class MarchDerivative:
             here = slice(part.first, part.first + len(part))
             part.jvp(change, change.dforcing[here if len(change.dforcing) > 1 else slice(None)], before,
                      dz if only_last else dz[here])
-        return dz[0] if only_last and steps else dz
+        return dz if not only_last else dz[0] if steps else before
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
         """Return the gradients of a function L of the answers by M, the forcing, the carry, z0 and the bounds.

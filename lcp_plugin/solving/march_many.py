@@ -20,7 +20,7 @@ from ..kernels.threads import in_chunks
 from ..matrix.factors import bands
 from ..policy.marching import Lesson
 from ..problem.lcp import LCP
-from ..settings import Settings, checked_threads
+from ..settings import Settings, Status, checked_threads
 from .driver import asked_of_solve, fused_result
 from .march import BLOCK, March, has_common_units, march
 from .result import Result
@@ -56,7 +56,8 @@ def march_many(
     Returns
     -------
     list of March
-        One a march, in order. One that ends early is as that of :func:`lcp_plugin.march`, and does not stop the others.
+        One a march, in order. One that ends early is as that of :func:`lcp_plugin.march`, and stops the others only
+        after Ctrl-C, or where a callback ends it.
 
     Raises
     ------
@@ -188,7 +189,8 @@ class _Steps:
 
     def is_interrupted(self, one: March) -> bool:
         """Return whether Ctrl-C has ended a march, which has kept that for itself."""
-        return len(one) < len(one.forcing) and one.error is None and (not one or one[-1].is_solved)
+        ended = one[-1].status if one else Status.SOLVED
+        return len(one) < len(one.forcing) and one.error is None and ended in (Status.SOLVED, Status.INTERRUPTED)
 
     def take_alone(self, one: March, end: int) -> None:
         """Take the steps up to that number of one march, after those that it has; at most one that is not solved."""

@@ -77,6 +77,19 @@ def test_it_converges_on_positive_definite_matrices_from_any_start(seed: int, n:
     assert np.abs(result.z - z).max() <= 1e-6
 
 
+def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
+    """Where rounds on one free set after the other would go in a circle, the run goes on by single corrections."""
+    generator = np.random.default_rng(2924)
+    n = int(generator.integers(100, 350))
+    density = generator.uniform(2, 5) / n
+    B = sp.random_array((n, n), density=density, rng=generator, data_sampler=generator.standard_normal)
+    M = sp.csr_array(B @ B.T + 10.0 ** -generator.uniform(1, 4) * sp.eye_array(n))
+    problem = LCP(M, generator.normal(size=n))
+    result = solve(problem, "multigrid", z0=generator.normal(scale=10.0, size=n))
+    assert result.status is Status.SOLVED
+    assert result.iterations <= 300
+
+
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
     """From one accepted iterate to the next the energy falls, or the least residual does by a tenth."""

@@ -34,6 +34,7 @@ SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
 MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
+MOST_IDLE = 2  # such rounds without fewer changes: the free set creeps, or comes back to where it was
 ROUND_GAIN = 0.1
 JUMPS, ROUND_GAIN_AT_JUMPS = 1e6, 1e-5  # of couplings: w of what is not quite solved has wrong signs
 TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
@@ -333,6 +334,7 @@ class MultigridRun:
         most, gain = (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV, KRYLOV_GAIN
         if self.rounds > 1:
             most, gain = LONG_CONJUGATE, self.gain
+        fewest, idle = np.inf, 0
         for rounds_left in range(self.rounds - 1, -1, -1):
             correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
             left = begun = correction.largest()
@@ -352,7 +354,10 @@ class MultigridRun:
                 self.rounds = 1
                 break
             largest, changed = self._look(0, z)
-            if not changed:
+            fewest, idle = (changed, 0) if changed < fewest else (fewest, idle + 1)
+            if idle > MOST_IDLE:
+                self.rounds = 1
+            if self.rounds == 1 or not changed:
                 break
             yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
         self.truncation.spare.append(origin)

@@ -149,8 +149,8 @@ class MarchDerivative:
         >>> from lcp_plugin import LCP, derivative, march
         >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
         >>> derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).jvp(dz0=[1, 0])
-        array([[0.375   , 0.125   ],
-               [0.15625 , 0.09375 ]])
+        array([[0.375  , 0.125  ],
+               [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
         change = Change(
@@ -187,7 +187,7 @@ class MarchDerivative:
         >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
         >>> gradient = derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).vjp([1, 0])
         >>> gradient.z0, gradient.carry.diagonal()
-        (array([0.15625, 0.09375]), array([-0.578125, -0.203125]))
+        (array([0.15625, 0.09375]), array([-0.484375, -0.171875]))
         >>> gradient.forcing
         array([[-0.15625, -0.09375],
                [-0.375  , -0.125  ]])

@@ -73,7 +73,7 @@ def march_many(
     --------
     >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
     >>> [done.z[-1].round(3) for done in march_many(rod, [[-1, 0], [-1, 0]], upper=[[1, 1], [0.5, 1]], z0=[1, 1])]
-    [array([0.781, 0.469]), array([0.5  , 0.375])]
+    [array([0.781, 0.469]), array([0.5  , 0.333])]
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(f"march_many needs an LCP, got {type(problem).__name__}; write march_many(LCP(M, q), ...)")

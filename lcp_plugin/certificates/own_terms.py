@@ -12,6 +12,11 @@ the least s for which
 The first two are the same in all units of rows and unknowns. The third excuses far fields, where all terms of a row
 are nothing beside the part's: in units that are alike it is what the relative residual asks for anyway, so that nothing
 else is asked of such problems, and in others it does not depend on the unknowns' units.
+
+Not seen are units that change by less than 2¹⁰ from each unknown to those it is coupled with, and, where the diagonal
+has zeros as that of KKT forms, many others: of 4456 such forms in units 2^±20 auto called 28 wrong ones SOLVED. A
+symmetric M whose diagonal spans more than 2²⁰ counts as one in other units, though it may be stiff: there a sweep takes
+many more steps, until the stiff part is right in its own terms.
 """
 
 from __future__ import annotations

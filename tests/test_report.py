@@ -293,9 +293,9 @@ def test_runs_without_any_work_break_no_sentence() -> None:
 @pytest.mark.full
 def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
-    atlas = stability_atlas(["newton"], ["scaling"], quick=True)
+    atlas = stability_atlas(["newton"], ["stiffness"], quick=True)
     assert atlas.misleading
-    found = Collected({("atlas", "scaling"): atlas.to_content()})
+    found = Collected({("atlas", "stiffness"): atlas.to_content()})
     assert f"{len(atlas.misleading)} of the SOLVED ones hide an error" in " ".join(one.text for one in claims(found))
     write_report(found, tmp_path, is_quick=False)
     page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))

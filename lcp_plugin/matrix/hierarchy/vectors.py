@@ -252,7 +252,7 @@ def _find_held(  # type: ignore[no-untyped-def]
                     pivot += unit * values[k]
                 elif is_free[j]:
                     left -= unit * values[k]
-            is_held = left * pivot_before < HELD * before * pivot
+            is_held = pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
         interpolates = is_free[i] and not is_held
         is_changed[i] = interpolates != is_interpolated[i] and not became
         found += is_held or is_changed[i]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
+import mixed_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -524,26 +525,15 @@ def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
         model_of(content)
 
 
-#: M and q of a linear model whose unknowns have the units 10^3, 10^5, 10^-4, 10^-4 and 10^6.
-UNITS = np.array([
-    [2.35318523e-03, 6.06984072e-06, -2.54587569e+04, 2.33554286e+04, 1.61755744e-07],
-    [-1.55515318e-03, 7.64879354e-06, -1.31653789e+04, 8.79399008e+03, 1.63152359e-06],
-    [3.25596614e-03, 9.56071604e-06, 7.66435289e+03, -1.86893807e+03, 5.22911483e-08],
-    [-1.92052271e-03, -8.79399008e-06, 2.03134531e+03, 5.69671812e+03, 6.12283592e-07],
-    [-1.87347584e-03, -1.63152359e-05, -7.69858937e+03, -7.52937308e+03, 2.61134328e-06],
-])  # fmt: skip
-PUSHES = np.array([-5.96137683, -2.3919863, -5.55386248, 0.7711112, 2.47934087])
-
-
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke"])
 def test_unknowns_of_different_units_hide_no_row(algorithm: str) -> None:
     """Row 2 missed its sign by 0.8 where its terms are 5: beside an unknown of 10^6 the one of 10^-4 was no error."""
     low, high = np.array([[0.0, -1e5, 0.0, -1e-4, -INFINITY], [INFINITY, 0.0, INFINITY, 1e-4, INFINITY]])
-    content = paired(content_of(5, PUSHES.tolist(), linear=UNITS))
+    content = paired(content_of(5, mixed_units.Q.tolist(), linear=mixed_units.M))
     kinds = np.array([1, 3, 1, 3, 0])
     answer = model_of(replace(content, lower=low, upper=high, partner_bounds=kinds)).solve(algorithm)
     assert answer.is_solved
-    assert answer.x == pytest.approx([1707.59939, 0.0, 1.93616553e-05, 1e-4, 621059.702], rel=1e-6)
+    assert answer.x == pytest.approx(mixed_units.ANSWER, rel=1e-6)
     assert answer.duals[2] == pytest.approx(0.0, abs=1e-5)
 
 

@@ -54,8 +54,8 @@ class Multigrid(Algorithm):
     and such rounds were tried, projected Gauss–Seidel sweeps from the last accepted iterate take over for a while:
     with this safeguard the run converges on every symmetric positive definite M, from any start, whatever the
     corrections are (:mod:`lcp_plugin.algorithms.multigrid_safeguard` has the proof). It ends where three such
-    rounds gain nothing but rounding; without symmetry, where they gain little. Where coarser grids would cost too
-    much there are sweeps only.
+    rounds gain nothing but rounding; without symmetry, where they gain little; and the driver ends a run whose best
+    residual stands still, as it does those of sweeps. Where coarser grids would cost too much there are sweeps only.
 
     Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.
     They are in double on ranks, where diagonal entries lie too far apart, where M is so near to a singular matrix that

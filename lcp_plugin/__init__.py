@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from .solving.nonlinear import solve_nonlinear as solve_nonlinear
     from .solving.program_batch import ProgramBatchResult as ProgramBatchResult
     from .solving.program_proofs import Certification as Certification
+    from .solving.quadratic_program import QuadraticProgramResult as QuadraticProgramResult
     from .solving.result import Result as Result
     from .solving.result import Sample as Sample
 
@@ -108,6 +109,7 @@ _HOME = {
     "solve_batch": "solving.batch",
     "BatchResult": "solving.batch_run",
     "ProgramBatchResult": "solving.program_batch",
+    "QuadraticProgramResult": "solving.quadratic_program",
     "solve_many": "solving.batch",
     "march": "solving.march",
     "March": "solving.march",
@@ -154,6 +156,7 @@ _FROM_ABOVE = {  # what a room further up does for one below, which imports it f
     "certify_problem": "modeling.certified_problem",
     "lcp_in_nl": "modeling.nl.model",
     "program_in_nl": "modeling.nl.model",
+    "plot_answer": "evidence.plots",
 }
 
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without

@@ -68,12 +68,12 @@ except ImportError as error:
 from . import __version__
 from .doors.pyomo_answers import Answer, answered, imported
 from .errors import InvalidOption, did_you_mean
-from .modeling.nl.answers import UNBOUNDED
 from .settings import Status
 
 NAME = "lcp_plugin"
 ENDS = {
     Status.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
+    Status.UNBOUNDED: (SolverStatus.warning, TerminationCondition.unbounded),
     Status.MAX_ITERATIONS: (SolverStatus.warning, TerminationCondition.maxIterations),
     Status.MAX_SECONDS: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
     Status.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
@@ -194,8 +194,6 @@ def _results_of(answer: Answer) -> Any:
     status, condition = ENDS[found.status]
     if answer.violated and found.status is Status.SOLVED:
         status, condition = SolverStatus.warning, TerminationCondition.other
-    if found.code == UNBOUNDED:
-        condition = TerminationCondition.unbounded
     results.solver.name, results.solver.message = NAME, answer.message
     results.solver.status, results.solver.termination_condition = status, condition
     results.solver.time = found.result.seconds

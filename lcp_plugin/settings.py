@@ -47,10 +47,14 @@ class Status(Enum):
         "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "
         "tolerance, and result.infeasibility proves it"
     )
+    UNBOUNDED = (
+        "the objective falls for ever along a direction from a feasible point, and result.proof proves it: bound the "
+        "unknowns where it falls"
+    )
     INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
 
 
-PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)  # by a proof whose margin exceeds the tolerance
+PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)  # by a proof whose margin exceeds the tolerance
 
 
 @dataclass(frozen=True)

@@ -64,14 +64,14 @@ def is_running(frame: FrameType | None) -> bool:
 def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
     """No bound lies above the optimum, nothing is called optimal that is not, and verify() agrees."""
     whole, lines = interrupted(-1)
-    assert (whole.status, whole.verify(), whole.nodes > 1) == ("optimal", True, True)
+    assert (whole.status, whole.verify(), whole.nodes > 1) == (Status.SOLVED, True, True)
     for at in range(1, lines + 1, 97):
         result, _ = interrupted(at)
-        assert result.status == "limit" or (result.status, result.value) == ("optimal", whole.value), at
+        assert result.status is Status.INTERRUPTED or (result.status, result.value) == (Status.SOLVED, whole.value), at
         assert result.lower_bound <= whole.value, at
         assert result.verify(), at
     first, _ = interrupted(1)
-    assert (first.status, first.lower_bound, first.x) == ("limit", -math.inf, None)
+    assert (first.status, first.lower_bound, first.x) == (Status.INTERRUPTED, -math.inf, None)
 
 
 def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,4 +87,4 @@ def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(monkeypatch: pytes
     monkeypatch.setattr(relaxations, "solve_quadratic_program", stopped)
     monkeypatch.setattr(relaxations, "solved_at_once", lambda *_: None)
     result = minimize_over_solutions(some_pairs())
-    assert (result.status, len(runs), result.verify()) == ("limit", 1, True)
+    assert (result.status, len(runs), result.verify()) == (Status.INTERRUPTED, 1, True)

@@ -15,7 +15,17 @@ import pytest
 import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
-from lcp_plugin import LCP, ComplementarityProblem, InvalidProblem, QPSolver, UnsupportedModel, box, complements, solve
+from lcp_plugin import (
+    LCP,
+    ComplementarityProblem,
+    InvalidProblem,
+    QPSolver,
+    Status,
+    UnsupportedModel,
+    box,
+    complements,
+    solve,
+)
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
 from lcp_plugin.conversions.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
@@ -515,7 +525,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
 def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
     """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
     program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
-    assert judged_program(program).status == "unbounded"
+    assert judged_program(program).status is Status.UNBOUNDED
     proof = program.refutation()
     assert isinstance(proof, QPUnboundedness)
     least = proof.row_margin
@@ -603,11 +613,11 @@ def test_infeasible_and_unbounded_carry_their_proof() -> None:
     problem.solve(solver=QPSolver, algorithm=INTERIOR)
     assert problem.status == "infeasible"
     assert x.value is None
-    assert problem.solver_stats.extra_stats.infeasibility.verify()
+    assert problem.solver_stats.extra_stats.proof.verify()
     problem = cp.Problem(cp.Minimize(cp.square(x[0]) - x[1]), [x[1] - x[2] <= 0])
     assert problem.solve(solver=QPSolver, algorithm=INTERIOR) == -INF
     assert problem.status == "unbounded"
-    assert problem.solver_stats.extra_stats.infeasibility.verify()
+    assert problem.solver_stats.extra_stats.proof.verify()
 
 
 def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
@@ -743,7 +753,7 @@ def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
     program = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints)
     program.solve(solver=QPSolver)
     assert program.status == cp.INFEASIBLE
-    proof = program.solver_stats.extra_stats.infeasibility
+    proof = program.solver_stats.extra_stats.proof
     assert proof.verify()
     assert proof.margin == pytest.approx(1e-6 * size / (1 + size), rel=1e-2)
 

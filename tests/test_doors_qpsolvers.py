@@ -15,7 +15,7 @@ from qpsolvers import problems as published
 from scipy.optimize import nnls
 
 import lcp_plugin
-from lcp_plugin import certify
+from lcp_plugin import Status, certify
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.strategies import convex_qps
 
@@ -55,7 +55,7 @@ def test_random_programs_sparse_and_dense(drawn: Any) -> None:
         assert solution.primal_residual() <= 1e-6 * (1.0 + np.abs(solution.x).max())
         multipliers = max(np.abs(part).max(initial=0.0) for part in (solution.y, solution.z, solution.z_box))
         assert solution.dual_residual() <= 1e-6 * (1.0 + multipliers + np.abs(program.c).max())
-        assert solution.extras["status"] == "optimal"
+        assert solution.extras["status"] is Status.SOLVED
 
 
 def test_duals_have_the_signs_of_qpsolvers() -> None:
@@ -85,11 +85,11 @@ def test_linear_and_unconstrained_programs() -> None:
 
 
 def test_infeasible_comes_with_a_proof() -> None:
-    """None for x, "infeasible" in the extras, and a proof that verifies."""
+    """None for x, INFEASIBLE in the extras, and a proof that verifies."""
     problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
     solution = solve_problem(problem, NAME)
-    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, "infeasible")
-    assert solution.extras["proof"].verify()
+    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.INFEASIBLE)
+    assert solution.extras["result"].proof.verify()
     assert solution.extras["result"].is_refuted
 
 
@@ -99,15 +99,15 @@ def test_a_limit_is_no_solution() -> None:
     rows = rng.standard_normal((80, 60))
     problem = Problem(np.diag(rng.random(60)), rng.standard_normal(60), rows, rng.random(80))
     solution = solve_problem(problem, NAME, max_iterations=2)
-    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, "user_limit")
-    assert not solution.extras["answer"].is_stationary()
+    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.MAX_ITERATIONS)
+    assert not solution.extras["result"].solution.is_stationary()
     assert solve_problem(problem, NAME).found
 
 
 def test_found_is_what_certify_proves() -> None:
     """The extras hold an answer that `certify` takes, with its duals."""
     solution = solve_problem(Problem(P, Q, G, H), NAME)
-    assert certify(QuadraticProgram(P, Q, G, H), solution.extras["answer"]).verdict == "proved"
+    assert certify(QuadraticProgram(P, Q, G, H), solution.extras["result"].solution).verdict == "proved"
     assert solution.extras["result"].certificate.natural_residual <= 1e-9
 
 

@@ -250,5 +250,5 @@ def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
     problem = without_minimum(kind, 90)
     problem.solve(solver=QPSolver, callback=lambda sample, z: labels.add(sample.label))
     assert problem.status == kind
-    assert problem.solver_stats.extra_stats.infeasibility.verify()
+    assert problem.solver_stats.extra_stats.proof.verify()
     assert not labels & {"newton", "lemke", "search"}

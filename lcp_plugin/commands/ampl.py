@@ -219,7 +219,7 @@ def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
         return f"lcp_plugin {__version__}: failure: {error}", None, None, FAILURE
     except KeyboardInterrupt:
         return f"lcp_plugin {__version__}: interrupted before there was an answer", None, None, INTERRUPTED
-    proof = answer.result.infeasibility
+    proof = answer.result.proof
     advice = [] if answer.is_solved else [answer.result.advice if proof is None else str(proof)]
     message = "\n".join([answer.message, *advice, *(f"warning: {one.message}" for one in warned)])
     return message, answer.x, answer.duals, answer.code

@@ -181,8 +181,8 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
             found = judged_program(program, **options)
         except LCPError as error:
             raise type(error)(f"{where}: {error}") from error
-        if found.status != "optimal":
-            why = f"is {found.proof}" if found.proof is not None else f"ended {found.status}: {found.result.advice}"
+        if not found.is_solved:
+            why = f"is {found.proof}" if found.proof is not None else f"ended {found.status.name}: {found.advice}"
             raise NotConverged(f"{where} gives the layer no solution: it {why}")
         x, inequality, equality = found.solution.x, found.solution.inequality, found.solution.equality
         problem, z = conditions(program), np.concatenate([x, inequality, equality])

@@ -20,12 +20,12 @@ from pyomo.contrib.solver.common.results import Results, SolutionStatus, Termina
 from pyomo.contrib.solver.common.util import NoFeasibleSolutionError, NoOptimalSolutionError
 
 from .. import __version__
-from ..modeling.nl.answers import UNBOUNDED
 from ..settings import Status
 from .pyomo_answers import Answer, answered
 
 ENDS = {
     Status.SOLVED: TerminationCondition.convergenceCriteriaSatisfied,
+    Status.UNBOUNDED: TerminationCondition.unbounded,
     Status.MAX_ITERATIONS: TerminationCondition.iterationLimit,
     Status.MAX_SECONDS: TerminationCondition.maxTimeLimit,
     Status.INTERRUPTED: TerminationCondition.interrupted,
@@ -127,9 +127,7 @@ def _results_of(answer: Answer, model: Any) -> Any:
     found, results = answer.found, Results()
     is_solved = found.status is Status.SOLVED and not answer.violated
     results.termination_condition = ENDS.get(found.status, TerminationCondition.unknown)
-    if found.code == UNBOUNDED:
-        results.termination_condition = TerminationCondition.unbounded
-    elif found.status is Status.SOLVED and answer.violated:
+    if found.status is Status.SOLVED and answer.violated:
         results.termination_condition = TerminationCondition.unknown
     results.solution_status = SolutionStatus.optimal if is_solved else NOT_JUDGED
     if not answer.has_point:

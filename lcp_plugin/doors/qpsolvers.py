@@ -20,6 +20,7 @@ import numpy as np
 from ..checks import checked_bound, checked_vector
 from ..conversions.program import QuadraticProgram
 from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
+from ..settings import Status
 from ..solving.quadratic_program import judged_program
 
 if TYPE_CHECKING:
@@ -75,10 +76,9 @@ def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False,
     Returns
     -------
     qpsolvers.Solution
-        ``extras["status"]`` is "optimal", "infeasible", "optimal_inaccurate", "user_limit" or "solver_error",
-        ``extras["answer"]`` the :class:`~lcp_plugin.conversions.qp_solution.QPSolution` with its residuals,
-        ``extras["result"]`` the run, whose ``certificate`` is that of the complementarity problem, and
-        ``extras["proof"]`` that of infeasibility. Not found: x is None, and the best x is in the answer.
+        ``extras["status"]`` is the :class:`~lcp_plugin.Status`, ``extras["result"]`` the
+        :class:`~lcp_plugin.QuadraticProgramResult`: its ``solution`` has x, the multipliers and their residuals, its
+        ``proof`` is that of infeasibility. Not found: x is None, and the best x is in the result.
 
     Raises
     ------
@@ -102,12 +102,12 @@ def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False,
         raise ProblemError(str(error)) from error
     except LCPError as error:
         raise SolverError(str(error)) from error
-    if found.status == "unbounded":
+    if found.status is Status.UNBOUNDED:
         raise ProblemError(f"the program is {found.proof}; bound x where the objective falls")
     answer, solution = found.solution, Solution(problem)
-    solution.extras = {"status": found.status, "answer": answer, "result": found.result, "proof": found.proof}
+    solution.extras = {"status": found.status, "result": found}
     solution.build_time, solution.solve_time = built - started, time.perf_counter() - built
-    solution.found = found.status == "optimal"
+    solution.found = found.is_solved
     if solution.found:
         is_bounded = problem.lb is not None or problem.ub is not None
         solution.x, solution.obj = answer.x.copy(), answer.objective

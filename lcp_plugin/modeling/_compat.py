@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..errors import UnsupportedModel
 from ..expressions.rows import uniform
+from ..settings import Status
 
 LONGEST_NAME = 80
 
@@ -215,6 +216,20 @@ def bound_value(bound: Any, owner: Any) -> Any:
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
         raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
     return array.astype(np.float64)
+
+
+#: cvxpy's word for a status.
+CVXPY_STATUS = {
+    Status.SOLVED: settings.OPTIMAL,
+    Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
+    Status.INFEASIBLE: settings.INFEASIBLE,
+    Status.NO_SOLUTION: settings.INFEASIBLE,
+    Status.UNBOUNDED: settings.UNBOUNDED,
+    Status.DIVERGED: settings.SOLVER_ERROR,
+    **dict.fromkeys(
+        (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.STALLED, Status.INTERRUPTED), settings.USER_LIMIT
+    ),
+}
 
 
 def statistics(result: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from ..errors import UnsupportedModel
 from ..expressions.rows import as_matrix
 from ..solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..solving.equilibria.result import EquilibriumResult
-from ._compat import name_of, statistics
+from ._compat import CVXPY_STATUS, name_of, statistics
 from .builder import (
     NO_VARIABLE,
     PLAIN,
@@ -32,11 +32,6 @@ from .certified_problem import ReducedProblem
 from .constraint import Complements, Side
 from .reading import Reader
 from .stated_terms import sense_of
-
-STATUS = {
-    "optimal": settings.OPTIMAL, "infeasible": settings.INFEASIBLE, "unbounded": settings.UNBOUNDED,
-    "limit": settings.USER_LIMIT, "unknown": settings.USER_LIMIT,
-}
 
 
 class StatedPair:
@@ -152,7 +147,7 @@ def solve_for_the_best(problem: Any, verbose: bool, options: dict[str, Any]) -> 
 
 def write_back(problem: Any, reduced: ReducedProblem, pairs: list[StatedPair], result: EquilibriumResult) -> None:
     """Give the cvxpy problem its status, values, duals and statistics."""
-    sense, status, attributes = sense_of(problem), STATUS[result.status], statistics(result)
+    sense, status, attributes = sense_of(problem), CVXPY_STATUS[result.status], statistics(result)
     if result.x is None and status == settings.USER_LIMIT:  # nothing was found, and nothing is proved
         problem._clear_solution()
         problem._status = status

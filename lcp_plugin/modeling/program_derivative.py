@@ -23,7 +23,7 @@ from ..errors import UnsuitableProblem, UnsupportedModel
 from ..problem.lcp import LCP
 from ._compat import dense, leaf_value
 from .model_derivative import Changes
-from .qp_solver import SAME, Answer, ProgramEntries
+from .qp_solver import SAME, ProgramEntries, SolverAnswer
 
 if TYPE_CHECKING:
     from ..solving.derivative import Derivative
@@ -66,7 +66,7 @@ class ProgramDerivative:
         Nothing of it is kept but its constraints.
     data, chain, inverse_data
         What ``problem.get_problem_data`` returned.
-    answer : Answer
+    answer : SolverAnswer
         What the solver said of it.
     known : dict
         From the id of a parameter to the value with which the program was solved.
@@ -78,7 +78,7 @@ class ProgramDerivative:
     """
 
     def __init__(
-        self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: Answer, known: Changes
+        self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: SolverAnswer, known: Changes
     ) -> None:
         self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
         self._equations = int(data["n_eq"])

@@ -23,7 +23,7 @@ from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..conversions.qp_solution import QPSolution
 from ..errors import InvalidProblem, UnsupportedModel
 from ..solving.quadratic_program import ProgramResult, judged_program
-from ._compat import statistics
+from ._compat import CVXPY_STATUS, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import dense_value
 from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
@@ -40,7 +40,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
     The status is judged by the program's own residuals, then once more on the problem as it was stated; infeasible
-    and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.infeasibility``.
+    and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
@@ -111,26 +111,26 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
                 "in other units"
             ) from error
 
-    def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> Answer:
+    def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
         before: _Compiled | None = cache.get(self.name())
         compiled = _Compiled.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
-        result = found.result
+        result = found.lcp_result
         # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
         cache[self.name()] = compiled._replace(z=None if isinstance(result, ProgramResult) else result.z)
         if verbose:
-            settings.LOGGER.info(result.explain())
-        return Answer(result, found.solution, found.status, found.goal)
+            settings.LOGGER.info(found.explain())
+        return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status], found.goal)
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
         result, qp = solution.result, solution.solution
         attributes = {} if result is None else statistics(result)
         if solution.status not in settings.SOLUTION_PRESENT:
-            attributes["message"] = result.advice if result.infeasibility is None else str(result.infeasibility)
+            attributes["message"] = result.advice if result.proof is None else str(result.proof)
             return failure_solution(solution.status, attributes)
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]
@@ -147,15 +147,15 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class SolverAnswer:
     """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal."""
 
-    result: Any  # a Result, or None where unknowns are only counted
+    result: Any  # a QuadraticProgramResult, or None where unknowns are only counted
     solution: QPSolution
     status: str
     goal: float
 
-    def claim(self, unpacked: Solution, invert: Callable[[Answer], Solution]) -> Claim | None:
+    def claim(self, unpacked: Solution, invert: Callable[[SolverAnswer], Solution]) -> Claim | None:
         """Return what is claimed, in the user's variables and constraints; None where nothing is.
 
         Parameters
@@ -165,12 +165,12 @@ class Answer:
         invert : callable
             The way back to the user's variables.
         """
-        proof, program = self.result.infeasibility, self.solution.program
+        proof, program = self.result.proof, self.solution.program
         rows = program.constraints
 
         def inverted(x: FloatVector, y: FloatVector) -> Solution:
             solution = QPSolution(program, x, *rows.split(y))
-            return invert(Answer(self.result, solution, settings.OPTIMAL, self.goal))
+            return invert(SolverAnswer(self.result, solution, settings.OPTIMAL, self.goal))
 
         if isinstance(proof, QPInfeasibility):
             y = numbers(proof.multipliers)
@@ -308,7 +308,7 @@ class ProgramEntries(NamedTuple):
         variables = {one.id: _entries_of(one, columns, chain, inverse) for one in problem.variables()}
         inequality, equality = np.split(1.0 + np.arange(rows.rows), [program.h.size])
         counted = QPSolution(program, nothing, inequality, equality, nothing, nothing)
-        found = chain.invert(Answer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars or {}
+        found = chain.invert(SolverAnswer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars or {}
         duals = {
             one.id: Entries.of(found[one.id], program.n, one.dual_variables[0].shape)
             for one in problem.constraints if one.id in found and not np.mod(dense_value(found[one.id]), 1.0).any()

@@ -19,9 +19,9 @@ from cvxpy.reductions.solution import Solution
 from ..errors import UnsupportedModel
 from ..problem.lcp import LCP
 from ..problem.nonlinear import NonlinearProblem
-from ..settings import Status
 from ..solving.result import Result
 from ._compat import (
+    CVXPY_STATUS,
     answer_derivatives,
     clear_answering,
     name_of,
@@ -39,16 +39,6 @@ from .qp_solver import QPSolver
 from .user_terms import METHODS
 
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
-CVXPY_STATUS = {
-    Status.SOLVED: settings.OPTIMAL,
-    Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
-    Status.MAX_ITERATIONS: settings.USER_LIMIT,
-    Status.MAX_SECONDS: settings.USER_LIMIT,
-    Status.STALLED: settings.USER_LIMIT,
-    Status.INTERRUPTED: settings.USER_LIMIT,
-    Status.INFEASIBLE: settings.INFEASIBLE,
-    Status.NO_SOLUTION: settings.INFEASIBLE,
-}
 
 
 def register() -> None:
@@ -318,8 +308,8 @@ def _refuse_flags(options: Mapping[str, Any]) -> None:
 
 def write_back(problem: Any, model: Model, result: Result) -> None:
     """Give the cvxpy problem its status, values, duals and statistics."""
-    status = CVXPY_STATUS.get(result.status)
-    if status is None:
+    status = CVXPY_STATUS[result.status]
+    if status == settings.SOLVER_ERROR:
         raise SolverError(f"{result.status.name}: {result.advice}")
     attributes, duals = statistics(result), model.duals(result.z, result.w)
     own = {constraint.id for constraint in problem.constraints}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +21,11 @@ from ..kernels.threads import in_chunks
 from ..policy.direct_methods import may_be_searched
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Status
+from .answer import AnswerSequence, T
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded
 from .batch_items import Items, Stacked, put
 from .driver import asked_of_solve, fused_result, solve
-from .result import Result, Results, T
+from .result import Result
 
 
 class BatchLoop:
@@ -97,7 +97,7 @@ class BatchLoop:
             self.errors[k], self.is_open[k] = error, False
 
 
-class BatchAnswers(Results[T]):
+class BatchAnswers(AnswerSequence[T]):
     """The answers of a batch, each put together when it is looked at.
 
     Parameters
@@ -110,7 +110,6 @@ class BatchAnswers(Results[T]):
         What nobody may change any more.
     """
 
-    ITEM: ClassVar[str]
     status: Any
 
     def __init__(self, run: BatchLoop, answer_of: Callable[[int], T], *tables: Any) -> None:
@@ -127,11 +126,6 @@ class BatchAnswers(Results[T]):
         if k in self.errors:
             raise self.errors[k]
         return self._answer_of(k)
-
-    def __repr__(self) -> str:
-        counts = Counter(f"no {self.ITEM}" if one is None else getattr(one, "name", one) for one in self.status)
-        told = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-        return f"{type(self).__name__}({len(self)} {self.ITEM}s: {told or 'none'}; {self.seconds:.3g} s)"
 
 
 @cache
@@ -281,8 +275,6 @@ class BatchResult(BatchAnswers[Result]):
     a share of the batch's.
     """
 
-    ITEM = "problem"
-
     def __init__(self, run: BatchRun) -> None:
         super().__init__(run, run.result_of, run.z, run.iterations)
         self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
@@ -293,8 +285,3 @@ class BatchResult(BatchAnswers[Result]):
         """M z + q of each problem, like z; computed when it is looked at."""
         rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
-
-    @property
-    def all_solved(self) -> bool:
-        """Whether every status is SOLVED."""
-        return all(status is Status.SOLVED for status in self.status)

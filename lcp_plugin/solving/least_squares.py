@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector, read_only, restored
 from ..deadline import Clock
-from ..errors import NotConverged
 from ..problem.least_squares import ALONE, LeastSquares
 from ..settings import Settings, Status
+from .answer import Answer
 
 SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
 EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
@@ -111,8 +111,8 @@ def _solved_at_once(problem: LeastSquares, settings: Settings, clock: Clock) -> 
     return _result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
 
 
-@dataclass(frozen=True, eq=False)
-class LeastSquaresResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class LeastSquaresResult(Answer):
     """The answer of a least squares run; names as in scipy, but for `status`.
 
     Attributes
@@ -173,29 +173,31 @@ class LeastSquaresResult:
         return gap_of(self.problem, self.x, self.nit)
 
     @property
-    def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
-        return self.status is Status.SOLVED
+    def objective(self) -> float:
+        """The cost."""
+        return self.cost
+
+    @property
+    def iterations(self) -> int:
+        """`nit`."""
+        return self.nit
+
+    @property
+    def algorithm(self) -> str:
+        """What ran."""
+        return "bounded least squares"
 
     @property
     def advice(self) -> str:
         """What the status means, in a sentence."""
         return ADVICE.get(self.status, self.status.value).replace("z0=result.z", "x0=result.x")
 
-    def require_solved(self) -> LeastSquaresResult:
-        """Return this result, or raise where it is not solved.
+    def _numbers(self) -> dict[str, float]:
+        return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
 
-        Raises
-        ------
-        NotConverged
-            With the status, the optimality reached and the advice.
-        """
-        if not self.is_solved:
-            raise NotConverged(
-                f"{self.status.name} after {self.nit} steps: optimality {self.optimality:.1e} "
-                f"(tolerance {self.tolerance:.1e}); {self.advice}"
-            )
-        return self
+    def reached(self) -> str:
+        """Return the optimality beside what was asked for."""
+        return f"optimality {self.optimality:.1e} (tolerance {self.tolerance:.1e}), cost {self.cost:.9g}"
 
 
 ADVICE = {

@@ -21,14 +21,15 @@ from ..matrix.structure import parts
 from ..policy.choice import Policy
 from ..policy.marching import Lesson, StepPolicy
 from ..problem.lcp import LCP
-from ..settings import OF_SOLVE, Settings
+from ..settings import OF_SOLVE, Settings, Status
+from .answer import AnswerSequence, Results
 from .driver import asked_of_solve, fused_result, solve
-from .result import Result, Results
+from .result import Result
 
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
 
-class March(Results[Result]):
+class March(AnswerSequence[Result]):
     """The results of a march in time, in order; each is put together when it is looked at.
 
     Parameters
@@ -46,14 +47,19 @@ class March(Results[Result]):
         Whether every step that was taken is SOLVED, and none was refused or interrupted.
     error : LCPError or None
         What was wrong with the q of the step that ended the march.
+    seconds : float
+        Wall-clock seconds of the march.
     """
+
+    ITEM = "step"
+    all_solved = True
 
     def __init__(
         self, problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
         again: Callable[..., March],
     ) -> None:
         self.problem, self.forcing, self.carry, self.z0, self.keep_every = problem, forcing, carry, z0, keep_every
-        self.all_solved = True
+        self.seconds = 0.0
         self.error: LCPError | None = None
         self._again, self._count = again, 0
         self._part: tuple[int, March] | None = None
@@ -94,9 +100,31 @@ class March(Results[Result]):
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def status(self) -> list[Status]:
+        """The status of each step that was taken; all but the last are SOLVED."""
+        return [Status.SOLVED] * (len(self) - 1) + [self[-1].status for _ in range(min(len(self), 1))]
+
+    @property
+    def algorithm(self) -> str:
+        """What ran in the last step."""
+        return self[-1].algorithm if len(self) else "no step"
+
+    def explain(self) -> str:
+        """Return how many steps of how many were taken, how they ended, and the story of the last one."""
+        lines = [
+            f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s",
+            f"ended by {self.error}" if self.error else "",
+            f"the last step: {self[-1]}" if len(self) else "",
+        ]
+        return "\n".join(filter(None, lines))
+
     def __repr__(self) -> str:
-        end = f"; ended by {self.error}" if self.error else "" if self.all_solved else "; the last one is not solved"
-        return f"March({len(self)} steps{end})"
+        end = f"; ended by {self.error}" if self.error else ""
+        return (
+            f"March({len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, "
+            f"{self.seconds:.3g} s{end})"
+        )
 
     def _take(self, z: FloatVector, result: Result | Callable[[], Result], lesson: Lesson) -> None:
         last, self._count = self._count - 1, self._count + 1
@@ -237,6 +265,7 @@ def _marched(
             if not done:
                 raise
             done.all_solved = False
+    done.seconds = clock.read()
     return done
 
 

@@ -170,6 +170,8 @@ class _Steps:
             leader.problem, forcing, leader.carry, lower, upper, states, settings.tolerance, settings.max_iterations
         )
         seconds = clock.read() / max(len(group) * answers.shape[1], 1)
+        for one in group:
+            one.seconds += seconds * answers.shape[1]
 
         def result_of(one: March, j: int, k: int, before: FloatVector) -> Result:
             q, fused = one.forcing[first + k] + one.carry @ before, solve_of(j, k)
@@ -202,7 +204,7 @@ class _Steps:
             return
         for k in range(len(rest)):
             one._take(rest.z[k], partial(rest.at, k), rest._lessons[k])
-        one.error, one.all_solved = rest.error, rest.all_solved
+        one.error, one.all_solved, one.seconds = rest.error, rest.all_solved, one.seconds + rest.seconds
         if self.is_interrupted(rest):
             raise KeyboardInterrupt
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of, work_of_search
 from ..algorithms.search.stages import FeasibilityCheck
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, read_only
+from ..checks import FloatVector, read_only, restored
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
@@ -24,6 +24,7 @@ from ..conversions.reductions import fold_simple_rows, substitute_definitions
 from ..deadline import Clock, is_over, seconds_left
 from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status, checked_callback
+from .answer import Answer
 from .driver import asked_of_solve, solve
 from .error_watch import BoundOrReason
 from .result import Result, Sample, StageRecord
@@ -52,31 +53,123 @@ class ProgramRun(NamedTuple):
         return math.inf if math.isnan(error) else error
 
 
-class ProgramAnswer(NamedTuple):
-    """What was found of a program, and what that is called.
+ADVICE = {
+    Status.SOLVED: "the program's own residuals are within the tolerance, and P is positive semidefinite",
+    Status.PRECISION_LIMIT: "the program's own residuals are small, but not within the tolerance: rescale the data",
+    Status.INFEASIBLE: "the constraints contradict one another, and result.proof proves it: check the data",
+    Status.STALLED: (
+        "the program's own residuals no longer fall, and no proof was found that it has no minimum: check the data "
+        "and their units"
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadraticProgramResult(Answer):
+    """The answer to a quadratic program, judged by the program's own residuals.
 
     Attributes
     ----------
-    result : Result
+    status : Status
+        SOLVED (optimal) by the program's own residuals, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT where
+        they are small, but above the goal; otherwise why the run ended.
     solution : QPSolution
-    status : str
-        "optimal" by the program's own residuals, "infeasible" or "unbounded" with a proof, "optimal_inaccurate",
-        "user_limit" where something ended the run before, or "solver_error".
+        x, the multipliers and their residuals.
+    lcp_result : Result
+        The run on the complementarity problem that was made of the program; made when it is looked at where the program
+        was solved as it is.
     goal : float
         The size of the residuals that is called optimal.
     proof : QPInfeasibility or QPUnboundedness or None
+        Of INFEASIBLE or UNBOUNDED.
     """
 
-    result: Result
-    solution: QPSolution
-    status: str
+    status: Status
+    solution: QPSolution = field(repr=False)
+    lcp_result: Result = field(repr=False)
     goal: float
-    proof: QPInfeasibility | QPUnboundedness | None
+    proof: QPInfeasibility | QPUnboundedness | None = None
+
+    __setstate__ = restored
+
+    @property
+    def x(self) -> FloatVector:
+        """The minimiser, or the best point that was found, shape (n,)."""
+        return self.solution.x
+
+    @property
+    def objective(self) -> float | None:
+        """½ xᵀP x + cᵀx; None where a proof says that there is no minimum."""
+        return None if self.is_refuted else self.solution.objective
+
+    @property
+    def duals(self) -> dict[str, FloatVector]:
+        """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
+        return {name: getattr(self.solution, name) for name in ("inequality", "equality", "lower", "upper")}
+
+    @property
+    def z(self) -> FloatVector:
+        """The answer to the complementarity problem."""
+        return self.lcp_result.z
+
+    @property
+    def w(self) -> FloatVector:
+        """Its slack M z + q."""
+        return self.lcp_result.w
+
+    @property
+    def certificate(self) -> Certificate:
+        """What is known of z in the complementarity problem."""
+        return self.lcp_result.certificate
+
+    @property
+    def algorithm(self) -> str:
+        """What ran."""
+        return self.lcp_result.algorithm
+
+    @property
+    def iterations(self) -> int:
+        """Of the whole run."""
+        return self.lcp_result.iterations
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock seconds of the run."""
+        return self.lcp_result.seconds
+
+    @property
+    def setup_seconds(self) -> float:
+        """Seconds until the first iterate."""
+        return self.lcp_result.setup_seconds
+
+    @property
+    def stages(self) -> tuple[StageRecord, ...]:
+        """What ran, in order."""
+        return self.lcp_result.stages
+
+    @property
+    def history(self) -> tuple[Sample, ...]:
+        """Of the complementarity problem; empty unless asked for with ``record=True``."""
+        return self.lcp_result.history
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this program, in a sentence."""
+        return ADVICE.get(self.status, self.status.value)
+
+    def _numbers(self) -> dict[str, float]:
+        names = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+        residuals = {} if self.is_refuted else {name: float(getattr(self.solution, name)) for name in names}
+        return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
+
+    def reached(self) -> str:
+        """Return the residuals, or what proves that there are none."""
+        return str(self.solution) if self.proof is None else str(self.proof)
 
 
 def judged_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
-) -> ProgramAnswer:
+) -> QuadraticProgramResult:
     """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments."""
     result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
     goal, proof = program_goal(tolerance), None
@@ -85,21 +178,21 @@ def judged_program(
     if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
         proof = program.refutation(goal)
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
-    if proof is not None:  # what an endless descent leaves without solution are the optimality conditions
-        result = replace(result, status=Status.INFEASIBLE, infeasibility=proof)
-    return ProgramAnswer(result, solution, status, goal, proof)
+    if proof is not None:
+        result = replace(result, status=status, infeasibility=proof)
+    return QuadraticProgramResult(status, solution, result, goal, proof)
 
 
 def _status(
     result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
-) -> str:
+) -> Status:
     if proof is not None:
-        return proof.verdict
+        return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        return "optimal" if is_optimal else "optimal_inaccurate" if is_nearly else "user_limit"
-    if is_optimal and (result.status is Status.STALLED or result.is_refuted):  # in the program's units, not the run's
-        return "optimal"
-    return "solver_error" if result.status is Status.DIVERGED else "user_limit"
+        return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
+    if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's
+        return Status.SOLVED if is_optimal else Status.STALLED
+    return result.status
 
 
 def solve_quadratic_program(

@@ -2,46 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from operator import index
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
-from ..errors import NotConverged
-from ..settings import PROVEN, Status
+from ..settings import Status
+from .answer import Answer
 from .error_watch import BoundOrReason
 
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
     from ..certificates.theorems import Guarantee
-
-T = TypeVar("T")
-
-
-class Results(Sequence[T]):
-    """A sequence of results, each put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
-
-    def at(self, k: int) -> T:
-        """Return result k."""
-        raise NotImplementedError
-
-    @overload
-    def __getitem__(self, k: int) -> T: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[T]: ...
-    def __getitem__(self, k: int | slice) -> T | list[T]:
-        if isinstance(k, slice):
-            return [self.at(i) for i in range(len(self))[k]]
-        if not -len(self) <= index(k) < len(self):
-            raise IndexError(f"there are {len(self)} results, and none has the number {k}")
-        return self.at(index(k) % len(self))
-
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
@@ -108,14 +84,14 @@ class Sample:
     error_bound: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Answer):
     """The answer of a run, judged by its certificate.
 
     Attributes
     ----------
     z, w : ndarray, shape (n,)
-        The best iterate and its slack M z + q, read-only.
+        The best iterate and its slack M z + q, read-only; `x` is z.
     status : Status
         Derived from the certificate; where that does not pass, the reason why the run ended.
     certificate : Certificate
@@ -187,9 +163,14 @@ class Result:
         return convergence_guarantee(self.certificate.problem, self._asked)
 
     @property
-    def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
-        return self.status is Status.SOLVED
+    def x(self) -> FloatVector:
+        """The best iterate, z."""
+        return self.z
+
+    @property
+    def proof(self) -> Any:
+        """`infeasibility` where the status rests on it, otherwise None."""
+        return self.infeasibility if self.is_refuted else None
 
     @property
     def residual(self) -> float:
@@ -205,11 +186,6 @@ class Result:
             return advice
         remarks = [stage.remark for stage in self.stages if stage.remark]
         return "; ".join([*self._small_contradiction(), advice, *remarks])
-
-    @property
-    def is_refuted(self) -> bool:
-        """True where the status is INFEASIBLE or NO_SOLUTION."""
-        return self.status in PROVEN
 
     def _small_contradiction(self) -> list[str]:
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
@@ -229,28 +205,12 @@ class Result:
             return [f"{what} beside its own data, but not beside those of the program that it was made from"]
         return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
 
-    def require_solved(self) -> Result:
-        """Return this result, or raise where it is not solved.
-
-        Raises
-        ------
-        NotConverged
-            With the status, the residual reached and the advice.
-        """
-        if not self.is_solved:
-            raise NotConverged(
-                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self._reached()}; "
-                f"{self.advice}"
-            )
-        return self
-
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
         lines = [
             f"{self.status.name}: {self.advice}.",
-            self._reached(),
-            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
-            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s",
+            self.reached(),
+            self._effort(),
         ]
         if len(self.stages) > 1:
             total = sum(stage.work for stage in self.stages) or 1.0
@@ -267,7 +227,11 @@ class Result:
             lines.append(f"no error bound: {self.no_error_bound}")
         return "\n".join([*lines, *self._not_covered(), *self._stiffness(), *self._complementarity()])
 
-    __str__ = explain
+    def _effort(self) -> str:
+        return (
+            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
+            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s"
+        )
 
     def _not_covered(self) -> list[str]:
         """Return a line where a chosen method failed that nothing proves to converge."""
@@ -279,7 +243,7 @@ class Result:
         return [f"{self.algorithm} on this matrix: {guarantee.verdict} ({guarantee.theorem}); what to do: "
                 f"{guarantee.remedy}"]
 
-    def _reached(self) -> str:
+    def reached(self) -> str:
         """Return what was reached beside what was asked for."""
         residual = f"{self.measure} residual {self.residual:.3e}"
         asked_on_error = self.tolerance_on == "error"
@@ -337,14 +301,15 @@ class Result:
         return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
                 'product counts, try another algorithm ("lemke" for a small problem) or a start z0 near a smaller z']
 
-    def to_json(self) -> str:
-        """Return status, residuals and counts (not z and w) as JSON text; non-finite numbers become null."""
-        return json.dumps(self.to_content(), indent=2)
-
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""
-        certificate = self.certificate
-        numbers: dict[str, Any] = {
+        kind = {} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}
+        return {**super().to_content(), "measure": self.measure, "tolerance_on": self.tolerance_on, **kind}
+
+    def _numbers(self) -> dict[str, float]:
+        certificate, bound = self.certificate, self.error_bound
+        bounds = {} if bound is None else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
+        return {
             "relative_residual": certificate.relative_residual,
             "natural_residual": certificate.natural_residual,
             "euclidean_residual": certificate.euclidean_residual,
@@ -352,22 +317,8 @@ class Result:
             "slack_violation": certificate.slack_violation,
             "complementarity": certificate.complementarity,
             "work": self.work,
-            "seconds": self.seconds,
             "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
             **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
-        }
-        if self.error_bound is not None:
-            numbers["error_bound"] = self.error_bound.infinity
-            numbers["relative_error_bound"] = self.error_bound.relative
-        return {
-            "status": self.status.name,
-            "advice": self.advice,
-            "algorithm": self.algorithm,
-            "n": certificate.problem.n,
-            "iterations": self.iterations,
-            "measure": self.measure,
-            "tolerance_on": self.tolerance_on,
-            **({} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}),
-            **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
+            **bounds,
         }

@@ -8,7 +8,7 @@ everything exactly, no bound may lie above its objective. Counted are
 
 - wrong: a status or a value that the pieces contradict, a bound above the exact objective, a result whose verify() is
   False, or one that was damaged whose verify() is True;
-- open: "unknown", or a limit.
+- open: STALLED, or a limit.
 
 Exit code 1 where anything is wrong, or more than 1 % are open.
 """
@@ -30,7 +30,7 @@ import highspy
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, minimize_over_solutions
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, minimize_over_solutions
 from lcp_plugin.conversions.equilibrium_program import BETWEEN, CASES, LOWER
 
 INF = np.inf
@@ -122,7 +122,7 @@ def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
 class Truth(NamedTuple):
     """Status, value, how many pieces are not empty, and the exact objective of a rational solution, where one is."""
 
-    status: str
+    status: Status  # NO_SOLUTION where there is no piece, whatever excludes it
     value: float
     pieces: int
     exact: Fraction | None
@@ -253,13 +253,13 @@ def truth(problem: EquilibriumProgram) -> Truth:
         found += 1
         x = pieces.least(cases)
         if x is None:
-            return Truth("unbounded", -INF, found, None)
+            return Truth(Status.UNBOUNDED, -INF, found, None)
         value = problem.objective(x)
         if value < best:
             best, where = value, (x, cases)
     if where is None:
-        return Truth("infeasible", INF, 0, None)
-    return Truth("optimal", best, found, exact_objective(problem, *where))
+        return Truth(Status.NO_SOLUTION, INF, 0, None)
+    return Truth(Status.SOLVED, best, found, exact_objective(problem, *where))
 
 
 # --- The judgement ---
@@ -280,12 +280,14 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
 def complaints(result: Any, known: Truth) -> list[str]:
     """What of a result the truth contradicts."""
     said = []
-    if result.status in ("optimal", "infeasible", "unbounded") and result.status != known.status:
+    if (result.is_solved or result.is_refuted) and known.status is not (
+        Status.NO_SOLUTION if result.status is Status.INFEASIBLE else result.status
+    ):
         said.append(f"says {result.status}, is {known.status}")
     room = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
     if result.x is not None and result.value < known.value - 2.0 * room:
         said.append(f"value {result.value} below {known.value}")
-    if result.status == "optimal" == known.status and result.value > known.value + 2.0 * room:
+    if result.is_solved and known.status is Status.SOLVED and result.value > known.value + 2.0 * room:
         said.append(f"value {result.value} above {known.value}")
     if math.isfinite(result.lower_bound) and known.exact is not None and Fraction(result.lower_bound) > known.exact:
         if result.lower_bound - float(known.exact) > 1e-9 * max(1.0, abs(known.value)):
@@ -320,14 +322,14 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
         tighter = (stronger.bounds[0]._replace(bound=0.5 * stronger.bounds[0].bound), *stronger.bounds[1:])
         yield "a side's bound tightened", replace(result, strengthened=replace(stronger, bounds=tighter))
     leaves = [node for node in result.tree if node.pair < 0]
-    if len(result.tree) > 1 and result.status != "unbounded":
+    if len(result.tree) > 1 and result.status is not Status.UNBOUNDED:
         yield "leaf removed", replace(result, tree=tuple(node for node in result.tree if node is not leaves[-1]))
-    if result.status == "infeasible":
+    if result.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
         yield "unproved", replace(result, tree=tuple(replace(node, proof=None) for node in result.tree))
     else:
-        yield "called infeasible", replace(result, status="infeasible", x=None, value=INF, lower_bound=INF)
-    if result.status != "unbounded":
-        yield "called unbounded", replace(result, status="unbounded", x=None, value=-INF, lower_bound=-INF)
+        yield "called infeasible", replace(result, status=Status.NO_SOLUTION, x=None, value=INF, lower_bound=INF)
+    if result.status is not Status.UNBOUNDED:
+        yield "called unbounded", replace(result, status=Status.UNBOUNDED, x=None, value=-INF, lower_bound=-INF)
 
 
 def undetected(result: Any) -> list[str]:
@@ -357,7 +359,7 @@ def main() -> int:
         result = minimize_over_solutions(problem, max_seconds=60.0)
         seconds += time.process_time() - begin
         said = complaints(result, known) + undetected(result)
-        is_open = result.status in ("unknown", "limit")
+        is_open = not (result.is_solved or result.is_refuted)
         kinds[f"{known.status}: {result.status}"] += 1
         wrong, opened, exact = wrong + bool(said), opened + is_open, exact + (known.exact is not None)
         pieces, nodes = pieces + known.pieces, nodes + result.nodes

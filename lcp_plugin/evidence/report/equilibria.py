@@ -37,7 +37,7 @@ class BestEquilibria(Section):
     def tell(self, collected: Collected) -> Iterator[Finding]:
         """Yield how many are proved."""
         found = self.rows(collected)
-        proved = sum(row["status"] == "optimal" for row in found)
+        proved = sum(row["status"] == "SOLVED" for row in found)
         slowest = max((row["seconds"] for row in found), default=0.0)
         wrong, most = sum(not row["verified"] for row in found), max(row["pairs"] for row in found)
         yield Finding("The best of all solutions", (
@@ -110,7 +110,8 @@ def _solved(pairs: int, is_linear: bool, effort: Effort, say: Say) -> dict[str, 
     )
     gaps.append((result.seconds, float(result.gap)))
     return {
-        "name": f"{pairs} pairs, {'linear' if is_linear else 'quadratic'}", "pairs": pairs, "status": result.status,
-        "value": float(result.value), "gap": float(result.gap), "nodes": result.nodes, "seconds": result.seconds,
+        "name": f"{pairs} pairs, {'linear' if is_linear else 'quadratic'}", "pairs": pairs,
+        "status": result.status.name, "value": float(result.value),
+        "gap": float(result.gap), "nodes": result.nodes, "seconds": result.seconds,
         "verified": result.verify(), "gaps": [one for one in gaps if np.isfinite(one[1])],
     }

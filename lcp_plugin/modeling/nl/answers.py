@@ -13,26 +13,20 @@ from ... import __version__
 from ...checks import BoolVector, FloatVector
 from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
-from ...conversions.qp_proofs import QPUnboundedness
 from ...problem.lcp import LCP
 from ...problem.nonlinear import NonlinearProblem
 from ...settings import Status
-from ...solving.quadratic_program import ProgramAnswer, judged_program
+from ...solving.quadratic_program import QuadraticProgramResult, judged_program
 from ...solving.result import Result
 from ..assembly import Arrangement, solve_from
 from .content import Indices, NLContent
 from .evaluation import contradiction, evaluated
 
-#: AMPL's numbers for the ways a run may end; 300 is an unbounded program.
+#: AMPL's numbers for the ways a run may end.
 CODES = {
     Status.SOLVED: 0, Status.PRECISION_LIMIT: 100, Status.INFEASIBLE: 200, Status.NO_SOLUTION: 200,
-    Status.MAX_ITERATIONS: 400, Status.MAX_SECONDS: 401, Status.INTERRUPTED: 402, Status.STALLED: 500,
-    Status.DIVERGED: 501,
-}
-UNBOUNDED = 300
-STATUSES = {
-    "optimal": Status.SOLVED, "optimal_inaccurate": Status.PRECISION_LIMIT, "infeasible": Status.INFEASIBLE,
-    "unbounded": Status.INFEASIBLE, "solver_error": Status.DIVERGED,
+    Status.UNBOUNDED: 300, Status.MAX_ITERATIONS: 400, Status.MAX_SECONDS: 401, Status.INTERRUPTED: 402,
+    Status.STALLED: 500, Status.DIVERGED: 501,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
@@ -254,28 +248,27 @@ class ProgramModel(NLModel):
         return start
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.infeasibility``."""
+        """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.proof``."""
         found = judged_program(self.program, algorithm, **options)
-        result, status = found.result, STATUSES.get(found.status, found.result.status)
-        if status is Status.SOLVED and found.status != "optimal":
-            status = Status.STALLED  # the run is content, the program's own residuals are not
+        status = found.status
         x = self._known.copy()
         x[self.unknowns] = found.solution.x
         values = evaluated(self.content, x)
         # As the file states it: expanded, (x - 10⁶)² has lost ten digits.
         objective = float(values[1][0]) if values[1].size else 0.0
-        words = found.status if status in (Status.SOLVED, Status.INFEASIBLE) else status.name.lower()
-        code = UNBOUNDED if isinstance(found.proof, QPUnboundedness) else CODES[status]
+        words, code = "optimal" if found.is_solved else status.name.lower(), CODES[status]
         if status is Status.SOLVED and (wrong := self._contradiction(x, values, found)):
             status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
         is_told = found.proof is None
         words += f", objective {objective:.9g}" if is_told else ""
         # The program's own residuals, which the status is made of, not those of its optimality conditions.
-        message = self._message(words, max(found.solution.residual, found.solution.row_residual), result.iterations)
+        message = self._message(words, max(found.solution.residual, found.solution.row_residual), found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
-        return NLAnswer(x, duals, status, message, result, objective if is_told else None, code)
+        return NLAnswer(x, duals, status, message, found, objective if is_told else None, code)
 
-    def _contradiction(self, x: FloatVector, values: tuple[FloatVector, FloatVector], found: ProgramAnswer) -> str:
+    def _contradiction(
+        self, x: FloatVector, values: tuple[FloatVector, FloatVector], found: QuadraticProgramResult
+    ) -> str:
         """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
         content, program, own = self.content, self.program, np.abs(found.solution.x)
         within = np.clip(values[0], content.row_lower, content.row_upper)

@@ -10,15 +10,9 @@ from ... import __version__
 from ...checks import FloatVector
 from ...conversions.equilibrium_program import EquilibriumProgram
 from ...errors import InvalidOption, did_you_mean
-from ...settings import Status
 from ...solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
-from .answers import CODES, UNBOUNDED, NLAnswer, NLModel
+from .answers import CODES, NLAnswer, NLModel
 from .content import Indices, NLContent
-
-STATUSES = {
-    "optimal": Status.SOLVED, "infeasible": Status.NO_SOLUTION, "unbounded": Status.INFEASIBLE,
-    "limit": Status.MAX_ITERATIONS, "unknown": Status.STALLED,
-}
 
 
 class EquilibriumModel(NLModel):
@@ -76,13 +70,12 @@ class EquilibriumModel(NLModel):
                     f"has {', '.join(OPTIONS)}"
                 )
         result = minimize_over_solutions(self.program, **wishes)
-        status, n = STATUSES[result.status], self.unknowns.size
+        n = self.unknowns.size
         x, duals, objective = self._known.copy(), np.zeros(self.content.row_lower.size), None
         if result.x is not None:
             x[self.unknowns], duals[self.pairs] = result.x[:n], result.x[n:]
             objective = self.sign * result.value + 0.0
-        message = f"lcp_plugin {__version__}: {result}" if self.sign > 0.0 else (
-            f"lcp_plugin {__version__}: {result} (of minus the objective)"
-        )
-        code = UNBOUNDED if result.status == "unbounded" else CODES[status]
-        return NLAnswer(x, duals, status, message, result, objective, code)
+        words = "optimal" if result.is_solved else result.status.name.lower()
+        of = "" if self.sign > 0.0 else " (of minus the objective)"
+        message = f"lcp_plugin {__version__}: {words}; {result.reached()}{of}, {result.nodes} nodes"
+        return NLAnswer(x, duals, result.status, message, result, objective, CODES[result.status])

@@ -27,6 +27,7 @@ from ...conversions.program import refuse_nonconvex
 from ...conversions.qp_proofs import QPUnboundedness
 from ...deadline import Clock, is_over, time_limit
 from ...errors import InvalidOption
+from ...settings import Status
 from .cuts import strengthened
 from .local_search import LocalSearch
 from .relaxations import Node, Relaxations
@@ -50,7 +51,7 @@ def minimize_over_solutions(
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        "optimal" means that the value is proved to be within tolerance · max(1, |value|) of the least.
+        SOLVED means that the value is proved to be within tolerance · max(1, |value|) of the least.
     max_nodes : int, optional
         How many nodes may be branched on.
     max_seconds : float, optional
@@ -83,8 +84,8 @@ def minimize_over_solutions(
     >>> program = QuadraticProgram([[2, 0], [0, 0]], [-2, 1], lower=[-np.inf, 0])  # (x − 1)² + y − 1
     >>> problem = EquilibriumProgram.of_rows(program, [1], [[-1, 1]], [0.5])       # 0 ≤ y ⟂ y − x + ½ ≥ 0
     >>> result = minimize_over_solutions(problem)
-    >>> result.status, round(result.value, 9), result.x.round(9), result.verify()
-    ('optimal', -0.75, array([0.5, 0. , 0. ]), True)
+    >>> result.status.name, round(result.value, 9), result.x.round(9), result.verify()
+    ('SOLVED', -0.75, array([0.5, 0. , 0. ]), True)
     """
     if not isinstance(problem, EquilibriumProgram):
         raise InvalidOption(f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}")
@@ -141,18 +142,26 @@ class BranchAndBound:
 
     def run(self, ends: Callable[[], bool]) -> EquilibriumResult:
         """Return the result, once no node is open, or something ends the search."""
-        is_ended = False
+        ended: Status | None = None
         try:
             self._current = self.relaxations.node(self.problem.all_cases)
             self.tree.append(self._current)
             self.local.start(self._current)
             while self._next() is not None and self.descent is None:
-                if is_ended := bool(self.nodes >= self.max_nodes or is_over() or ends()):
+                if (ended := self._limit(ends)) is not None:
                     break
                 self._branch()
         except KeyboardInterrupt:
-            is_ended = True
-        return self._result(is_ended)
+            ended = Status.INTERRUPTED
+        return self._result(ended)
+
+    def _limit(self, ends: Callable[[], bool]) -> Status | None:
+        """Return which limit ends the search now, or None."""
+        if self.nodes >= self.max_nodes:
+            return Status.MAX_ITERATIONS
+        if is_over():
+            return Status.MAX_SECONDS
+        return Status.INTERRUPTED if ends() else None
 
     def _next(self) -> Node | None:
         """Return the node to go on with, closing those that cannot hold anything better."""
@@ -235,24 +244,26 @@ class BranchAndBound:
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff
         self._close(piece)
 
-    def _result(self, is_ended: bool) -> EquilibriumResult:
+    def _result(self, ended: Status | None) -> EquilibriumResult:
         best = self.local.best
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
         lower = min([self.value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
         gap = 0.0 if self.value == lower else self.value - lower
         if self.descent is not None:
-            status, lower = "unbounded", -math.inf
+            status, lower = Status.UNBOUNDED, -math.inf
         elif best is not None and gap <= self.tolerance * max(1.0, abs(self.value)):
-            status = "optimal"
-        elif is_ended:
-            status = "limit"
+            status = Status.SOLVED
+        elif ended is not None:
+            status = ended
         else:
-            status = "infeasible" if best is None and lower == math.inf and not self._is_stuck else "unknown"
-        is_stationary = True if status == "optimal" else None
-        if status in ("limit", "unknown"):
+            is_excluded = best is None and lower == math.inf and not self._is_stuck
+            excluded = Status.INFEASIBLE if len(self.tree) == 1 else Status.NO_SOLUTION
+            status = excluded if is_excluded else Status.STALLED
+        is_stationary = True if status is Status.SOLVED else None
+        if status is Status.STALLED or status is ended:
             is_stationary = self.local.is_stationary()
-        value = -math.inf if status == "unbounded" else self.value
-        x = None if best is None or status == "unbounded" else best.point
+        value = -math.inf if status is Status.UNBOUNDED else self.value
+        x = None if best is None or status is Status.UNBOUNDED else best.point
         return EquilibriumResult(
             self.strengthened, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
             self.clock.read(), self.tolerance, tuple(self.tree), self.descent,

@@ -11,24 +11,44 @@ from ...checks import FloatVector
 from ...conversions.equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from ...conversions.program import QuadraticProgram
 from ...conversions.qp_proofs import QPInfeasibility, QPUnboundedness
+from ...settings import Status
+from ..answer import Answer
 from .cuts import Strengthened
 from .relaxations import Node, Relaxations
 
 FEASIBLE = 1e-7
 
 
-@dataclass(frozen=True, eq=False)
-class EquilibriumResult:
+ADVICE = {
+    Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
+    Status.INFEASIBLE: "the linear constraints contradict one another, and result.proof proves it: check the data",
+    Status.NO_SOLUTION: (
+        "every way to make the pairs complementary is refuted, and result.proof proves it: check the pairs and the "
+        "constraints beside them"
+    ),
+    Status.MAX_ITERATIONS: "max_nodes came first: raise it; x is the best solution found so far, lower_bound holds",
+    Status.MAX_SECONDS: "max_seconds came first: raise it; x is the best solution found so far, lower_bound holds",
+    Status.STALLED: (
+        "some way to make the pairs complementary could be neither solved nor refuted: bound the unknowns, or rescale "
+        "the data"
+    ),
+    Status.INTERRUPTED: "stopped by Ctrl-C or the callback; x is the best solution found so far, lower_bound holds",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EquilibriumResult(Answer):
     """The best solution found, and a proved bound of what any solution can reach.
 
     Attributes
     ----------
     strengthened : Strengthened
         The problem with its cuts, and what proves these.
-    status : str
-        "optimal": the gap is proved to be within the tolerance. "infeasible": every piece is refuted by a verified
-        proof. "unbounded": a piece falls for ever. "limit": time, nodes or Ctrl-C ended the search. "unknown": some
-        piece could be neither solved nor refuted.
+    status : Status
+        SOLVED: the gap is proved to be within the tolerance. INFEASIBLE: the linear constraints are refuted by a
+        verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS, MAX_SECONDS,
+        INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be neither solved
+        nor refuted.
     x : ndarray, shape (n,), or None
         In every pair one side is at its bound, or zero, as a double.
     value : float
@@ -50,7 +70,7 @@ class EquilibriumResult:
     """
 
     strengthened: Strengthened = field(repr=False)
-    status: str
+    status: Status
     x: FloatVector | None = field(repr=False)
     value: float
     lower_bound: float
@@ -87,18 +107,19 @@ class EquilibriumResult:
     @property
     def is_global(self) -> bool:
         """Whether x is proved to be within the tolerance of the least."""
-        return self.status == "optimal"
+        return self.is_solved
 
     def verify(self) -> bool:
         """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf."""
         if not (self._x_holds() and self.strengthened.verify()):
             return False
         relaxations = Relaxations(self.strengthened.problem, self.tolerance)
-        if self.status == "unbounded":
+        if self.status is Status.UNBOUNDED:
             return self._falls(relaxations)
+        is_excluded = self.x is None and self.lower_bound == math.inf
         is_proved = {
-            "optimal": self.x is not None and self.gap <= self.tolerance,
-            "infeasible": self.x is None and self.lower_bound == math.inf,
+            Status.SOLVED: self.x is not None and self.gap <= self.tolerance,
+            Status.INFEASIBLE: is_excluded, Status.NO_SOLUTION: is_excluded,
         }
         if not is_proved.get(self.status, True) or self.lower_bound == -math.inf:  # which says nothing
             return is_proved.get(self.status, True)
@@ -108,7 +129,7 @@ class EquilibriumResult:
 
     def _x_holds(self) -> bool:
         if self.x is None:
-            return self.value == (-math.inf if self.status == "unbounded" else math.inf)
+            return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
         program = self.problem.program
         excess = (program.constraints.excess(self.x) / program.constraints.unit).max(initial=0.0)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
@@ -155,11 +176,37 @@ class EquilibriumResult:
         parent = leaf.parent
         return parent is not None and parent.dual is leaf.dual and self._leaf_holds(parent, relaxations)
 
-    def __str__(self) -> str:
-        has_bound = self.status not in ("infeasible", "unbounded")
-        bound = f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}" if has_bound else ""
-        work = f"{self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
-        return f"{self.status}: {self.value:.9g}{bound}; {work}"
+    @property
+    def objective(self) -> float | None:
+        """The value, where there is an x."""
+        return None if self.x is None else self.value
+
+    @property
+    def algorithm(self) -> str:
+        """What ran."""
+        return "branch and bound"
+
+    @property
+    def proof(self) -> EquilibriumResult | None:
+        """The result itself, which can ``verify()``, where a status is proved."""
+        return self if self.is_solved or self.is_refuted else None
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this search, in a sentence."""
+        return ADVICE.get(self.status, self.status.value)
+
+    def _numbers(self) -> dict[str, float]:
+        own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
+        return {**super()._numbers(), **own}
+
+    def reached(self) -> str:
+        """Return the value and the bound."""
+        bound = "" if self.is_refuted else f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}"
+        return f"objective {self.value:.9g}{bound}"
+
+    def _effort(self) -> str:
+        return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
 
 
 def _is_of(proof: QPInfeasibility | QPUnboundedness, program: QuadraticProgram) -> bool:

@@ -1,0 +1,234 @@
+"""What every kind of problem is answered by, and the sequences of such answers."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Sequence
+from operator import index
+from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+
+from ..errors import NotConverged
+from ..settings import PROVEN, Status
+
+
+class Answer:
+    """The answer to a problem of any kind: all results have these attributes, and further ones of their own.
+
+    Attributes
+    ----------
+    status : Status
+        SOLVED, or why not; what it rests on stands in the class of the result.
+    x : ndarray, shape (n,), or None
+        The values of the unknowns; z of a complementarity problem. None where there are none to show.
+    objective : float or None
+        What was minimised, at x; None where nothing is.
+    seconds : float
+        Wall-clock seconds of the run.
+    algorithm : str
+        What ran.
+    iterations : int
+    """
+
+    if TYPE_CHECKING:  # fields of the dataclasses that answers are
+
+        @property
+        def status(self) -> Status:
+            """SOLVED, or why not."""
+
+        @property
+        def x(self) -> Any:
+            """The values of the unknowns."""
+
+        @property
+        def seconds(self) -> float:
+            """Wall-clock seconds of the run."""
+
+        @property
+        def algorithm(self) -> str:
+            """What ran."""
+
+        @property
+        def iterations(self) -> int:
+            """How many steps."""
+
+    @property
+    def objective(self) -> float | None:
+        """What was minimised, at x; None where nothing is."""
+        return None
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def is_refuted(self) -> bool:
+        """True where a proof says that there is no answer: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
+        return self.status in PROVEN
+
+    @property
+    def proof(self) -> Any:
+        """What proves the status, an object with ``verify()``; None where nothing beside the residuals does."""
+        return None
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this run, in a sentence."""
+        return self.status.value
+
+    def reached(self) -> str:
+        """Return what was reached beside what was asked for."""
+        raise NotImplementedError
+
+    def explain(self) -> str:
+        """Return the story of the run in a few lines."""
+        return f"{self.status.name}: {self.advice}.\n{self.reached()}\n{self._effort()}"
+
+    def _effort(self) -> str:
+        """Return what ran, and what it took."""
+        return f"{self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s"
+
+    def require_solved(self) -> Self:
+        """Return this result, or raise where it is not solved.
+
+        Raises
+        ------
+        NotConverged
+            With the status, what was reached and the advice.
+        """
+        if not self.is_solved:
+            raise NotConverged(
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self.reached()}; "
+                f"{self.advice}"
+            )
+        return self
+
+    def to_json(self) -> str:
+        """Return status, residuals and counts (no vectors) as JSON text; non-finite numbers become null."""
+        return json.dumps(self.to_content(), indent=2)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what :meth:`to_json` writes, as a dictionary."""
+        numbers = self._numbers() | {"seconds": self.seconds}
+        return {
+            "status": self.status.name, "advice": self.advice, "algorithm": self.algorithm,
+            "n": None if self.x is None else len(self.x), "iterations": self.iterations,
+            **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        }
+
+    def _numbers(self) -> dict[str, float]:
+        """Return what else is told of the answer in numbers."""
+        return {} if self.objective is None else {"objective": self.objective}
+
+    def plot(self, **how: Any) -> Any:
+        """Return matplotlib's axes with a picture of the answer; needs ``pip install 'lcp_plugin[report]'``.
+
+        Parameters
+        ----------
+        **how
+            Of :func:`lcp_plugin.evidence.plots.plot`: ``axes`` to draw into, ``shape`` of the grid of the unknowns.
+        """
+        from .. import plot_answer
+
+        return plot_answer(self, **how)
+
+    def __repr__(self) -> str:
+        size = "" if self.x is None else f"n={len(self.x)}, "
+        value = "" if self.objective is None else f"objective {self.objective:.9g}, "
+        effort = f"{self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s"
+        return f"{type(self).__name__}({self.status.name}, {size}{value}{effort})"
+
+    def __str__(self) -> str:
+        return self.explain()
+
+
+T = TypeVar("T")
+
+
+class Results(Sequence[T]):
+    """A sequence, each item of which is put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
+
+    def at(self, k: int) -> T:
+        """Return item k."""
+        raise NotImplementedError
+
+    @overload
+    def __getitem__(self, k: int) -> T: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[T]: ...
+    def __getitem__(self, k: int | slice) -> T | list[T]:
+        if isinstance(k, slice):
+            return [self.at(i) for i in range(len(self))[k]]
+        if not -len(self) <= index(k) < len(self):
+            raise IndexError(f"there are {len(self)} results, and none has the number {k}")
+        return self.at(index(k) % len(self))
+
+
+class AnswerSequence(Results[T]):
+    """The answers to many problems, in order.
+
+    Attributes
+    ----------
+    status : sequence of Status
+        None where an item is no problem.
+    seconds : float
+        Wall-clock seconds of all of them.
+    """
+
+    ITEM = "problem"
+    seconds: float
+    if TYPE_CHECKING:
+
+        @property
+        def status(self) -> Any:
+            """SOLVED, or why not."""
+
+    @property
+    def all_solved(self) -> bool:
+        """Whether every status is SOLVED."""
+        return all(status is Status.SOLVED for status in self.status)
+
+    @property
+    def is_solved(self) -> bool:
+        """The same as `all_solved`."""
+        return self.all_solved
+
+    def counts(self) -> str:
+        """Return how many there are of each status, in words."""
+        counted = Counter(f"no {self.ITEM}" if one is None else one.name for one in self.status)
+        return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
+
+    def explain(self) -> str:
+        """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
+        told = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
+        lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
+        if told >= 0:
+            one = f"no {self.ITEM}" if self.status[told] is None else str(self.at(told))
+            lines.append(f"{self.ITEM} {told}: {one}")
+        return "\n".join(lines)
+
+    def require_solved(self) -> Self:
+        """Return this, or raise where one of them is not solved.
+
+        Raises
+        ------
+        NotConverged
+            With how many there are of each status, and what the first that is not solved says.
+        """
+        if not self.all_solved:
+            raise NotConverged(self.explain())
+        return self
+
+    def plot(self, **how: Any) -> Any:
+        """Return matplotlib's axes with a picture of the answers; see :meth:`Answer.plot`."""
+        from .. import plot_answer
+
+        return plot_answer(self, **how)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"
+
+    def __str__(self) -> str:
+        return self.explain()

@@ -155,7 +155,7 @@ def solve(
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
     refute: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
-    threads: Annotated[int | None, typer.Option(help="How many threads it may use; all by default.")] = None,
+    threads: Annotated[int | None, typer.Option(help="How many threads it may use, all by default; BLAS's: OMP_NUM_THREADS.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
     out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,

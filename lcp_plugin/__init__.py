@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from .modeling.registration import register as register
     from .modeling.registration import stated_in_cvxpy as stated_in_cvxpy
     from .problem.lcp import LCP as LCP
+    from .problem.least_squares import BoundedLeastSquares as BoundedLeastSquares
     from .problem.nonlinear import NonlinearProblem as NonlinearProblem
     from .settings import Status as Status
     from .solving.batch import prepare as prepare
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
 _HOME = {
     "LCP": "problem.lcp",
     "NonlinearProblem": "problem.nonlinear",
+    "BoundedLeastSquares": "problem.least_squares",
     "solve_nonlinear": "solving.nonlinear",
     "Certificate": "certificates.residuals",
     "ErrorBound": "certificates.error_bounds",

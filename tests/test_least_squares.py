@@ -21,7 +21,7 @@ from lcp_plugin.certificates.least_squares import Enclosures
 from lcp_plugin.conversions.least_squares import lcp_from_least_squares
 from lcp_plugin.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
 from lcp_plugin.kernels.least_squares_sums import largest_residuals
-from lcp_plugin.problem.least_squares import LeastSquares
+from lcp_plugin.problem.least_squares import BoundedLeastSquares
 from lcp_plugin.solving import least_squares
 
 INF = np.inf
@@ -301,7 +301,7 @@ def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> Non
     rng = np.random.default_rng(2)
     A, b, x = 10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)), rng.random(1100), rng.random(3)
     weights = rng.random(1100)
-    enclosures = Enclosures(LeastSquares(form(A), b, 0.0, INF, weights, 0.3))
+    enclosures = Enclosures(BoundedLeastSquares(form(A), b, weights=weights, ridge=0.3))
     residual = enclosures.residual(x)
     gradient = enclosures.gradient(x, residual)
     exact = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) - Fraction(c)

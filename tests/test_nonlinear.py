@@ -697,7 +697,7 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]), InvalidProblem, "upper must be a number or a vec"),
     (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
     (lambda: NP(np.sin, enclosure=3), InvalidProblem, "enclosure.interval_F must be callable"),
-    (lambda: solve(NP(np.sin)), InvalidOption, r"got NonlinearProblem; write solve_nonlinear\(problem, x0\)"),
+    (lambda: solve(NP(np.sin)), InvalidOption, r"solve needs x0 for a NonlinearProblem: write solve\(problem, x0=…\)"),
     (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
     (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
     (lambda: run(NP(np.sin), [np.nan]), InvalidOption, r"x0\[0\] = nan"),

@@ -18,15 +18,16 @@ from lcp_plugin import (
     InvalidProblem,
     QuadraticProgram,
     QuadraticProgramBatch,
+    Status,
     UnknownAlgorithm,
     UnsupportedModel,
+    solve,
     solve_batch,
     strategies,
 )
 from lcp_plugin.conversions.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.solving import program_batch
 from lcp_plugin.solving.program_batch import ProgramBatchResult, ProgramBatchRun
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
 from lcp_plugin.strategies.programs import QPAnswer
 
 INF = np.inf
@@ -114,8 +115,9 @@ def test_planted_programs_are_solved_in_the_compiled_loop(kind: str, monkeypatch
 def test_a_status_and_a_residual_are_those_of_the_program(kind: str) -> None:
     """What is called optimal is so for QPSolution, whose largest residual is no larger than the one that is told."""
     answers = solve_batch(planted(kind, 30, 7)[0])
-    for k, solution in enumerate(answers):
-        assert solution.status == answers.status[k] == "optimal"
+    for k, answer in enumerate(answers):
+        solution = answer.solution
+        assert answer.status is answers.status[k] is Status.SOLVED
         assert solution.is_optimal(1e-6)
         assert max(solution.residual, solution.row_residual) <= answers.residual[k]
         assert solution.objective == pytest.approx(answers.objective[k], rel=1e-12, abs=1e-12)
@@ -129,8 +131,8 @@ def test_exact_answers_are_found(drawn: tuple[QuadraticProgram, QPAnswer]) -> No
     program, answer = drawn
     vectors = (program.h, program.A, program.b, program.lower, program.upper)
     answers = solve_batch(QuadraticProgramBatch(program.P, program.c[None], program.G, *vectors))
-    one = solve_quadratic_program(program)[1]
-    assert answers.status[0] == one.status == "optimal"
+    one = solve(program)
+    assert answers.status[0] is one.status is Status.SOLVED
     size = 1.0 + abs(float(answer.objective))
     assert abs(Fraction(float(answers.objective[0])) - answer.objective) <= 1e-5 * size
     assert abs(one.objective - answers.objective[0]) <= 1e-5 * size
@@ -163,7 +165,7 @@ def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.Monk
     assert answers.all_solved
     assert bits(answers) == bits(solve_batch(stacked))
     assert not by_themselves
-    assert answers[7].objective == pytest.approx(solve_quadratic_program(stacked[7])[1].objective, abs=1e-9)
+    assert answers[7].objective == pytest.approx(solve(stacked[7]).objective, abs=1e-9)
 
 
 # --- One bad item, and the others --------------------------------------------------------------------------------
@@ -192,7 +194,7 @@ def test_a_bad_program_costs_that_one_alone() -> None:
     assert not answers.all_solved
     for k in (0, 11):
         assert answers.x[k].tobytes() == before.x[k].tobytes()
-    assert "2 optimal" in repr(answers)
+    assert "2 SOLVED" in repr(answers)
     assert "10 no program" in repr(answers)
 
 
@@ -206,11 +208,11 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
         h=[[-1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], lower=[-INF, 0.0],
     )
     answers = solve_batch(programs)
-    assert answers.status.tolist() == ["infeasible", "unbounded", "optimal"]
+    assert answers.status.tolist() == [Status.INFEASIBLE, Status.UNBOUNDED, Status.SOLVED]
     assert isinstance(answers[0].proof, QPInfeasibility)
     assert isinstance(answers[1].proof, QPUnboundedness)
     assert answers[1].proof.verify()
-    assert solve_batch(programs, refute=False).status.tolist() == ["infeasible", "unknown", "optimal"]
+    assert solve_batch(programs, refute=False).status.tolist() == [Status.INFEASIBLE, Status.STALLED, Status.SOLVED]
 
 
 def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,7 +220,7 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("the long way was taken")
 
-    monkeypatch.setattr(program_batch, "solve_quadratic_program", never)
+    monkeypatch.setattr(program_batch, "judged_program", never)
     rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
     A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
     signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
@@ -226,13 +228,13 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
     h[:, 0] = -(h[:, 1:] * y[:, 1:]).sum(axis=1) - b.sum(axis=1) - 0.1
     for semidefinite in (1.0, 0.0):
         answers = solve_batch(QuadraticProgramBatch(semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]))
-        assert set(answers.status) == {"infeasible"}
-        assert all(solution.proof.verify() and solution.status == "infeasible" for solution in answers)
+        assert set(answers.status) == {Status.INFEASIBLE}
+        assert all(solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers)
         assert np.isnan(answers.inequality).all()
     twice = QuadraticProgramBatch(np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]])
-    assert solve_batch(twice).status.tolist() == ["infeasible", "optimal"]
+    assert solve_batch(twice).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
     boxed = QuadraticProgramBatch(np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0)
-    assert solve_batch(boxed).status.tolist() == ["infeasible", "optimal"]
+    assert solve_batch(boxed).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
 
 
 def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
@@ -260,13 +262,13 @@ def test_what_is_too_large_for_the_loop_is_solved_by_itself(monkeypatch: pytest.
 
 
 def test_hard_programs_are_left_to_the_long_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With one step allowed to the loop every answer is what solve_quadratic_program finds in as many."""
+    """With one step allowed to the loop every answer is what solve finds in as many."""
     P, c, G, h = dense(5)
     by_themselves, programs = alone(monkeypatch), QuadraticProgramBatch(P, c, G, h)
     answers = solve_batch(programs, max_iterations=1)
     assert by_themselves == [0, 1, 2, 3, 4]
     for k, program in enumerate(programs):
-        one = solve_quadratic_program(program, tolerance=1e-8, max_iterations=1)[1]
+        one = solve(program, tolerance=1e-8, max_iterations=1)
         assert one.x.tobytes() == answers.x[k].tobytes()
         assert one.status == answers.status[k]
 
@@ -318,17 +320,17 @@ def test_nothing_that_is_handed_over_is_modified() -> None:
 
 
 def test_after_the_time_limit_nothing_is_begun() -> None:
-    """Those left are unknown, x the point within the bounds nearest to 0, without multipliers."""
+    """Those left end with MAX_SECONDS, x the point within the bounds nearest to 0, without multipliers."""
     P, c, G, h = dense(6)
     answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, refute=False)
-    assert set(answers.status) == {"unknown"}
+    assert set(answers.status) == {Status.MAX_SECONDS}
     np.testing.assert_array_equal(answers.x, np.ones((6, 6)))
     assert np.isnan(answers.residual).all()
-    assert np.isnan(answers[3].multipliers).all()
+    assert np.isnan(answers[3].solution.multipliers).all()
 
 
 def test_ctrl_c_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rest is unknown, whether Ctrl-C comes between two programs or inside of one."""
+    """The rest is INTERRUPTED, whether Ctrl-C comes between two programs or inside of one."""
     P, c, G, h = dense(6)
     programs = QuadraticProgramBatch(P, c, G, h)
     whole = ProgramBatchRun._solve
@@ -340,8 +342,8 @@ def test_ctrl_c_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ProgramBatchRun, "_solve", interrupted)
     answers = solve_batch(programs, algorithm="interior_point")
-    assert answers.status[:2].tolist() == ["optimal", "optimal"]
-    assert answers.status[3:].tolist() == ["unknown"] * 3
+    assert answers.status[:2].tolist() == [Status.SOLVED, Status.SOLVED]
+    assert answers.status[3:].tolist() == [Status.INTERRUPTED] * 3
 
 
 def test_empty_batches_and_programs_without_rows_or_variables() -> None:
@@ -371,7 +373,7 @@ WRONG = {
     r"c must have .*, got no rectangular array": lambda: QuadraticProgramBatch(np.eye(2), [[1.0, 2.0], [1.0]]),
     r"P must have shape \(B, 2, 2\).*, got None": lambda: QuadraticProgramBatch(None, [1.0, 2.0]),
     r"G must have shape .* as c has 2 entries, got": lambda: QuadraticProgramBatch(*ONE, G=[["a", "b"]], h=[1.0]),
-    r"programs are given as stacked data": lambda: solve_batch([QuadraticProgram(*ONE)] * 2),
+    r"needs many problems, got one QuadraticProgram; write": lambda: solve_batch(QuadraticProgram(*ONE)),
     r"must be equally long, got P 3, c 4":
         lambda: QuadraticProgramBatch(np.stack([np.eye(2)] * 3), np.ones((4, 2))),
     r"P must be symmetric": lambda: QuadraticProgramBatch([[1.0, 2.0], [0.0, 1.0]], [[1.0, 2.0]]),
@@ -420,4 +422,4 @@ def test_terms_that_cancel_excuse_no_error_of_the_objective() -> None:
     answers = solve_batch(batch)
     for one, status in zip(answers, answers.status, strict=True):
         assert status == one.status
-        assert status != "optimal" or one.objective == pytest.approx(-1e-2, abs=1e-6)
+        assert status is not Status.SOLVED or one.objective == pytest.approx(-1e-2, abs=1e-6)

@@ -17,6 +17,7 @@ from ..checks import BoolVector, FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..exact.rounding import comparison_product, lower_end
 from ..exact.upward import product_above, quotient_above, sum_above
+from ..kinds import refusal
 from ..matrix import comparison_solve
 from ..problem.lcp import LCP
 from .references import largest_of_parts
@@ -160,7 +161,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     (True, 'rigorous', True)
     """
     if not isinstance(problem, LCP):
-        raise InvalidProblem(f"error_bound needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidProblem(refusal("error_bound", problem))
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = problem.own_part(z), time.perf_counter()

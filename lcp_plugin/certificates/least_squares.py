@@ -25,7 +25,7 @@ from ..checks import FloatVector
 from ..exact.rounding import compensated_product, gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
-from ..problem.least_squares import ROWS_AT_ONCE, LeastSquares
+from ..problem.least_squares import ROWS_AT_ONCE, BoundedLeastSquares
 
 Ball = tuple[FloatVector, FloatVector]
 """Value and radius: what is meant lies within."""
@@ -45,7 +45,7 @@ class Enclosures:
 
     Parameters
     ----------
-    problem : LeastSquares
+    problem : BoundedLeastSquares
     is_sharp : bool
         Whether sums are compensated, so that nothing but the last rounding is left, and nothing at all where they are
         exact. That costs two copies of A.
@@ -57,7 +57,7 @@ class Enclosures:
         gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
     """
 
-    def __init__(self, problem: LeastSquares, *, is_sharp: bool = False) -> None:
+    def __init__(self, problem: BoundedLeastSquares, *, is_sharp: bool = False) -> None:
         self.problem, self.is_sharp = problem, is_sharp
 
     def residual(self, x: FloatVector) -> Ball:
@@ -202,19 +202,19 @@ def _ratio(size: float, unit: float) -> float:
     return OUTWARD * size / unit if unit > 0.0 else (math.inf if size > 0.0 else 0.0)
 
 
-def _typical_rounding(problem: LeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
+def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
     """Return about what rounding does to a gradient of which no magnitudes are known."""
     root, units = problem.root_weights, problem.column_units
     size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(units * x)
     return 4.0 * EPSILON * (units * size)
 
 
-def duality_gap(problem: LeastSquares, x: FloatVector, nearer: FloatVector | None = None) -> float:
+def duality_gap(problem: BoundedLeastSquares, x: FloatVector, nearer: FloatVector | None = None) -> float:
     """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
 
     Parameters
     ----------
-    problem : LeastSquares
+    problem : BoundedLeastSquares
     x : array, shape (n,)
     nearer : array, shape (n,), optional
         A point nearer to the answer, wherever it comes from: y is its residual, and the bound is sharper.
@@ -237,13 +237,14 @@ def duality_gap(problem: LeastSquares, x: FloatVector, nearer: FloatVector | Non
     return min(gap for gap in found if not np.isnan(gap))
 
 
-def _cost_above(problem: LeastSquares, x: FloatVector, residual: Ball) -> float:
+def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) -> float:
     largest = np.abs(residual[0]) + residual[1]
     return float(OUTWARD**3 * (problem.cost(x, largest) + TINY))
 
 
 def _gap(
-    problem: LeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball, convexity: FloatVector | float
+    problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball,
+    convexity: FloatVector | float,
 ) -> float:
     """Return the bound of the module's docstring for s in `slope`, with s²/(2 convexity) where that is less."""
     if not (np.isfinite(slope[0]).all() and np.isfinite(slope[1]).all()):
@@ -292,7 +293,7 @@ def _repaired_gap(
     return np.inf
 
 
-def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
+def _pushing(problem: BoundedLeastSquares, wanted: FloatVector) -> FloatVector:
     """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0.
 
     Its signs are looked at where it is used.
@@ -318,13 +319,13 @@ def _pushing(problem: LeastSquares, wanted: FloatVector) -> FloatVector:
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
 
 
-def _gap_of_definite(problem: LeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:
+def _gap_of_definite(problem: BoundedLeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:
     """Return the bound for y = r where AᵀWA is proved to be positive definite."""
     convexity = _convexity(problem)
     return np.inf if convexity is None else _gap(problem, x, residual, residual[0], slope, convexity)
 
 
-def _convexity(problem: LeastSquares) -> FloatVector | None:
+def _convexity(problem: BoundedLeastSquares) -> FloatVector | None:
     """Return d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
     from .solution_bounds import smallest_eigenvalue_bound
 

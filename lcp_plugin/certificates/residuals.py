@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, read_only, restored
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..exact.rounding import gamma
+from ..kinds import refusal
 from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..settings import MEASURES
@@ -106,7 +107,7 @@ class Certificate:
             Where z is no real vector of length n. NaN and infinities are measured, not refused.
         """
         if not isinstance(problem, LCP):
-            raise InvalidProblem(f"a certificate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+            raise InvalidProblem(refusal("Certificate.of", problem))
         if problem.is_distributed or type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
             z = problem.own_part(z)
         else:

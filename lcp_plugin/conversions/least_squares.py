@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, checked_answer
 from ..errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ..problem.lcp import LCP
-from ..problem.least_squares import LeastSquares
+from ..problem.least_squares import BoundedLeastSquares
 
 FORMS = ("normal", "mixed")
 
@@ -28,13 +28,13 @@ class LeastSquaresSolution:
 
     Attributes
     ----------
-    problem : LeastSquares
+    problem : BoundedLeastSquares
         The data.
     x : ndarray, shape (n,)
         Within the bounds.
     """
 
-    problem: LeastSquares = field(repr=False)
+    problem: BoundedLeastSquares = field(repr=False)
     x: FloatVector
 
     @cached_property
@@ -52,7 +52,7 @@ class LeastSquaresSolution:
 class LeastSquaresOrigin:
     """Where a problem came from; form "normal" or "mixed"."""
 
-    problem: LeastSquares
+    problem: BoundedLeastSquares
     form: str
 
     def recover(self, answer: Any) -> LeastSquaresSolution:
@@ -126,7 +126,7 @@ def lcp_from_least_squares(
     """
     if form not in (*FORMS, "auto"):
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
-    stated = LeastSquares(A, b, lower, upper, weights, ridge)
+    stated = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
     if not stated.has_entries:
         raise UnsuitableProblem("an LCP has entries, a LinearOperator has none; use bounded_least_squares(A, b)")
     m, n = stated.shape

@@ -14,6 +14,7 @@ from ..checks import FloatVector
 from ..errors import InvalidProblem
 from ..exact.rounding import compensated_product
 from ..kernels.floats import EPSILON, NEGLIGIBLE_DIAGONAL
+from ..kinds import refusal
 from ..problem.lcp import LCP
 
 Indices = NDArray[np.int64]
@@ -113,7 +114,7 @@ def presolve(problem: LCP) -> Presolved:
     array([2.5, 0. , 1.5])
     """
     if not isinstance(problem, LCP):
-        raise InvalidProblem(f"presolve needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidProblem(refusal("presolve", problem))
     found = _Reduction(problem)
     if found.is_worth_a_look():
         found.run()

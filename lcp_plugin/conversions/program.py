@@ -44,8 +44,9 @@ class QuadraticProgram:
     Parameters
     ----------
     P : array or sparse array, shape (n, n)
-        Real, finite, symmetric. Rounding errors in the symmetry are averaged away, and ``asymmetry`` says how
-        large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked here: see `is_convex`.
+        Real, finite, symmetric; None or zero for a linear program. Rounding errors in the symmetry are averaged away,
+        and ``asymmetry`` says how large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked
+        here: see `is_convex`.
     c : array, shape (n,)
         Real, finite.
     G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
@@ -96,7 +97,7 @@ class QuadraticProgram:
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
+        P, asymmetry = symmetric(rectangular_matrix(sp.csr_array((n, n)) if P is None else P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)

@@ -26,6 +26,7 @@ from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..conversions.quadratic_program import qp_from_lcp
 from ..errors import InvalidOption, LCPError
+from ..kinds import refusal
 from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.certification import certify
@@ -163,7 +164,7 @@ def cross_validate(
     ('agree', True, True)
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"cross_validate needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidOption(refusal("cross_validate", problem))
     if result is not None and not isinstance(result, Result):
         raise InvalidOption(f"result must be what solve() returned, got {type(result).__name__}; or leave it out")
     check_reference(reference)

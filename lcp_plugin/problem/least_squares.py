@@ -33,7 +33,7 @@ LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
-class LeastSquares:
+class BoundedLeastSquares:
     """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
 
     Parameters
@@ -42,6 +42,7 @@ class LeastSquares:
         Real, finite. An array of float64 and a canonical CSR array are used without a copy.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
+        0 and ∞ by default.
     weights : array, shape (m,), or None
         ≥ 0; None means 1.
     ridge : float
@@ -61,7 +62,8 @@ class LeastSquares:
     """
 
     def __init__(
-        self, A: Any, b: ArrayLike, lower: ArrayLike, upper: ArrayLike, weights: ArrayLike | None, ridge: float
+        self, A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
+        weights: ArrayLike | None = None, ridge: float = 0.0,
     ) -> None:
         self.A, self.has_entries = _checked(A)
         self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
@@ -163,7 +165,7 @@ class UnitLeastSquares:
 
     Parameters
     ----------
-    problem : LeastSquares
+    problem : BoundedLeastSquares
 
     Attributes
     ----------
@@ -177,7 +179,7 @@ class UnitLeastSquares:
 
     communicator, is_distributed = ALONE, False
 
-    def __init__(self, problem: LeastSquares) -> None:
+    def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_units
         sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]

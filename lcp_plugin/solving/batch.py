@@ -11,16 +11,21 @@ from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
+from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
-from ..errors import InvalidOption, InvalidProblem, LCPError
+from ..deadline import Clock
+from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
 from ..kernels.threads import threads_for
+from ..kinds import kind_of, refusal
 from ..matrix.factors import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status, checked_threads
+from .answer import Answer, AnswerSequence
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchResult, BatchRun
+from .driver import solve
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 from .result import Result
 
@@ -50,7 +55,7 @@ def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
     [0.666667, 0.5]
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"prepare needs an LCP, got {type(problem).__name__}; write prepare(LCP(M, q))")
+        raise InvalidOption(refusal("prepare", problem))
     from ..algorithms.multigrid import Multigrid
     from ..matrix.hierarchy.levels import hierarchy_of
 
@@ -94,14 +99,16 @@ def solve_batch(
     absolute_tolerance: float = 0.0,
     refute: bool = True,
     threads: int | None = None,
-) -> BatchResult | ProgramBatchResult:
+) -> BatchResult | ProgramBatchResult | AnswerList:
     """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
 
     Parameters
     ----------
-    M : array, shape (B, n, n) or (n, n), a sparse array for all of them, a sequence of LCPs or a QuadraticProgramBatch
-        LCPs may differ in size; they and programs bring q and their bounds. Arrays of shape (B, n, n) are read where
-        they lie: leave their entries as they are while you use what is returned.
+    M : array, shape (B, n, n) or (n, n), a sparse array for all, a sequence of problems, or a QuadraticProgramBatch
+        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: these are solved one
+        by one, programs sooner in a QuadraticProgramBatch. LCPs may differ in size; they and programs bring q and their
+        bounds. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what is
+        returned.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
@@ -116,7 +123,7 @@ def solve_batch(
 
     Returns
     -------
-    BatchResult, or ProgramBatchResult for programs
+    BatchResult, ProgramBatchResult for a QuadraticProgramBatch, or AnswerList for a sequence of other problems
         Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
         solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
         Each program is judged by its own residuals, those of a QPSolution to 1e-6. Where the compiled loop meets a
@@ -140,8 +147,8 @@ def solve_batch(
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
     >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
-    >>> answers.x.round(6).tolist(), answers.inequality.round(6).tolist(), answers[0].status
-    ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'optimal')
+    >>> answers.x.round(6).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
+    ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
     if isinstance(M, QuadraticProgramBatch):
@@ -151,8 +158,15 @@ def solve_batch(
         of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
         return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
-    if any(isinstance(one, QuadraticProgram) for one in (M, *(M[:1] if isinstance(M, Sequence) else ()))):
-        raise InvalidProblem("programs are given as stacked data; write solve_batch(QuadraticProgramBatch(P, c, …))")
+    if (kind := kind_of(M)) is not None:
+        write = "QuadraticProgramBatch(P, c, …) or [program]" if isinstance(M, QuadraticProgram) else "[problem]"
+        raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
+    if isinstance(M, Sequence) and any(kind_of(one) is not None and not isinstance(one, LCP) for one in M):
+        _refuse_data("these problems", "new ones", q, lower, upper)
+        asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
+                     absolute_tolerance=absolute_tolerance, refute=refute)
+        defaults = solve_batch.__kwdefaults__ or {}
+        return _one_by_one(M, {name: wish for name, wish in asked.items() if wish is not defaults[name]}, limit)
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
@@ -162,6 +176,49 @@ def solve_batch(
         "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
     }
     return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
+
+
+class AnswerList(AnswerSequence[Answer]):
+    """The answers to problems of several kinds, in order.
+
+    Parameters
+    ----------
+    answers : list of Answer or LCPError
+        What is wrong with problem k where something is; looking at it raises it.
+    seconds : float
+    """
+
+    status: list[Status | None]
+
+    def __init__(self, answers: list[Answer | LCPError], seconds: float) -> None:
+        self._answers, self.seconds = answers, seconds
+        self.status = [None if isinstance(one, LCPError) else one.status for one in answers]
+
+    def __len__(self) -> int:
+        return len(self._answers)
+
+    def at(self, k: int) -> Answer:
+        """Return answer k, or raise what is wrong with its problem."""
+        answer = self._answers[k]
+        if isinstance(answer, LCPError):
+            raise answer
+        return answer
+
+
+def _one_by_one(problems: Sequence[Any], wishes: dict[str, Any], limit: float) -> AnswerList:
+    """Solve one problem after the other; those that time or Ctrl-C leaves out are not in the list."""
+    answers, clock = list[Answer | LCPError](), Clock(ALONE)
+    for problem in problems:
+        left = {} if limit == math.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+        try:
+            answers.append(solve(problem, **{**wishes, **left}))
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            answers.append(error)
+        if isinstance(answers[-1], Answer) and answers[-1].status is Status.INTERRUPTED:
+            break
+    return AnswerList(answers, clock.read())
 
 
 def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
@@ -212,7 +269,7 @@ def solve_many(
     (['Result', 'InvalidProblem', 'Result'], array([2.5, 0. ]))
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"solve_many needs an LCP, got {type(problem).__name__}; write solve_many(LCP(M, q), Q)")
+        raise InvalidOption(refusal("solve_many", problem))
     if callable(options.get("callback")):
         options["callback"] = CallersOwn(options["callback"])
     problems: list[LCP | None] = []

@@ -29,6 +29,7 @@ from ..certificates.row_inequality import distance_above
 from ..certificates.solution_bounds import block_error_bound
 from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..kinds import refusal
 from ..matrix.free_systems import FreeSystem
 from ..matrix.structure import outer_on_pattern
 from ..matrix.symmetry import has_symmetric_entries
@@ -104,9 +105,7 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
     if isinstance(result, March):
         return MarchDerivative(result, Derivative)
     if not isinstance(result, Result):
-        raise InvalidOption(
-            f"derivative needs the Result of a solve, got {type(result).__name__}; write derivative(solve(problem))"
-        )
+        raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:
         why = f"this run ended {result.status.name}: {result.advice}"
         raise UnsuitableProblem(f"only a solution has a derivative, and {why}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,23 +17,52 @@ from ..deadline import Clock, seconds_left
 from ..errors import InvalidOption
 from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
+from ..kinds import solve_any
 from ..matrix.structure import parts
 from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
 from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered
 from .judge import answers_program
 from .result import Result, Sample, StageRecord
 from .run import Callback, Run
 
+if TYPE_CHECKING:
+    from ..conversions.equilibrium_program import EquilibriumProgram
+    from ..conversions.program import QuadraticProgram
+    from ..problem.least_squares import BoundedLeastSquares
+    from ..problem.nonlinear import NonlinearProblem
+    from .equilibria.result import EquilibriumResult
+    from .least_squares import LeastSquaresResult
+    from .quadratic_program import QuadraticProgramResult
+
 FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
 LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 
 
+@overload
 def solve(
-    problem: LCP,
+    problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
+    tolerance: float = 1e-8, tolerance_on: str = "residual", measure: str = "relative",
+    max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
+    record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
+    threads: int | None = None, verbose: bool = False, **options: Any,
+) -> Result: ...
+@overload
+def solve(
+    problem: NonlinearProblem, algorithm: str | Algorithm = "auto", *, x0: ArrayLike, **options: Any
+) -> Result: ...
+@overload
+def solve(
+    problem: QuadraticProgram, algorithm: str | Algorithm = "auto", **options: Any
+) -> QuadraticProgramResult: ...
+@overload
+def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
+@overload
+def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
+def solve(
+    problem: Any,
     algorithm: str | Algorithm | Policy = "auto",
     *,
     z0: ArrayLike | None = None,
@@ -50,14 +79,15 @@ def solve(
     threads: int | None = None,
     verbose: bool = False,
     **options: Any,
-) -> Result:
-    """Return the best z an algorithm finds, judged by a certificate on the problem's own data.
+) -> Any:
+    """Return the answer to a problem, judged on the problem's own data.
 
     Parameters
     ----------
-    problem : LCP
-        Never modified. Where its rows are spread over ranks (:meth:`LCP.from_rows`), all of them call with the same
-        arguments; z0, z and w are the own parts then, and everything else is the same on every rank.
+    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
+        Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
+        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the own parts then, and
+        everything else is the same on every rank.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
@@ -101,8 +131,9 @@ def solve(
     Returns
     -------
     Result
-        Always, whatever the status, with the best iterate whose residual was measured (in-place methods are
-        measured at intervals and at the end), also after Ctrl-C; before the first step that is the start.
+        Or that of the other kind; each is an :class:`~lcp_plugin.solving.answer.Answer`, with status, x, objective,
+        advice and proof. Always, whatever the status, with the best iterate whose residual was measured (in-place
+        methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is the start.
         ``result.require_solved()`` raises instead.
 
     Raises
@@ -112,6 +143,15 @@ def solve(
 
     Notes
     -----
+    What the other kinds take, and what SOLVED means there, is that of the function which solves them; they refuse the
+    rest, and have default tolerances of their own:
+
+    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
+    - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP;
+    - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
+
     Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
     its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
 
@@ -121,9 +161,20 @@ def solve(
     >>> result = solve(problem, "npsor", relaxation=1.7)
     >>> result.status.name, result.z.round(6)
     ('SOLVED', array([0.75, 0.  ]))
+
+    >>> from lcp_plugin import QuadraticProgram
+    >>> best = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
+    ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"solve needs an LCP, got {type(problem).__name__}; write {_remedy(problem)}")
+        given = dict(
+            z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, measure=measure, max_iterations=max_iterations,
+            max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
+            error_bound=error_bound, refute=refute, threads=threads, verbose=verbose,
+        )
+        wishes = {name: value for name, value in given.items() if value is not (solve.__kwdefaults__ or {})[name]}
+        return solve_any(problem, algorithm, {**wishes, **options})
     communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:
@@ -162,12 +213,6 @@ def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[
     settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
     options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
     return policy_for(algorithm, options, refutes=settings.refute), settings
-
-
-def _remedy(given: Any) -> str:
-    if isinstance(given, NonlinearProblem):
-        return "solve_nonlinear(problem, x0)"
-    return "solve(scene.problem)" if isinstance(getattr(given, "problem", None), LCP) else "solve(LCP(M, q))"
 
 
 def fused(

@@ -36,6 +36,7 @@ from ..certificates.theorems import (
 )
 from ..checks import FloatVector
 from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..kinds import refusal
 from ..matrix import analyze, comparison_certificate, h_verdict
 from ..matrix.comparison import jacobi_radius
 from ..matrix.matrix import Matrix, fact
@@ -86,7 +87,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     ('guaranteed', 0.648)
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"convergence_guarantee needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidOption(refusal("convergence_guarantee", problem))
     policy = policy_for(algorithm, options)
     problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import FloatVector, read_only, restored
 from ..deadline import Clock
-from ..problem.least_squares import ALONE, LeastSquares
+from ..problem.least_squares import ALONE, BoundedLeastSquares
 from ..settings import Settings, Status
 from .answer import Answer
 
@@ -83,7 +83,18 @@ def bounded_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    problem, clock = LeastSquares(A, b, lower, upper, weights, ridge), Clock(ALONE)
+    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
+    return solve_least_squares(
+        problem, x0=x0, tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds
+    )
+
+
+def solve_least_squares(
+    problem: BoundedLeastSquares, *, x0: ArrayLike | None = None, tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None,
+) -> LeastSquaresResult:
+    """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
+    clock = Clock(ALONE)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
     if (result := _solved_at_once(problem, settings, clock)) is not None:
@@ -94,7 +105,7 @@ def bounded_least_squares(
     return _result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
 
 
-def _solved_at_once(problem: LeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
+def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
     """Take the compiled way of small problems to its end; return the answer where that solves it."""
     if not (problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL):
         return None
@@ -143,7 +154,7 @@ class LeastSquaresResult(Answer):
     is_proved : bool
         Whether `optimality` and `gap` are upper bounds, rounding included. For a LinearOperator, whose entries nobody
         knows, they are estimates.
-    problem : LeastSquares
+    problem : BoundedLeastSquares
         The data.
     """
 
@@ -157,7 +168,7 @@ class LeastSquaresResult(Answer):
     seconds: float
     tolerance: float
     is_proved: bool
-    problem: LeastSquares = field(repr=False)
+    problem: BoundedLeastSquares = field(repr=False)
 
     __setstate__ = restored
 
@@ -216,7 +227,7 @@ ADVICE = {
 
 
 def _result_of(
-    problem: LeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, optimality: float,
+    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, optimality: float,
     status: Status, steps: int, seconds: float,
 ) -> LeastSquaresResult:
     """Return the result that these make."""

@@ -21,7 +21,7 @@ from ..checks import FloatVector
 from ..deadline import Clock
 from ..policy.choice import Policy
 from ..policy.stages import Choice, Stage
-from ..problem.least_squares import LeastSquares
+from ..problem.least_squares import BoundedLeastSquares
 from ..settings import Settings, Status
 from .judge import Judge
 from .run import Run
@@ -35,7 +35,7 @@ MOST_STEPS_FOR_GAP = 300
 
 @np.errstate(all="ignore")
 def run_stages(
-    problem: LeastSquares, settings: Settings, start: FloatVector | None, clock: Clock
+    problem: BoundedLeastSquares, settings: Settings, start: FloatVector | None, clock: Clock
 ) -> tuple[Optimality, Status, int]:
     """Return the best point with its optimality, why the run ended, and after how many steps."""
     unit = problem.unit
@@ -51,12 +51,12 @@ def run_stages(
 
 
 @np.errstate(all="ignore")
-def gap_of(problem: LeastSquares, x: FloatVector, steps: int) -> float:
+def gap_of(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> float:
     """Return an upper bound of what x costs more than the minimum, sharpened by about as many steps as led to x."""
     return duality_gap(problem, x, point_nearer(problem, x, steps))
 
 
-def point_nearer(problem: LeastSquares, x: FloatVector, steps: int) -> FloatVector:
+def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> FloatVector:
     """Return a point nearer to the answer than x, which about as many steps led to."""
     unit = problem.unit
     start = Point(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
@@ -96,7 +96,7 @@ class Stages(Policy):
 
     name = chosen = "least squares"
 
-    def __init__(self, problem: LeastSquares) -> None:
+    def __init__(self, problem: BoundedLeastSquares) -> None:
         self._left = self._stages(problem)
 
     def first(self, problem: Any) -> Choice:
@@ -108,7 +108,7 @@ class Stages(Policy):
         return next(self._left, None) if failed else None
 
     @staticmethod
-    def _stages(problem: LeastSquares) -> Iterator[Choice]:
+    def _stages(problem: BoundedLeastSquares) -> Iterator[Choice]:
         faces = None
         if problem.has_entries:
             if not problem.is_cheap_to_copy:
@@ -131,7 +131,7 @@ class LeastSquaresJudge(Judge):
         Whether it is what was asked for.
     """
 
-    def __init__(self, problem: LeastSquares, settings: Settings) -> None:
+    def __init__(self, problem: BoundedLeastSquares, settings: Settings) -> None:
         self.asked: Any = problem
         self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
         self.enclosures = Enclosures(problem)

@@ -16,6 +16,7 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
+from ..kinds import refusal
 from ..matrix.equilibration import units_of_unknowns
 from ..matrix.structure import parts
 from ..policy.choice import Policy
@@ -213,7 +214,7 @@ def march(
     [array([0.875, 0.625]), array([0.781, 0.469])]
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"march needs an LCP, got {type(problem).__name__}; write march(LCP(M, q), forcing)")
+        raise InvalidOption(refusal("march", problem))
     problem.matrix.require_all_rows()
     offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):

@@ -17,6 +17,7 @@ from ..checks import FloatVector, length_of_all, real_array, rows_of_a_batch
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem
 from ..kernels.threads import in_chunks
+from ..kinds import refusal
 from ..matrix.factors import bands
 from ..policy.marching import Lesson
 from ..problem.lcp import LCP
@@ -76,7 +77,7 @@ def march_many(
     [array([0.781, 0.469]), array([0.5  , 0.333])]
     """
     if not isinstance(problem, LCP):
-        raise InvalidOption(f"march_many needs an LCP, got {type(problem).__name__}; write march_many(LCP(M, q), ...)")
+        raise InvalidOption(refusal("march_many", problem))
     n, clock, limit = problem.n, Clock(problem.communicator), Settings(max_seconds=max_seconds).max_seconds
     offsets = _checked_forcing(forcing, n)
     rows = {name: rows_of_a_batch(given, name, n)

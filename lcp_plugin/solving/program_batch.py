@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,12 @@ from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
 from ..conversions.qp_certificates import with_bounds
 from ..conversions.qp_forms import program_goal
+from ..conversions.qp_proofs import QPInfeasibility
 from ..conversions.qp_solution import QPSolution
 from ..settings import Status
 from .batch_run import BatchAnswers, BatchLoop
-from .quadratic_program import solve_quadratic_program
+from .quadratic_program import ACTIVE_SET, QuadraticProgramResult, judged_program
+from .result import Result
 
 STRICT = 1e-7  # what is within this is stationary to 1e-6
 
@@ -48,7 +50,7 @@ class ProgramBatchRun(BatchLoop):
         self.answers = SmallAnswers.empty(count, n, m + p)
         self.contradicts = np.zeros(count, np.bool_)  # where multipliers should prove that
         self.at_bounds = np.full((2, count, n), np.nan)
-        self.solutions: dict[int, QPSolution] = {}  # of those that were solved one by one
+        self.results: dict[int, QuadraticProgramResult] = {}
 
     def run(self) -> ProgramBatchResult:
         """Solve all, and gather what was found."""
@@ -57,7 +59,7 @@ class ProgramBatchRun(BatchLoop):
         self._forget(left)
         lower, upper = (np.broadcast_to(self.programs.vectors[name], shape) for name in ("lower", "upper"))
         self.answers.x[left] = np.clip(0.0, lower[left], upper[left])
-        self.status[left] = "unknown"
+        self.status[left] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.seconds = self.clock.read()
         return ProgramBatchResult(self)
 
@@ -76,7 +78,7 @@ class ProgramBatchRun(BatchLoop):
             self._in_chunks(solve_chunk, len(self.status))
         finally:
             is_solved = answers.has_converged & self.programs.may_be_stated
-            self.is_open, self.status[is_solved] = ~is_solved, "optimal"
+            self.is_open, self.status[is_solved] = ~is_solved, Status.SOLVED
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
 
@@ -85,26 +87,23 @@ class ProgramBatchRun(BatchLoop):
         self._forget(k)
         program = self.programs[k]
         if self.contradicts[k] and (proved := self._proved(program, y)) is not None:
-            self.solutions[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
+            self.results[k], self.answers.x[k], self.status[k] = proved, proved.x, proved.status
             self.is_open[k] = False
             return
-        result, found = solve_quadratic_program(program, self.algorithm, **wishes)
-        may_refute = self.settings.refute
-        self.solutions[k], self.answers.x[k], self.answers.steps[k] = found, found.x, result.iterations
+        result = self.results[k] = judged_program(program, self.algorithm, **wishes)
+        found = result.solution
+        self.answers.x[k], self.answers.steps[k] = found.x, result.iterations
         self.answers.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), max(found.residual, found.row_residual)
-        self.status[k] = found.status if may_refute or found.is_stationary() else "unknown"
-        self.is_open[k] = False
-        if result.status is Status.INTERRUPTED:
-            is_refuted = may_refute and program.refutation(program_goal(self.settings.tolerance)) is not None
-            self.is_interrupted = not is_refuted
+        self.status[k], self.is_open[k] = result.status, False
+        self.is_interrupted |= result.status is Status.INTERRUPTED
 
     def _forget(self, items: Any) -> None:
         """Leave no numbers of what the loop has not solved."""
         for table in (self.answers.x, self.answers.y, *self.at_bounds):
             table[items] = np.nan
 
-    def _proved(self, program: QuadraticProgram, y: FloatVector) -> QPSolution | None:
+    def _proved(self, program: QuadraticProgram, y: FloatVector) -> QuadraticProgramResult | None:
         """Return the answer to an infeasible program, where these multipliers of its rows prove that; checked exactly.
 
         Those of bounds are what they leave.
@@ -114,17 +113,32 @@ class ProgramBatchRun(BatchLoop):
             return None
         program.__dict__["proof_of_no_minimum"] = proof
         nothing = (np.full(size, np.nan) for size in self.programs.sizes)
-        return QPSolution(program, np.clip(0.0, program.lower, program.upper), *nothing)
+        solution = QPSolution(program, np.clip(0.0, program.lower, program.upper), *nothing)
+        return self._result(Status.INFEASIBLE, solution, 0, proof)
 
-    def solution_of(self, k: int) -> QPSolution:
-        """Return the solution of program k, which has no error."""
-        if k not in self.solutions:
+    def _result(
+        self, status: Status, solution: QPSolution, steps: int, proof: QPInfeasibility | None = None
+    ) -> QuadraticProgramResult:
+        """Return the result of a program that the compiled loop has settled, or nobody has begun."""
+        goal, share = program_goal(self.settings.tolerance), self.clock.read() / max(len(self.status), 1)
+        alone = partial(_lcp_result, solution.program, self.settings.tolerance)
+        return QuadraticProgramResult(status, solution, goal, f"auto: {ACTIVE_SET}", steps, share, alone, proof)
+
+    def result_of(self, k: int) -> QuadraticProgramResult:
+        """Return the result of program k, which has no error."""
+        if k not in self.results:
             m, (lower, upper), y = self.programs.sizes[0], self.at_bounds[:, k], self.answers.y[k]
-            self.solutions[k] = QPSolution(self.programs[k], self.answers.x[k], y[:m], y[m:], lower, upper)
-        return self.solutions[k]
+            solution = QPSolution(self.programs[k], self.answers.x[k], y[:m], y[m:], lower, upper)
+            self.results[k] = self._result(self.status[k], solution, int(self.answers.steps[k]))
+        return self.results[k]
 
 
-class ProgramBatchResult(BatchAnswers[QPSolution]):
+def _lcp_result(program: QuadraticProgram, tolerance: float) -> Result:
+    """Return the run on the complementarity problem of one program of a batch."""
+    return judged_program(program, tolerance=tolerance).lcp_result
+
+
+class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     """The answers to a batch of quadratic programs.
 
     Parameters
@@ -138,10 +152,8 @@ class ProgramBatchResult(BatchAnswers[QPSolution]):
         NaN where the data are no convex program.
     inequality, equality, lower, upper : arrays, shapes (B, m), (B, p), (B, n), (B, n)
         Multipliers as those of a QPSolution; NaN where there are none.
-    status : array of str, shape (B,)
-        As `QPSolution.status`: "optimal" by the residuals of the program itself, "infeasible" or "unbounded" by a
-        proof; otherwise, and where the clock or Ctrl-C came first, "unknown". None where the data are no convex
-        program.
+    status : array of Status, shape (B,)
+        As of a :class:`~lcp_plugin.QuadraticProgramResult`. None where the data are no convex program.
     residual : array, shape (B,)
         An upper bound of the largest residual of a QPSolution, `row_residual` included; NaN where nothing was found.
     iterations : array of int, shape (B,)
@@ -153,14 +165,14 @@ class ProgramBatchResult(BatchAnswers[QPSolution]):
 
     Notes
     -----
-    ``answers[k]`` is the :class:`~lcp_plugin.conversions.qp_solution.QPSolution` of program k.
+    ``answers[k]`` is the :class:`~lcp_plugin.QuadraticProgramResult` of program k.
     """
 
     ITEM = "program"
 
     def __init__(self, run: ProgramBatchRun) -> None:
         answers, m = run.answers, run.programs.sizes[0]
-        super().__init__(run, run.solution_of, answers.x, answers.y, answers.steps, run.at_bounds)
+        super().__init__(run, run.result_of, answers.x, answers.y, answers.steps, run.at_bounds)
         self.x, self.residual, self.iterations, self.programs = answers.x, run.residual, answers.steps, run.programs
         self.inequality, self.equality = run.answers.y[:, :m], run.answers.y[:, m:]
         self.lower, self.upper = run.at_bounds
@@ -171,8 +183,3 @@ class ProgramBatchResult(BatchAnswers[QPSolution]):
         P, x = self.programs.P, self.x
         Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
         return ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
-
-    @property
-    def all_solved(self) -> bool:
-        """Whether every status is "optimal"."""
-        return bool((self.status == "optimal").all())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -54,7 +54,7 @@ class ProgramRun(NamedTuple):
 
 
 ADVICE = {
-    Status.SOLVED: "the program's own residuals are within the tolerance, and P is positive semidefinite",
+    Status.SOLVED: "optimal: the program's own residuals are within the tolerance",
     Status.PRECISION_LIMIT: "the program's own residuals are small, but not within the tolerance: rescale the data",
     Status.INFEASIBLE: "the constraints contradict one another, and result.proof proves it: check the data",
     Status.STALLED: (
@@ -75,22 +75,34 @@ class QuadraticProgramResult(Answer):
         they are small, but above the goal; otherwise why the run ended.
     solution : QPSolution
         x, the multipliers and their residuals.
-    lcp_result : Result
-        The run on the complementarity problem that was made of the program; made when it is looked at where the program
-        was solved as it is.
     goal : float
         The size of the residuals that is called optimal.
+    algorithm, iterations, seconds
+        Of the whole run, seconds in wall-clock time.
     proof : QPInfeasibility or QPUnboundedness or None
         Of INFEASIBLE or UNBOUNDED.
     """
 
     status: Status
-    solution: QPSolution = field(repr=False)
-    lcp_result: Result = field(repr=False)
+    solution: QPSolution
     goal: float
+    algorithm: str
+    iterations: int
+    seconds: float
+    _lcp_result: Result | Callable[[], Result]
     proof: QPInfeasibility | QPUnboundedness | None = None
 
     __setstate__ = restored
+
+    @cached_property
+    def lcp_result(self) -> Result:
+        """The run on the complementarity problem that was made of the program; of a batch made when looked at."""
+        return self._lcp_result if isinstance(self._lcp_result, Result) else self._lcp_result()
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program."""
+        return self.solution.program
 
     @property
     def x(self) -> FloatVector:
@@ -121,21 +133,6 @@ class QuadraticProgramResult(Answer):
     def certificate(self) -> Certificate:
         """What is known of z in the complementarity problem."""
         return self.lcp_result.certificate
-
-    @property
-    def algorithm(self) -> str:
-        """What ran."""
-        return self.lcp_result.algorithm
-
-    @property
-    def iterations(self) -> int:
-        """Of the whole run."""
-        return self.lcp_result.iterations
-
-    @property
-    def seconds(self) -> float:
-        """Wall-clock seconds of the run."""
-        return self.lcp_result.seconds
 
     @property
     def setup_seconds(self) -> float:
@@ -180,7 +177,9 @@ def judged_program(
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
-    return QuadraticProgramResult(status, solution, result, goal, proof)
+    return QuadraticProgramResult(
+        status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
+    )
 
 
 def _status(

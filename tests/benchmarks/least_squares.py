@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from lcp_plugin.algorithms.least_squares.faces import Faces, Point
 from lcp_plugin.algorithms.least_squares.projected_steps import projected_steps
 from lcp_plugin.checks import FloatVector
-from lcp_plugin.problem.least_squares import LeastSquares, UnitLeastSquares
+from lcp_plugin.problem.least_squares import BoundedLeastSquares, UnitLeastSquares
 from lcp_plugin.solving.least_squares import SMALL, bounded_least_squares
 from lcp_plugin.solving.least_squares_run import DENSE_PATIENCE, SPARSE_PATIENCE
 
@@ -197,13 +197,13 @@ def _crossover() -> str:
 
 def _dense(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
     rng = np.random.default_rng(SEED)
-    problem = LeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), 0.0, np.inf, None, 0.0)
+    problem = BoundedLeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n))
     return UnitLeastSquares(problem), Faces.of, float(n)
 
 
 def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
     A = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
-    problem = LeastSquares(A, np.random.default_rng(SEED).standard_normal(n), 0.0, np.inf, None, 0.0)
+    problem = BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n))
 
     def solved_once(unit: UnitLeastSquares) -> Any:
         faces = Faces.of(unit)

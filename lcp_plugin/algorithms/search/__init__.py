@@ -14,6 +14,7 @@ from ...certificates.infeasibility import Case, NoSolution
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...exact.simplex import Effort
+from ...kinds import refusal
 from ...problem.exactly import exact_slack
 from ...problem.lcp import LCP
 from .explorer import Explorer, Face, Point, extreme_points
@@ -260,7 +261,7 @@ def _choices(problem: LCP) -> int:
 
 def _require_small(problem: LCP) -> None:
     if not isinstance(problem, LCP):
-        raise InvalidProblem(f"the search needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidProblem(refusal("all_solutions", problem))
     if not is_searchable(problem):
         raise UnsuitableProblem(
             f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "

@@ -141,7 +141,10 @@ KINDS = (
             "x0=": "z0=result.z goes on from an earlier result",
             "derivative": "requires_grad=True in cvxpy; or derivative(result.lcp_result), by the data of its "
                           "complementarity problem",
-            "error_bound=": "certify(program, result.x) bounds the objective and the distance",
+            **{f"{name}=": "certify(program, result.x) bounds the objective and the distance"
+               for name in ("error_bound", "tolerance_on")},
+            **{f"{name}=": "a program is judged by its own residuals, leave it out"
+               for name in ("measure", "absolute_tolerance")},
             "error_bound": "certify(program, x) bounds the objective and the distance",
             "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
             "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and lcp-plugin solve reads them",
@@ -153,7 +156,7 @@ KINDS = (
     Kind(
         "objective over equilibria", "conversions.equilibrium_program.EquilibriumProgram",
         "solving.equilibria.branch_and_bound.minimize_over_solutions", "solving.equilibria.result.EquilibriumResult",
-        ("solve", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
+        ("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
         "solve(problem) takes it; its pairs alone are an LCP where they determine their unknowns",
         {
             "algorithm=": "branch and bound is the only one",
@@ -161,7 +164,6 @@ KINDS = (
             "z0=": "a search begins at its relaxation",
             "x0=": "a search begins at its relaxation",
             "error_bound=": "result.gap is proved",
-            "solve_batch": "write [solve(problem) for problem in problems]",
             "derivative": "the best of all solutions may jump from one to another",
             "certify": "solve(problem).verify() checks its proof again",
             "Certificate.of": "solve(problem).verify() checks its proof again",
@@ -174,12 +176,11 @@ KINDS = (
     Kind(
         "bounded least squares problem", "problem.least_squares.BoundedLeastSquares",
         "solving.least_squares.solve_least_squares", "solving.least_squares.LeastSquaresResult",
-        ("solve", "pickle", *LANGUAGES, "lcp-plugin solve"),
+        ("solve", "solve_batch", "pickle", *LANGUAGES, "lcp-plugin solve"),
         "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
         {
             "z0=": "a start is called x0 here",
             "algorithm=": "what suits A is chosen",
-            "solve_batch": "QuadraticProgramBatch(AᵀA, −Aᵀb, lower=…, upper=…) states many",
             "certify": "solve(problem).gap is proved",
             "error_bound": "solve(problem).gap is proved",
             "error_bound=": "result.gap is proved",
@@ -245,4 +246,4 @@ def _named(place: str) -> Any:
 
 
 def _with_article(word: str) -> str:
-    return f"an {word}" if word[0] in "AEIOU" or word == "LCP" else f"a {word}"
+    return f"an {word}" if word[0] in "AEIOU" or word.startswith("LCP") else f"a {word}"

@@ -319,7 +319,7 @@ RUNS = [
     run("z0 masked", InvalidOption, r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])),
     run("z0 sparse", InvalidOption, LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
     run("z0 ragged", InvalidOption, LENGTH_3, z0=[[1.0], [2.0, 3.0]]),
-    row("solve of M and q", InvalidOption, r"solve needs an LCP.* got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
+    row("solve of M and q", InvalidOption, r"got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
         lambda g: solve(g.M, g.q)),
     row("solve of M", InvalidOption, r"solve needs an LCP.* got csr_array", lambda g: solve(g.csr)),
     row("solve of nothing", InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),

@@ -18,6 +18,7 @@ from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import is_at_bound
 from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..kinds import refusal
 from ..problem.lcp import LCP
 from ..solving.result import Result, Sample
 from .contestants import Contestant, WorkLimit, checked_names, contestants, fresh, measured_run
@@ -135,10 +136,7 @@ def _as_scene(target: Any) -> Scene:
         return target
     if isinstance(target, LCP):
         return Scene(problem=target, name="problem", is_declared=False)
-    raise InvalidOption(
-        f"error_against_time needs a Scene or an LCP, got {type(target).__name__}; "
-        'write error_against_time(gallery.build("half_active"))'
-    )
+    raise InvalidOption(refusal("error_against_time", target))
 
 
 def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:

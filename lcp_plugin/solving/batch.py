@@ -161,7 +161,11 @@ def solve_batch(
     if (kind := kind_of(M)) is not None:
         write = "QuadraticProgramBatch(P, c, …) or [program]" if isinstance(M, QuadraticProgram) else "[problem]"
         raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
-    if isinstance(M, Sequence) and any(kind_of(one) is not None and not isinstance(one, LCP) for one in M):
+    others = {one: kind for one in M if (kind := kind_of(one)) is not None} if isinstance(M, Sequence) else {}
+    for one, kind in others.items():
+        if "solve_batch" not in kind.ways:
+            raise InvalidProblem(refusal("solve_batch", one))
+    if any(not isinstance(one, LCP) for one in others):
         _refuse_data("these problems", "new ones", q, lower, upper)
         asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
                      absolute_tolerance=absolute_tolerance, refute=refute)

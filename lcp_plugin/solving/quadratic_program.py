@@ -13,7 +13,7 @@ import numpy as np
 from ..algorithms.interior_points.small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of, work_of_search
 from ..algorithms.search.stages import FeasibilityCheck
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, read_only, restored
+from ..checks import FloatVector, checked_vector, read_only, restored
 from ..communicator.alone import ALONE
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
@@ -167,7 +167,12 @@ class QuadraticProgramResult(Answer):
 def judged_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
-    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments."""
+    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments.
+
+    A `z0` is a guess: programs are solved in several forms, and it is the start of those that have as many unknowns.
+    """
+    if (start := options.pop("z0", None)) is not None:
+        options["guess"] = checked_vector(start, "z0", None)
     result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
     goal, proof = program_goal(tolerance), None
     is_optimal = solution.is_stationary(goal)

@@ -14,11 +14,16 @@ from typing import Any
 import numpy as np
 
 from ..checks import FloatVector, checked_vector, is_number
+from ..conversions.equilibrium_program import EquilibriumProgram
 from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..deadline import time_limit
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
+from ..problem.lcp import LCP
+from ..problem.nonlinear import NonlinearProblem
+from .least_squares import LeastSquaresResult
 from .program_proofs import Certification, ProgramProofs
+from .result import Result
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 
@@ -62,7 +67,7 @@ def certify(
     UnsupportedModel
         Where the problem is no convex quadratic or linear program: cones, integers, a P that is not semidefinite.
     InvalidProblem
-        Where it has not been solved, or x or the multipliers do not fit it.
+        Where it has not been solved, or x or the multipliers do not fit it. Of other kinds it names the right call.
     InvalidOption
         For another claim, a tolerance that is no positive number, a limit that is none.
 
@@ -98,6 +103,8 @@ def certify(
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if not isinstance(problem, QuadraticProgram):
+            if call := _call_for(problem):
+                raise InvalidProblem(f"certify takes convex programs, got {type(problem).__name__}; {call}")
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
             from .. import certify_problem
@@ -112,6 +119,26 @@ def certify(
             return proofs.of_claim(str(claim), float(tolerance))
         answer = _answer(problem, x, multipliers)
         return proofs.of_answer(*answer, float(tolerance))
+
+
+def _call_for(problem: Any) -> str:
+    """Return the call that says what can be said of another kind of problem or answer; '' of what is none of ours."""
+    if isinstance(problem, LCP):
+        if isinstance(getattr(problem.origin, "program", None), QuadraticProgram):
+            return "it was made from a program: certify(problem.origin.program, problem.origin.recover(z))"
+        return "Certificate.of(problem, z) has the residuals of any z, error_bound(problem, z) bounds its distance"
+    if isinstance(problem, NonlinearProblem):
+        return "solve_nonlinear(problem, x, max_iterations=0).certificate has the residuals of any x"
+    if isinstance(problem, EquilibriumProgram):
+        return "minimize_over_solutions(problem) proves a lower bound"
+    if isinstance(problem, Result):
+        bound = ", error_bound(result.certificate.problem, result.z) bounds its distance"
+        return f"result.certificate has its residuals{'' if problem.certificate.is_linearised else bound}"
+    if isinstance(problem, QPSolution):
+        return "give the program as well: certify(program, solution)"
+    if isinstance(problem, LeastSquaresResult):
+        return "result.optimality and result.gap are proved where result.is_proved"
+    return ""
 
 
 def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[FloatVector, list[FloatVector] | None]:

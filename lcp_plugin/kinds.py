@@ -223,6 +223,10 @@ def _remedy(way: str, given: Any) -> str:
     """Return what to write for what is no problem of any kind, but near one."""
     if way == "derivative":
         return "write derivative(solve(problem))"
+    if way == "certify" and hasattr(given, "is_stationary"):
+        return "give the program as well: certify(program, solution)"
+    if way == "certify" and hasattr(given, "certificate"):
+        return "result.certificate has its residuals, error_bound(problem, result.z) bounds its distance"
     if hasattr(given, "require_solved"):
         return "that is an answer: give the problem"
     if kind_of(getattr(given, "problem", None)) is not None:

@@ -295,7 +295,7 @@ def report(
 
     def scene_of_file(path: str) -> Scene:
         problem = LCP.load(path)
-        return Scene(problem=problem, name=path, description=f"your own problem, {problem!r}", is_declared=False)
+        return Scene(problem=problem, name=path, description=f"your own problem, {problem}", is_declared=False)
 
     require_matplotlib()
     require_jinja()

@@ -252,7 +252,7 @@ def analyze(
 
 @_command("list", "0 done", "list")
 def list_everything() -> None:
-    """List the algorithms with what they need, and the scenes with their parameters."""
+    """List the kinds of problems with the ways that take them, the algorithms with what they need, the scenes."""
     from .target import print_everything
 
     print_everything()

@@ -295,7 +295,8 @@ class LCP:
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
-        ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
+        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. This is for who wants the
+        LCP: ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
         :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. A run of
         ``solve`` ends where the tolerance holds for the complementarity problem and the program is solved by its own
         criteria, to 1e-6; where only the latter can be had, that is SOLVED (at tolerances from 1e-9 on).

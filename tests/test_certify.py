@@ -21,14 +21,19 @@ from typer.testing import CliRunner
 
 import lcp_plugin
 from lcp_plugin import (
+    LCP,
+    EquilibriumProgram,
     InvalidOption,
     InvalidProblem,
     LCPError,
+    NonlinearProblem,
     QuadraticProgram,
     UnsupportedModel,
+    bounded_least_squares,
     certify,
     complements,
     solve,
+    solve_nonlinear,
 )
 from lcp_plugin.certificates.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.certificates.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
@@ -617,6 +622,8 @@ def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
     return cp.Problem(cp.Minimize(cp.sum_squares(x)), [make(x) for make in constraints])
 
 
+PAIRS, CURVED = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
+
 REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(unsolved()), InvalidProblem, r"status is None; call problem\.solve\(\)"),
     (lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])), UnsupportedModel, "is not piecewise linear"),
@@ -636,6 +643,13 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
     (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
     (lambda: certify([[1.0]]), InvalidProblem, "got list"),
+    (lambda: certify(PAIRS, [1.0, 0.0]), InvalidProblem, r"Certificate\.of\(problem, z\).*error_bound\(problem, z\)"),
+    (lambda: certify(solve(PAIRS)), InvalidProblem, r"result\.certificate.*, error_bound\(result\.certificate"),
+    (lambda: certify(LCP.from_qp(np.eye(2), [1, 1]).origin.recover([0, 0])), InvalidProblem, r"y\(program, solution"),
+    (lambda: certify(CURVED, [1.0]), InvalidProblem, r"error_bound=True\)\.error_bound proves a solution near x"),
+    (lambda: certify(solve_nonlinear(CURVED, [1.0])), InvalidProblem, r"result\.certificate has its residuals"),
+    (lambda: certify(bounded_least_squares([[1.0]], [1.0])), InvalidProblem, "that is an answer"),
+    (lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])), InvalidProblem, r"solve\(problem\)\.verify\(\)"),
 ]
 
 

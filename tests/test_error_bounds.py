@@ -11,14 +11,15 @@ from exact import exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, gallery
+from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analyze, gallery, solve
 from lcp_plugin.certificates import error_bounds, solution_bounds
 from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
-from lcp_plugin.certificates.solution_bounds import smallest_eigenvalue_bound
+from lcp_plugin.certificates.solution_bounds import HPlusBounds, bounds_of, smallest_eigenvalue_bound
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.matrix import comparison_certificate
 from lcp_plugin.matrix.equilibration import unit_diagonal
+from lcp_plugin.matrix.verdicts import eigenvalue_proven
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
 POINTS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=8, max_size=8)
@@ -63,6 +64,79 @@ def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     check(problem, z, exact, bound)
 
 
+def near_singular_problem(seed: int) -> LCP:
+    """Return a problem of decimals whose ⟨M⟩, or whose symmetric part, is singular but for some ulps."""
+    rng = np.random.default_rng(seed)
+    n, ulps = int(rng.integers(2, 6)), int(rng.integers(1, 5))
+    if seed % 2:  # ⟨M⟩ v = 0 to rounding, any signs beside the diagonal
+        M, v = rng.integers(-9, 10, (n, n)) / 10, rng.integers(1, 10, n) / 10
+        np.fill_diagonal(M, 0.0)
+        diagonal = np.abs(M) @ v / v
+    else:  # a Gram matrix of rank n − 1, and a skew part
+        factor, skew = rng.integers(-9, 10, (n, n - 1)) / 10, np.triu(rng.integers(-9, 10, (n, n)) / 10, 1)
+        M = factor @ factor.T + (skew - skew.T) * (seed % 4 == 2)
+        diagonal = M.diagonal().copy()
+    diagonal = np.maximum(diagonal, 0.1)
+    for _ in range(ulps):
+        diagonal = np.nextafter(diagonal, np.inf)
+    np.fill_diagonal(M, diagonal)
+    upper = np.where(rng.random(n) < 0.3, rng.integers(1, 5, n), np.inf)
+    return LCP(M, rng.integers(-20, 21, n) / 10, upper=upper)
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
+    """Whatever M `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
+    proved = 0
+    for seed in range(60 * block, 60 * block + 60):
+        problem = near_singular_problem(seed)
+        report = analyze(problem)
+        if not (report.is_h_plus or report.is_positive_definite):
+            continue
+        proved += 1
+        exact = exact_solution(problem).z
+        for step in (0.0, 1e-9, 1.0):
+            z = near(exact, np.random.default_rng(seed).standard_normal(5).tolist(), step)
+            bound = error_bound(problem, z, sharp=bool(seed % 3))
+            assert bound.kind == "rigorous"
+            check(problem, z, exact, bound)
+    assert proved > 20
+
+
+def test_the_tolerance_on_the_error_takes_what_is_proved() -> None:
+    """A matrix that only exact elimination decides is no reason to refuse tolerance_on="error"."""
+    result = solve(LCP([[0.25, 0.1], [0.1, 0.04000000000000001]], [-1.0, -2.0]), tolerance_on="error")
+    assert result.is_solved
+    assert result.error_bound is not None
+    assert result.error_bound.relative <= 1e-8
+
+
+def test_the_refusal_does_not_deny_what_is_proved() -> None:
+    """An H₊-matrix whose v leaves the range of doubles is refused, but not as one that was not proven to be H₊."""
+    problem = LCP(sp.diags_array([np.full(14, -1e60), np.ones(15)], offsets=[-1, 0]), np.ones(15))
+    assert analyze(problem).is_h_plus
+    with pytest.raises(UnsuitableMatrix, match=r"M is an H₊-matrix \(.*\), but no such v was found in doubles"):
+        error_bound(problem, np.zeros(15))
+
+
+@pytest.mark.parametrize("kind", ["factor", "comparison"])
+def test_what_the_verdict_rests_on_bounds_the_eigenvalues(kind: str) -> None:
+    """Beyond exact elimination, too, λ_min is bounded by what proves M definite."""
+    n = 30
+    if kind == "factor":
+        values = np.random.default_rng(0).standard_normal((n, n))
+        M = values @ values.T + n * np.eye(n)
+    else:
+        M = 2.0 * np.eye(n) + np.diag(np.full(n - 1, -1.9), 1) + np.diag(np.full(n - 1, 0.1), -1)
+    matrix = LCP(M, np.ones(n)).matrix
+    exponents = unit_diagonal(matrix.diagonal).row
+    scale = np.ldexp(1.0, exponents)
+    least = np.linalg.eigvalsh(scale[:, None] * (M + M.T) / 2.0 * scale).min()
+    value = eigenvalue_proven(matrix, exponents)
+    assert value is not None
+    assert 0.0 < value <= least
+
+
 @settings.get_profile("many")
 @given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
@@ -84,13 +158,13 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
 def test_each_stage_holds_alone(drawn, direction, step) -> None:
     """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
     problem, exact = drawn
-    certificate = comparison_certificate(problem.matrix)
-    assert certificate is not None
+    family = bounds_of(problem.matrix)
+    assert isinstance(family, HPlusBounds)
     z = near(exact, direction, step)
     y = error_bound(problem, z, sharp=False).componentwise
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, z)
-        stages = [y, at.image(y), error_bounds._two_stage(at, certificate, y)]
+        stages = [y, at.image(y), error_bounds._two_stage(at, family, y)]
     for stage in stages:
         for value, truth, limit in zip(z, exact, stage, strict=True):
             assert abs(Fraction(float(value)) - truth) <= Fraction(float(limit))

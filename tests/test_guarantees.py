@@ -304,6 +304,21 @@ def test_a_remedy_followed_to_the_letter_is_guaranteed(
     assert convergence_guarantee(problem, name, **options).is_guaranteed, remedy
 
 
+@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor", "pj", "pgs", "psor", "gfp", "mgs", "msor"])
+@pytest.mark.parametrize("below", [0.1, 0.2])  # symmetric, and not
+def test_a_remedy_is_no_call_that_failed(name: str, below: float) -> None:
+    """Of an H₊-matrix that is singular but for rounding the remedy names a method that is guaranteed, or none."""
+    diagonal = 0.04000000000000001 if below == 0.1 else 0.08000000000000002
+    problem = LCP([[0.25, 0.1], [below, diagonal]], [-1.0, -2.0])
+    assert analyze(problem).is_h_plus
+    guarantee = convergence_guarantee(problem, name)
+    if not guarantee.is_guaranteed:
+        named = re.fullmatch(r'algorithm="(\w+)".*', guarantee.remedy)
+        assert named is not None
+        assert convergence_guarantee(problem, named[1]).is_guaranteed
+        assert solve(problem, named[1]).is_solved
+
+
 def test_a_remedy_names_what_was_given() -> None:
     """A paor with α = β hears of both options, msor of none that it does not have."""
     problem = with_matrix([[1.0, -0.9], [-0.9, 1.0]])

@@ -30,7 +30,7 @@ from lcp_plugin import (
 )
 from lcp_plugin.kernels import banded_derivatives
 from lcp_plugin.kernels.compilation import compiling_at_once
-from lcp_plugin.solving.march import March
+from lcp_plugin.solving.march import March, carry_remark
 
 # --- What is kept ---------------------------------------------------------------------------------------------
 
@@ -551,3 +551,24 @@ def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
             gradient = found.vjp(g)
             back, g = back + (half * gradient.M + old * gradient.carry).multiply(dA).sum(), gradient.z0
         assert back + g @ dz0 == pytest.approx(dz[node], rel=1e-10)
+
+
+STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
+
+
+@pytest.mark.parametrize(
+    ("carry", "is_remarked"),
+    [
+        (sp.eye_array(16), True),
+        (MASS, True),  # a consistent mass matrix with the wrong sign
+        (-sp.eye_array(16), False),
+        (-MASS, False),
+        (5.0 * STIFFNESS - sp.eye_array(16), False),  # Crank–Nicolson with long steps
+        (sp.csr_array((16, 16)), False),
+        (sp.eye_array(16, k=1), False),  # a delay
+    ],
+)
+def test_a_carry_of_the_wrong_sign_is_remarked(carry: Any, is_remarked: bool) -> None:
+    """A carry that raises every q has a sentence that names the sign of an implicit step; other carries have none."""
+    said = carry_remark(LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(carry))
+    assert ("has carry −1" in said) == is_remarked == bool(said)

@@ -84,7 +84,7 @@ def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
     """M and q as numpy or scipy write them, nothing else."""
     path = tmp_path / f"p.{suffix}"
     (np.savez if suffix == "npz" else lambda path, **content: savemat(path, content))(path, M=M, q=-np.ones(3))
-    assert repr(LCP.load(path)) == "LCP(n=3, nonzeros=7, bounds 0 ≤ z)"
+    assert str(LCP.load(path)) == "LCP(n=3, nonzeros=7, bounds 0 ≤ z)"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, checks, solve
+from lcp_plugin import LCP, Certificate, InvalidProblem, checks, solve, strategies
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram
 from lcp_plugin.matrix.matrix import Matrix, fact
 
@@ -318,7 +318,7 @@ def test_empty_problem(M: Any) -> None:
     assert_canonical(p, np.zeros((0, 0)))
     for vector in (p.q, p.lower, p.upper, p.diagonal, p.residual_scale, p.nearest_to_zero, p.slack([])):
         assert (vector.shape, vector.dtype) == ((0,), np.float64)
-    assert repr(p) == "LCP(n=0, nonzeros=0, bounds 0 ≤ z)"
+    assert repr(p) == str(p) == "LCP(n=0, nonzeros=0, bounds 0 ≤ z)"
     assert Certificate.of(p, []).worst_index == -1
 
 
@@ -586,9 +586,46 @@ def test_a_pickle_is_no_larger_than_the_data() -> None:
         ([-np.inf, 0.0, -np.inf, 0.0], [np.inf, np.inf, 0.0, 1.0], "bounds 2 one-sided, 1 boxed, 1 free"),
     ],
 )
-def test_repr_counts_what_there_is(lower: Any, upper: Any, words: str) -> None:
-    """The repr tells size, nonzeros and how many rows have which kind of bounds."""
-    assert repr(LCP(A, Q, lower=lower, upper=upper)) == f"LCP(n=4, nonzeros=7, {words})"
+def test_str_counts_what_there_is(lower: Any, upper: Any, words: str) -> None:
+    """`str`, and the repr of a large problem, tells size, nonzeros and how many rows have which kind of bounds."""
+    assert str(LCP(A, Q, lower=lower, upper=upper)) == f"LCP(n=4, nonzeros=7, {words})"
+    assert repr(LCP(TRIDIAGONAL, np.ones(10))) == str(LCP(TRIDIAGONAL, np.ones(10)))
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two arrays are kept alike and hold the same bits."""
+    if sp.issparse(one) != sp.issparse(other):
+        return False
+    first, second = ((given.toarray() if sp.issparse(given) else given) for given in (one, other))
+    return first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+@settings(max_examples=60)
+@given(problem=strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices(dense=False), bounds=0.5,
+                               row_scale=300, column_scale=300))
+def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
+    """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""
+    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
+    assert all(same(getattr(problem, name), getattr(again, name)) for name in ("M", "q", "lower", "upper"))
+
+
+@settings(max_examples=40)
+@given(drawn=strategies.convex_qps(equalities=1, bounds=0.5))
+def test_the_repr_of_a_small_program_is_that_program(drawn: Any) -> None:
+    """What repr(program) says can be pasted, and is the same program bit for bit."""
+    program = drawn[0]
+    again = eval(repr(program), {"QuadraticProgram": QuadraticProgram, "csr_array": sp.csr_array, "inf": np.inf})
+    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+    names = [name for name in names if getattr(program, name).shape[0]]
+    assert all(same(getattr(program, name), getattr(again, name)) for name in names)
+
+
+@pytest.mark.parametrize("bound", [-0.0, [0.0, -0.0, 0.0, -0.0], [-np.inf, 0.1 + 0.2, -1e-320, 0.0]])
+def test_the_repr_keeps_each_bit_of_a_bound(bound: Any) -> None:
+    """Zeros keep their signs, infinite and subnormal bounds their values."""
+    problem = LCP(A, Q, lower=bound)
+    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
+    assert same(problem.lower, again.lower)
 
 
 def test_a_refused_matrix_leaves_no_problem() -> None:

@@ -626,6 +626,19 @@ def test_nothing_is_drawn_in_vain() -> None:
         assert not [word for word in (".filter(", "assume(", "reject(") if word in source], file.name
 
 
+def test_a_counterexample_can_be_copied() -> None:
+    """What hypothesis prints of a failing problem is the call that makes it, with M and q in it."""
+
+    @settings(derandomize=True, database=None, phases=[Phase.generate], report_multiple_bugs=False)
+    @given(problem=strategies.lcps(strategies.h_plus_matrices(2), active=1))
+    def fails(problem: LCP) -> None:
+        raise AssertionError
+
+    with pytest.raises(AssertionError) as caught:
+        fails()
+    assert "problem=LCP([[1.0, 0.0], [0.0, 1.0]], [1.0, 1.0])" in "\n".join(caught.value.__notes__)
+
+
 def test_hypothesis_loads_with_the_strategies_only() -> None:
     """``import lcp_plugin`` leaves hypothesis alone; the first use of ``lcp_plugin.strategies`` loads it."""
     code = (

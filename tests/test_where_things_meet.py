@@ -367,6 +367,17 @@ def test_every_kind_and_every_way_has_its_row() -> None:
         assert {f"lcp-plugin {one.name}" for one in app.registered_commands} >= set(COMMANDS)
 
 
+def test_readme_shows_the_table_in_small() -> None:
+    """Its rows are the kinds, a mark stands where all ways of a column take the kind."""
+    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    head, _, *rows = next(part for part in text.split("\n\n") if part.startswith("| kind |")).splitlines()
+    columns = [cell.replace("`", "").split(", ") for cell in map(str.strip, head.split("|")[2:-1])]
+    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in KINDS]
+    for row, kind in zip(rows, KINDS, strict=True):
+        marks = [cell.strip() for cell in row.rsplit("|", len(columns) + 1)[1:-1]]
+        assert marks == ["✓" * all(way in kind.ways for way in ways) for ways in columns], kind.word
+
+
 @pytest.mark.parametrize(("sample", "way"), CELLS)
 def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_path: Path) -> None:
     """The answer of a way that takes the kind is right; any other way says what to write instead."""

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from ..checks import BoolVector, FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..exact.rounding import comparison_product, lower_end
-from ..exact.upward import product_above, quotient_above, sum_above
+from ..exact.upward import quotient_above, sum_above
 from ..kinds import refusal
-from ..matrix import comparison_solve
+from ..matrix import comparison_solve, h_verdict
 from ..problem.lcp import LCP
 from .references import largest_of_parts
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
@@ -186,8 +186,7 @@ def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatV
             if solution is None:
                 return y
             candidate = np.maximum(candidate, solution)
-        t = at.inflation(family.v, family.margin, candidate)
-        better = np.minimum(y, sum_above(candidate, product_above(t, family.v)))
+        better = np.minimum(y, family.of_error(at, candidate))
         better = np.minimum(better, at.image(better))
         if not (better < 0.9 * y).any():
             return better
@@ -263,7 +262,7 @@ class Enclosure:
 def _sweep_nearer(found: Enclosure, family: HPlusBounds) -> None:
     """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
     problem = found.at.problem
-    gap = float((family.margin / (problem.diagonal * family.v)).min(initial=1.0))
+    gap = float((family.weights.margin / (problem.diagonal * family.weights.high)).min(initial=1.0))
     if not gap > LEAST_GAP:
         return
     from ..kernels import splitting_sweeps as kernels
@@ -346,6 +345,11 @@ def _why_not(problem: LCP) -> str:
     row = int(np.argmin(problem.diagonal))
     if problem.diagonal[row] <= 0.0:
         return f"{needs}, but M[{row}, {row}] = {problem.diagonal[row]}; Certificate.of(problem, z) has the residuals"
+    if h_verdict(problem.matrix).is_h:
+        return (
+            f"{needs}; M is an H₊-matrix ({h_verdict(problem.matrix).evidence}), but no such v was found in doubles; "
+            "scale its columns, or use the residuals of Certificate.of(problem, z)"
+        )
     margin = lower_end(*comparison_product(problem.csr, np.ones(problem.n)))
     worst = int(np.argmin(margin / problem.diagonal))
     share = 1.0 - float(margin[worst] / problem.diagonal[worst])

@@ -31,6 +31,7 @@ import numpy as np
 from ..checks import BoolVector, FloatVector
 from ..exact.rounding import comparison_product, compensated_pair, compensated_product
 from ..exact.upward import product_above, quotient_above, sum_above
+from ..matrix import Weights
 from ..matrix.free_systems import KRYLOV_GOAL, FreeSystem
 from ..problem.lcp import LCP
 from .references import for_each_row, largest_of_parts
@@ -86,8 +87,8 @@ class RowInequality:
             slack=slack, negative_slack=negative,
         )
 
-    def inflation(self, v: FloatVector, u: FloatVector, y: FloatVector | None = None) -> FloatVector:
-        """Return t ≥ 0, a number a part, with Φ(y + t v) ≤ y + t v, where 0 < u ≤ ⟨M⟩v; y = 0 by default.
+    def inflation(self, weights: Weights, y: FloatVector | None = None) -> FloatVector:
+        """Return t ≥ 0, a number a part, with Φ(y + t v) ≤ y + t v; y = 0 by default.
 
         Returned is that of each row's part, shape (own,), or (1,) for all of one part.
         """
@@ -96,8 +97,8 @@ class RowInequality:
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
             if y is not None:
                 outside, direct, w = sum_above(outside, -y), sum_above(direct, -y), sum_above(w, minus_product)
-            within = np.minimum(quotient_above(direct, v), quotient_above(w, u))
-            largest: FloatVector = np.maximum(quotient_above(outside, v), within)
+            within = np.minimum(quotient_above(direct, weights.low), quotient_above(w, weights.margin))
+            largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
             return largest
 
         sides = side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)

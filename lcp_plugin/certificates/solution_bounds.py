@@ -26,12 +26,13 @@ from ..checks import FloatVector
 from ..exact.rounding import compensated_product, gamma
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..kernels.floats import TINY, UNIT
-from ..matrix import comparison_certificate
+from ..matrix import Weights, comparison_weights
 from ..matrix.equilibration import Exponents, scaled, unit_diagonal
 from ..matrix.factors import PositiveFactor, factor_fits, positive_factor
 from ..matrix.free_systems import FreeSystem
 from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import Parts, parts
+from ..matrix.verdicts import eigenvalue_proven
 from ..problem.lcp import LCP
 from .row_inequality import NearPoint, RowInequality
 
@@ -53,23 +54,23 @@ class EigenvalueBound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HPlusBounds:
-    """What ⟨M⟩v ≥ margin > 0 says, v > 0 and M with a positive diagonal; on ranks v and margin are the own parts."""
+    """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal; on ranks the weights are the own parts."""
 
     matrix: Matrix
-    v: FloatVector
-    margin: FloatVector
+    weights: Weights
 
     method: ClassVar[str] = "v-certificate"
     kind: ClassVar[str] = "rigorous"
 
     def of_solution(self, size: FloatVector) -> FloatVector:
         """Return a bound of |x| for every x with |M x| ≤ size, shape (own,)."""
-        share = quotient_above(size, self.margin).max(initial=0.0)
-        return product_above(np.float64(self.matrix.communicator.largest(float(share))), self.v)
+        share = quotient_above(size, self.weights.margin).max(initial=0.0)
+        return product_above(np.float64(self.matrix.communicator.largest(float(share))), self.weights.high)
 
-    def of_error(self, at: RowInequality) -> FloatVector:
-        """Return a bound of |z − z*|, shape (own,)."""
-        return product_above(at.inflation(self.v, self.margin), self.v)
+    def of_error(self, at: RowInequality, y: FloatVector | None = None) -> FloatVector:
+        """Return a bound of |z − z*|, shape (own,); the least y + t v that is one."""
+        inflated = product_above(at.inflation(self.weights, y), self.weights.high)
+        return inflated if y is None else sum_above(y, inflated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +102,9 @@ def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
     On ranks only H₊-matrices are looked for.
     """
     is_positive = matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all()))
-    certificate = comparison_certificate(matrix) if is_positive else None
-    if certificate is not None:
-        return HPlusBounds(matrix, certificate.v, certificate.margin)
+    found = comparison_weights(matrix) if is_positive else None
+    if found is not None:
+        return HPlusBounds(matrix, found)
     eigenvalue = smallest_eigenvalue_bound(matrix) if matrix.communicator.is_alone else None
     return None if eigenvalue is None else DefiniteBounds(eigenvalue)
 
@@ -127,7 +128,8 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     -----
     C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
     bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
-    n ≤ 30 000, where its fill is bounded. Larger: Lanczos, an estimate.
+    n ≤ 30 000, where its fill is bounded. Larger: Lanczos, an estimate. Where none of them finds one, what the verdict
+    on M rests on bounds it.
 
     References
     ----------
@@ -151,6 +153,8 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
         return None
     is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
     value = _proven_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
+    if value is None:
+        value, is_rigorous = eigenvalue_proven(matrix, exponents.row), True
     return None if value is None else EigenvalueBound(value, scale, is_rigorous)
 
 

@@ -260,7 +260,7 @@ def analyze(
 
 @_command("list", "0 done", "list")
 def list_everything() -> None:
-    """List the algorithms with what they need, and the scenes with their parameters."""
+    """List the kinds of problems with the ways that take them, the algorithms with what they need, the scenes."""
     from .target import print_everything
 
     print_everything()
@@ -303,7 +303,7 @@ def report(
 
     def scene_of_file(path: str) -> Scene:
         problem = LCP.load(path)
-        return Scene(problem=problem, name=path, description=f"your own problem, {problem!r}", is_declared=False)
+        return Scene(problem=problem, name=path, description=f"your own problem, {problem}", is_declared=False)
 
     require_matplotlib()
     require_jinja()

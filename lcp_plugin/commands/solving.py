@@ -157,7 +157,7 @@ def _story(results: list[Result], scene: Any, more: list[str]) -> str:
     """Return what a person wants to read after a run; all ranks call."""
     result = results[-1]
     problem = result.certificate.problem
-    lines = ["" if scene is None else str(scene), f"{problem!r}", result.explain(), str(result.certificate)]
+    lines = ["" if scene is None else str(scene), str(problem), result.explain(), str(result.certificate)]
     at_bound = problem.communicator.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
     lines.append(f"{'at a bound':<18} {at_bound:.0f} of {problem.n}")
     if scene is not None and scene.steps > 1:

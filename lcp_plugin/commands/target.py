@@ -62,9 +62,10 @@ def algorithm_names(incomplete: str) -> list[str]:
 
 
 def print_everything() -> None:
-    """Print the algorithms with what they need and their sources, and the scenes with their parameters."""
+    """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
     from ..algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
     from ..evidence.gallery import describe
+    from ..kinds import KINDS, WAYS
     from .terminal import console, table
 
     foreign = from_other_packages()
@@ -82,6 +83,10 @@ def print_everything() -> None:
         for name, summary, parameters in describe()
     ]
     terminal = console(160)
+    ways = [(way, *("✓" if way in kind.ways else "–" for kind in KINDS)) for way in WAYS]
+    kinds = ("", *(kind.word for kind in KINDS))
+    terminal.print(table("Kinds of problems, and what takes each", kinds, ways, pad_edge=False))
+    terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
     for reference, source in sources.items():
         terminal.print(f"{source} {reference}")

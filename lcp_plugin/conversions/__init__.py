@@ -2,7 +2,8 @@
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.problem.lcp.LCP` whose ``origin`` remembers where it came
 from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
-was asked, together with a measure of how wrong it is there.
+was asked, together with a measure of how wrong it is there. Who wants the answer alone need not convert:
+``solve(QuadraticProgram(…))`` and ``solve(BoundedLeastSquares(A, b))`` take these problems as they are.
 
 | problem | function |
 |---|---|

@@ -118,8 +118,8 @@ def lcp_from_least_squares(
     --------
     >>> from lcp_plugin import solve
     >>> problem = lcp_from_least_squares([[1, 0], [1, 1], [0, 1]], [2, 1, -1])
-    >>> problem, problem.origin.form
-    (LCP(n=2, nonzeros=4, bounds 0 ≤ z), 'normal')
+    >>> print(problem, problem.origin.form)
+    LCP(n=2, nonzeros=4, bounds 0 ≤ z) normal
     >>> solution = problem.origin.recover(solve(problem))
     >>> solution.x, solution.cost
     (array([1.5, 0. ]), 0.75)

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..checks import (
+    WRITTEN_UP_TO,
     FloatVector,
     assembled,
     check_order,
@@ -19,6 +20,8 @@ from ..checks import (
     read_only,
     rectangular_matrix,
     restored,
+    written_bounds,
+    written_matrix,
 )
 from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
@@ -37,7 +40,7 @@ LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest ei
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class QuadraticProgram:
     """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
 
@@ -74,6 +77,8 @@ class QuadraticProgram:
     --------
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
     >>> program
+    QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+    >>> print(program)
     QuadraticProgram(n=2, 1 inequality, 0 equalities)
     >>> program.objective([0.5, 1.5])
     -4.5
@@ -128,7 +133,7 @@ class QuadraticProgram:
         Examples
         --------
         >>> program = QuadraticProgram.from_ranges(np.eye(2), [0, 0], [[1, 1], [1, -1]], [2, -1], [2, 1])
-        >>> program
+        >>> print(program)
         QuadraticProgram(n=2, 2 inequalities, 1 equality)
         """
         vector = checked_vector(c, "c", None)
@@ -271,6 +276,16 @@ class QuadraticProgram:
         return float(0.5 * (point @ (self.P @ point)) + self.c @ point)
 
     def __repr__(self) -> str:
+        """Return the call that makes a small program again, bit for bit; of a large one, what `str` says."""
+        if not max(self.n, self.h.size, self.b.size) <= WRITTEN_UP_TO:
+            return str(self)
+        given = [written_matrix(self.P), repr(self.c.tolist())]
+        for (A, b), (rows, limits) in (((self.G, self.h), "Gh"), ((self.A, self.b), "Ab")):
+            given += [f"{rows}={written_matrix(A)}", f"{limits}={b.tolist()}"] if b.size else []
+        bounds = written_bounds(self.lower, self.upper, least=-np.inf)
+        return f"QuadraticProgram({', '.join([*given, *bounds])})"
+
+    def __str__(self) -> str:
         m, p = self.h.size, self.b.size
         averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
         rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"

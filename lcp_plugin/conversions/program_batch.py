@@ -36,8 +36,8 @@ class QuadraticProgramBatch:
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
     >>> programs = QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2])
-    >>> programs, programs[1]
-    (QuadraticProgramBatch(2 programs, n=2), QuadraticProgram(n=2, 1 inequality, 0 equalities))
+    >>> programs, programs[1].c
+    (QuadraticProgramBatch(2 programs, n=2), array([ 0., -1.]))
     """
 
     def __init__(

@@ -76,8 +76,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     The point of x₁ + x₂ ≤ 2 nearest to (1, 2), and what the constraint costs:
 
     >>> problem = lcp_from_qp(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
-    >>> problem, problem.origin.form
-    (LCP(n=1, nonzeros=1, bounds 0 ≤ z), 'dual')
+    >>> print(problem, problem.origin.form)
+    LCP(n=1, nonzeros=1, bounds 0 ≤ z) dual
     >>> solution = problem.origin.recover([1.0])
     >>> solution.x, solution.inequality, solution.is_optimal(1e-12)
     (array([0.5, 1.5]), array([1.]), True)
@@ -219,9 +219,9 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
 
     Examples
     --------
-    >>> qp_from_lcp(LCP([[2, 1], [1, 2]], [-5, 1]))
+    >>> print(qp_from_lcp(LCP([[2, 1], [1, 2]], [-5, 1])))
     QuadraticProgram(n=2, 0 inequalities, 0 equalities)
-    >>> qp_from_lcp(LCP([[2, 3], [1, 2]], [-5, 1]))
+    >>> print(qp_from_lcp(LCP([[2, 3], [1, 2]], [-5, 1])))
     QuadraticProgram(n=2, 2 inequalities, 0 equalities)
     """
     if not isinstance(problem, LCP):

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
-from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
-from ..exact.rational import rounded_down
+from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
+from ..exact.rational import enclosures, rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
 from .matrix import Matrix, fact
@@ -52,12 +52,20 @@ class HCertificate:
         object.__setattr__(self, "margin", read_only(self.margin))
 
 
+class Weights(NamedTuple):
+    """Doubles below and above some v > 0, `low` > 0, and below ⟨M⟩v: a proof, too, where v is no vector of doubles."""
+
+    low: FloatVector
+    high: FloatVector
+    margin: FloatVector
+
+
 @dataclass(frozen=True, eq=False)
 class HVerdict:
     """What is known about ⟨M⟩: `is_h` True, False or None, and its proof.
 
     `lower` and `upper` enclose the spectral radius of D⁻¹|B| up to rounding (Collatz–Wielandt). `is_h` may be True
-    without a certificate: every diagonal block is proven, but the v of the whole leaves the range of doubles.
+    without a certificate: no v of doubles was found, as where ⟨M⟩ is singular up to rounding or v leaves their range.
     """
 
     is_h: bool | None
@@ -102,6 +110,19 @@ def h_verdict(matrix: Matrix) -> HVerdict:
         found = _on_ranks(matrix)
         return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), found)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
+
+
+@fact
+def comparison_weights(matrix: Matrix) -> Weights | None:
+    """Return enclosures of a v > 0 with ⟨M⟩v > 0, or None where no such v is at hand; exact ones up to n = 10."""
+    verdict = h_verdict(matrix)
+    if verdict.certificate is not None:
+        return Weights(verdict.certificate.v, verdict.certificate.v, verdict.certificate.margin)
+    v = exact_weights(matrix.csr) if verdict.is_h and matrix.n <= EXACT_SIZE else None
+    if v is None:
+        return None
+    low, high = enclosures(v)
+    return Weights(read_only(low), read_only(high), read_only(np.abs(matrix.diagonal)))
 
 
 def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
@@ -160,7 +181,10 @@ def decide(M: Any, comparison: Any, *, by_blocks: bool = True) -> HVerdict:
         verdict = _by_blocks(M, verdict)
     if verdict.is_h is None and n <= EXACT_SIZE:
         is_h = has_positive_pivots(exact_comparison(M))
-        verdict = replace(verdict, is_h=is_h, evidence="exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding")
+        v = exact_weights(M) if is_h else None
+        certificate = None if v is None else _certified(M, _centred(enclosures(v)[1]))
+        evidence = "exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding"
+        verdict = replace(verdict, is_h=is_h, certificate=certificate, evidence=evidence)
     return verdict
 
 

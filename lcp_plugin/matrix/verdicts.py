@@ -7,7 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
+from ..exact.linear_systems import (
+    EXACT_SIZE,
+    eigenvalue_below,
+    exact_symmetric_part,
+    has_nonnegative_pivots,
+    has_positive_pivots,
+)
 from ..kernels.floats import TINY, UNIT
 from .definiteness import (
     LARGEST_SUMMAND,
@@ -17,10 +23,10 @@ from .definiteness import (
     symmetric_part,
 )
 from .factors import factor_fits
-from .h_matrix import decide, h_verdict
+from .h_matrix import HCertificate, decide, h_verdict
 from .matrix import Matrix, fact
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
-from .structure import block_rows, diagonal_blocks, row_excess_signs, row_numbers, triangular_form
+from .structure import IntVector, block_rows, diagonal_blocks, row_excess_signs, row_numbers, triangular_form
 from .symmetry import asymmetry
 
 DENSE_LIMIT = 500
@@ -241,15 +247,50 @@ def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
         if pair is not None:
             return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
         return None
+    if _symmetric_part_certificate(matrix) is None:
+        return None
+    return Verdict(True, "the symmetric part is H₊: ⟨·⟩v > 0 checked, rounding included")
+
+
+@fact
+def _symmetric_part_certificate(matrix: Matrix) -> HCertificate | None:
+    """Return v > 0 with ⟨(M + Mᵀ)/2⟩v ≥ margin > 0, or None."""
     if not _is_well_rounded(matrix):
         return None
     # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
     part = sp.csr_array(sparse_symmetric_part(matrix))
     outward = np.where(row_numbers(part) == part.indices, 1.0 - 4.0 * UNIT, 1.0 + 4.0 * UNIT)
     proof = decide(sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape), None).certificate
-    if proof is not None and bool((proof.margin > 2.0 * TINY * proof.v.sum()).all()):
-        return Verdict(True, "the symmetric part is H₊: ⟨·⟩v > 0 checked, rounding included")
-    return None
+    if proof is None:
+        return None
+    margin = proof.margin - 2.0 * TINY * float(proof.v.sum())
+    return HCertificate(proof.v, margin) if bool((margin > 0.0).all()) else None
+
+
+@np.errstate(all="ignore")  # what overflows proves nothing
+def eigenvalue_proven(matrix: Matrix, exponents: IntVector) -> float | None:
+    """Return a double below the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(2^exponents); None where none is > 0.
+
+    It is what `positive_definite` rests on: exact elimination; a v with ⟨·⟩v ≥ u > 0, so that no eigenvalue is below
+    min c_i² u_i/v_i (Collatz–Wielandt); or a factorisation of the matrix scaled to a unit diagonal, less twice the
+    margin for its rounding, n (k + 4) 2⁻⁵² ≥ 8 n 2⁻⁵³, of which it leaves 3 n 2⁻⁵³ at least.
+
+    Examples
+    --------
+    >>> eigenvalue_proven(Matrix([[0.25, 0.1], [0.1, 0.04000000000000001]]), np.array([1, 2])) > 0.0
+    True
+    """
+    if not positive_definite(matrix).value:
+        return None
+    if matrix.n <= EXACT_SIZE:
+        return eigenvalue_below(matrix.csr, exponents.tolist()) or None
+    squares = np.ldexp(1.0, 2 * exponents) * (1.0 - 8.0 * UNIT)
+    proof = _symmetric_part_certificate(matrix)
+    if proof is not None:
+        least = float((squares * (proof.margin / proof.v)).min())
+    else:
+        least = 3.0 * matrix.n * UNIT * float((squares * matrix.diagonal).min())
+    return least if 0.0 < least < np.inf else None
 
 
 def _is_well_rounded(matrix: Matrix) -> bool:

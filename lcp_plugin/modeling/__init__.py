@@ -73,7 +73,7 @@ followers, tolls, the best design of a contact, the conditions of an inner probl
   constraints hold as those of an optimal program do, to 1e-7 in units of the data. "infeasible" and "unbounded" come
   with proofs; ``extra_stats.verify()`` checks all of it again.
 - State bounds for what the problem leaves open, as the prices and tolls of a network: bounds of both sides of a pair
-  become cuts, without which a search may take long. Arrays: :func:`lcp_plugin.minimize_over_solutions`.
+  become cuts, without which a search may take long. Arrays: ``solve(EquilibriumProgram(…))``.
 
 **Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
 included; then ``method="LCP"`` is known too.

@@ -10,7 +10,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
+from ..checks import (
+    WRITTEN_UP_TO,
+    FloatVector,
+    check_order,
+    checked_bound,
+    finite_vector,
+    read_only,
+    real_vector,
+    restored,
+    written_bounds,
+    written_matrix,
+)
 from ..communicator.alone import Communicator
 from ..matrix.matrix import Matrix
 
@@ -20,7 +31,7 @@ class LCP:
 
     For every row i: w_i ≥ 0 where z_i = lower_i, w_i = 0 where lower_i < z_i < upper_i, and w_i ≤ 0
     where z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
-    a row with bounds (−∞, ∞) is an equation.
+    a row with bounds (−∞, ∞) is an equation. The repr of a small problem can be pasted, beside `csr_array` and `inf`.
 
     Parameters
     ----------
@@ -46,6 +57,8 @@ class LCP:
     --------
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
     >>> problem
+    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    >>> print(problem)
     LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     >>> problem.slack([2.5, 0])
     array([0. , 3.5])
@@ -282,7 +295,8 @@ class LCP:
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
-        ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
+        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. This is for who wants the
+        LCP: ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
         :func:`lcp_plugin.conversions.quadratic_program.lcp_from_qp` for the forms and errors. A run of
         ``solve`` ends where the tolerance holds for the complementarity problem and the program is solved by its own
         criteria, to 1e-6; where only the latter can be had, that is SOLVED (at tolerances from 1e-9 on).
@@ -377,6 +391,13 @@ class LCP:
         return load(LCP, path)
 
     def __repr__(self) -> str:
+        """Return the call that makes a small problem again, bit for bit; of a large one, what `str` says."""
+        if self.is_distributed or not 0 < self.n <= WRITTEN_UP_TO:
+            return str(self)
+        bounds = written_bounds(self.lower, self.upper, least=0.0)
+        return f"LCP({', '.join([written_matrix(self.M), repr(self.q.tolist()), *bounds])})"
+
+    def __str__(self) -> str:
         if self.is_distributed:
             return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.communicator.size})"
         return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {self._bounds})"

@@ -18,7 +18,10 @@ from ..conversions.program import QuadraticProgram, refuse_nonconvex
 from ..conversions.qp_solution import QPSolution
 from ..deadline import time_limit
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
+from ..kinds import kind_of, refusal
+from .answer import Answer
 from .program_proofs import Certification, ProgramProofs
+from .quadratic_program import QuadraticProgramResult
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 
@@ -62,7 +65,7 @@ def certify(
     UnsupportedModel
         Where the problem is no convex quadratic or linear program: cones, integers, a P that is not semidefinite.
     InvalidProblem
-        Where it has not been solved, or x or the multipliers do not fit it.
+        Where it has not been solved, or x or the multipliers do not fit it. Of other kinds it names the right call.
     InvalidOption
         For another claim, a tolerance that is no positive number, a limit that is none.
 
@@ -97,7 +100,11 @@ def certify(
     """
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
+        if isinstance(problem, QuadraticProgramResult) and x is None:
+            problem, x = problem.program, problem.solution
         if not isinstance(problem, QuadraticProgram):
+            if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
+                raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
             from .. import certify_problem

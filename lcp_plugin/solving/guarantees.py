@@ -50,6 +50,7 @@ NEAR_ONE = (0.05, 1.0)
 WEIGHT_STEPS = 40
 DENSE_SPLITTING = 500
 CLEARLY = 1.0 + 1e-12
+JACOBI = IterationFacts(family=PROJECTED_RELAXATION, relaxation=1.0, acceleration=0.0)
 
 
 def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **options: Any) -> Guarantee:
@@ -303,7 +304,8 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
 
 def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
     """Return what to change; followed literally, it is guaranteed wherever it names options."""
-    if _is_h_plus(problem):
+    is_h_plus = _is_h_plus(problem)
+    if is_h_plus and (_best_proof(problem, JACOBI) or _theorem_by_blocks(problem, JACOBI)):
         if facts.family not in (PROJECTED_RELAXATION, MODULUS):
             return _scaling_remedy(facts)
         limit = "relaxation ≤ 1" if facts.family == MODULUS else _relaxation_limit(problem, facts)
@@ -314,6 +316,8 @@ def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
     report = analyze(problem)
     if has_positive_diagonal(problem.matrix).all() and report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'
+    if is_h_plus and last_resort(problem).name == "lemke":
+        return 'algorithm="lemke": no sweep contracts by more than rounding, and H₊-matrices are P-matrices'
     return 'nothing here is proven for this M; algorithm="auto" tries more than one'
 
 

@@ -116,6 +116,7 @@ class March(AnswerSequence[Result]):
         lines = [
             f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s",
             f"ended by {self.error}" if self.error else "",
+            carry_remark(self.problem, self.carry),
             f"the last step: {self[-1]}" if len(self) else "",
         ]
         return "\n".join(filter(None, lines))
@@ -225,6 +226,33 @@ def march(
     limit = Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
     return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, lesson=Lesson(), limit=limit)
+
+
+def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
+    """Return a sentence where every step raises the q of the next one, as a wrong sign of the carry does; else ''.
+
+    Parameters
+    ----------
+    problem : LCP
+    carry : csr_array, shape (n, n)
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
+    >>> print(carry_remark(rod, sp.csr_array(np.eye(2))))
+    carry[0, 0] = 1.0 and no entry of carry is negative: a larger z raises the q of the next step, which lowers z there;
+    an implicit Euler step (I + Δt A) z = z_before has carry −1
+    >>> carry_remark(rod, sp.csr_array(-np.eye(2)))
+    ''
+    """
+    diagonal = carry.diagonal()
+    rows = np.flatnonzero((diagonal > 0.0) & (problem.diagonal > 0.0))
+    if not rows.size or (carry.data < 0.0).any():
+        return ""
+    return (
+        f"carry[{rows[0]}, {rows[0]}] = {diagonal[rows[0]]} and no entry of carry is negative: a larger z raises the q "
+        "of the next step, which lowers z there; an implicit Euler step (I + Δt A) z = z_before has carry −1"
+    )
 
 
 def _marched(

@@ -38,7 +38,7 @@ class RunLog:
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
         classes = ", ".join(_classes(problem.matrix)) if isinstance(problem, LCP) else ""
-        self._say(f"{problem!r}{classes and f'; M {classes}'}")
+        self._say(f"{problem}{classes and f'; M {classes}'}")
         self._say(f"{'iteration':>12} {'work':>10} {settings.measure + ' residual':>19} {'seconds':>9}")
 
     def telling_of_compilation(self) -> AbstractContextManager[None]:

@@ -85,7 +85,12 @@ def lcps(
     """
     is_any = active is None and degenerate is None
     kinds = checked_kinds(*((1 / 3, 1 / 3) if is_any else (active or 0.0, degenerate or 0.0)), bounds)
-    return _problems(matrices, kinds, row_scale, column_scale, None if is_any else 0).map(lambda drawn: drawn[0])
+    return _without_answer(_problems(matrices, kinds, row_scale, column_scale, None if is_any else 0))
+
+
+@st.composite
+def _without_answer(draw: st.DrawFn, solved: st.SearchStrategy[tuple[LCP, Answer]]) -> LCP:  # unlike `map`, printed
+    return draw(solved)[0]
 
 
 def solved_lcps(
@@ -140,8 +145,8 @@ def solved_lcps(
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> problem, z = find(solved_lcps(), lambda drawn: True, settings=quick)
-    >>> problem, problem.q, z
-    (LCP(n=1, nonzeros=1, bounds 0 ≤ z), array([-1.]), (Fraction(1, 1),))
+    >>> problem, z
+    (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
     """
     kinds = checked_kinds(active, degenerate, bounds)
     return _problems(matrices, kinds, row_scale, column_scale, checked_scale("slack_scale", slack_scale))

@@ -79,8 +79,10 @@ def convex_qps(
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> program, answer = find(convex_qps(inequalities=1), lambda drawn: True, settings=quick)
-    >>> program, answer.x, answer.objective
-    (QuadraticProgram(n=1, 1 inequality, 0 equalities), (Fraction(0, 1),), Fraction(0, 1))
+    >>> program
+    QuadraticProgram([[1.0]], [0.0], G=[[0.0]], h=[1.0], lower=-1.0, upper=1.0)
+    >>> answer.x, answer.objective
+    ((Fraction(0, 1),), Fraction(0, 1))
     """
     hessians = positive_definite_matrices() | positive_semidefinite_matrices() if matrices is None else matrices
     limits = checked_kinds(active, degenerate, 0.0)

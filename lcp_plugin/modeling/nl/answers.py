@@ -100,7 +100,7 @@ class NLModel(ABC):
             else self.content.names
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.problem!r})"
+        return f"{type(self).__name__}({self.problem})"
 
     def _message(self, words: str, residual: float, iterations: int) -> str:
         return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {iterations} iterations"

@@ -13,7 +13,7 @@ import typer
 from ..errors import InvalidOption
 from ..settings import Settings
 from .solving import OneProcess
-from .terminal import LINE, show_step
+from .terminal import LINE, show_search, show_step
 
 if TYPE_CHECKING:
     from ..modeling.nl import NLAnswer, NLModel
@@ -31,6 +31,7 @@ def run(
     plot: Path | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""
+    from ..conversions.equilibrium_program import EquilibriumProgram
     from ..modeling.nl import read_nl
     from ..policy.choice import policy_for
 
@@ -44,7 +45,8 @@ def run(
     chosen = policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, None, out)
     model = read_nl(target)
-    answer = model.solve(chosen, callback=None if as_json else show_step, **asked)
+    show = show_search if isinstance(model.problem, EquilibriumProgram) else show_step
+    answer = model.solve(chosen, callback=None if as_json else show, **asked)
     LINE.say("")
     typer.echo(json.dumps(_content(model, answer), indent=2) if as_json else _story(target, model, answer))
     if out is not None:
@@ -63,16 +65,20 @@ def _story(target: str, model: NLModel, answer: NLAnswer) -> str:
     """Return what a person wants to read after a run."""
     names = model.names()
     width = max(map(len, names[:SHOWN]), default=0)
-    values = [f"{name:<{width}}  {value:.9g}" for name, value in zip(names, answer.x[:SHOWN], strict=False)]
-    more = [f"and {len(names) - SHOWN} more variables; --out saves them"] if len(names) > SHOWN else []
+    has_more = answer.x is not None and len(names) > SHOWN
+    found = [] if answer.x is None else answer.x[:SHOWN].tolist()
+    values = [f"{name:<{width}}  {value:.9g}" for name, value in zip(names, found, strict=False)]
+    more = [f"and {len(names) - SHOWN} more variables; --out saves them"] if has_more else []
     return "\n".join([f"{target}: {model!r}", answer.message, answer.result.explain(), *values, *more])
 
 
 def _save(model: NLModel, answer: NLAnswer, out: Path) -> None:
-    """Write x and duals with their names into an .npz file."""
+    """Write x and duals, where there are any, with their names into an .npz file."""
     from ..problem.files import write_whole
 
-    content: dict[str, Any] = {"x": answer.x, "duals": answer.duals, "names": np.array(model.names(), dtype=np.str_)}
+    content: dict[str, Any] = {"names": np.array(model.names(), dtype=np.str_)}
+    if answer.x is not None:
+        content |= {"x": answer.x, "duals": answer.duals}
     if model.content.row_names is not None:
         content["row_names"] = np.array(model.content.row_names, dtype=np.str_)
     status = np.array(answer.status.name)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .conversions.bimatrix_game import lcp_from_bimatrix_game as lcp_from_bimatrix_game
     from .conversions.equilibrium_program import EquilibriumProgram as EquilibriumProgram
     from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
+    from .conversions.program_files import load_problem as load_problem
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
     from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
     from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
@@ -124,6 +125,7 @@ _HOME = {
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "conversions.quadratic_program",
     "QuadraticProgramBatch": "conversions.program_batch",
+    "load_problem": "conversions.program_files",
     "EquilibriumProgram": "conversions.equilibrium_program",
     "minimize_over_solutions": "solving.equilibria.branch_and_bound",
     "EquilibriumResult": "solving.equilibria.result",

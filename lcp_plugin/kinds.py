@@ -147,7 +147,7 @@ KINDS = (
                for name in ("measure", "absolute_tolerance")},
             "error_bound": "certify(program, x) bounds the objective and the distance",
             "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
-            "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and lcp-plugin solve reads them",
+            "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
             "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
             "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
             "lcp-plugin report": "lcp-plugin solve and certify take a program",
@@ -185,7 +185,7 @@ KINDS = (
             "error_bound": "solve(problem).gap is proved",
             "error_bound=": "result.gap is proved",
             "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
-            "save": "numpy.savez(path, A=A, b=b) saves it, and lcp-plugin solve reads it",
+            "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
             **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
                for name in ("check", "certify", "analyze", "report")},
         },
@@ -232,7 +232,7 @@ def _remedy(way: str, given: Any) -> str:
     if kind_of(getattr(given, "problem", None)) is not None:
         return f"write {way}(scene.problem)" if hasattr(given, "grid") else "give its problem"
     if isinstance(given, (str, bytes)) or hasattr(given, "__fspath__"):
-        return "read a file first: LCP.load(path), or lcp_plugin.modeling.nl.read_nl(path) for a model of AMPL"
+        return "read a file first: load_problem(path), or lcp_plugin.modeling.nl.read_nl(path) for a model of AMPL"
     if type(given).__module__.startswith("cvxpy."):
         return 'write problem.solve(method="LCP"), or LCP.from_cvxpy(problem)'
     is_list = isinstance(given, (list, tuple)) and bool(given) and kind_of(given[0]) is not None

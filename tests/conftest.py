@@ -11,10 +11,13 @@ deselected, not skipped. A test that is named on the command line, as in ``tests
 Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
 ``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a
 cheap one that needs rare draws ``"many"``; the numbers stand below. A number in a test is one its claim depends on.
+
+BLAS gets one thread where the environment names no number: several processes of several threads wait for one another.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -22,6 +25,8 @@ from collections import defaultdict
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy is loaded; processes that tests begin inherit it
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (5, 30), "default": (15, 80), "many": (40, 150)}

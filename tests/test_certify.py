@@ -711,14 +711,15 @@ def test_exit_codes_of_the_command(tmp_path: Path) -> None:
     write_program(tmp_path / "two.npz")
     write_program(tmp_path / "short.npz", q=[1.0])
     write_program(tmp_path / "bent.npz", P_data=[2.0, -2.0])
+    (tmp_path / "notes.txt").write_text("hello")
     run = CliRunner().invoke
     assert run(app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]).exit_code == 1
     for arguments, words in (
         (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
         (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
         (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
-        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "an .npz, .qps, .mps or .nl file"),
-        (["two.npz", "--solver", ","], "at least"),
+        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "no such file"),
+        (["two.npz", "--solver", ","], "at least"), (["notes.txt"], "an .npz, .mat, .qps, .mps or .nl file"),
     ):
         done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
         assert done.exit_code == 2, done.output

@@ -91,7 +91,8 @@ def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
     ("content", "words"),
     [
         ({"M": M}, r"lacks the matrices \['q'\], it holds M; it must hold M, q"),
-        ({"A": M, "b": [1.0]}, r"lacks the matrices \['M', 'q'\], it holds A, b; .* in MATLAB save\(\"file\.mat\""),
+        ({"N": M, "r": [1.0]}, r"lacks the matrices \['M', 'q'\], it holds N, r; .* in MATLAB save\(\"file\.mat\""),
+        ({"A": M, "b": [1.0]}, r"holds a least squares problem \(key b\), not an LCP: lcp_plugin\.load_problem"),
         ({"M": M, "q": [1.0, 2.0]}, r"holds a matrix of 3 rows and q an array of shape \(2,\)"),
         ({"M": M[:2], "q": [1.0, 2.0]}, "must be square, got 2 × 3"),
         ({"M": {"a": 1}, "q": [1.0]}, "M is a struct; save a matrix of numbers"),
@@ -101,7 +102,7 @@ def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
         ({"M": M, "q": np.ones(3), "lb": np.zeros(3), "lower": np.zeros(3)}, "lower and lb, which say the same"),
         ({"M": M, "q": [np.nan, 1.0, 2.0]}, "states no linear complementarity problem: q must be"),
     ],
-    ids=range(10),
+    ids=range(11),
 )
 def test_what_is_no_problem_is_refused(content: dict[str, Any], words: str, tmp_path: Path) -> None:
     """Each refusal names the file, what it holds and what is needed."""

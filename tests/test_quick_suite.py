@@ -49,6 +49,21 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     ]  # fmt: skip
 
 
+def test_blas_of_the_tests_has_one_thread() -> None:
+    """Where the environment names no number, tests/conftest.py does, before numpy is loaded; a user's number stays."""
+    code = (
+        "import os, sys\n"
+        "os.environ.pop('OMP_NUM_THREADS', None)\n"
+        f"sys.path.insert(0, {str(HERE)!r})\n"
+        "import conftest, importlib\n"
+        "print(os.environ['OMP_NUM_THREADS'], 'numpy' in sys.modules)\n"
+        "os.environ['OMP_NUM_THREADS'] = '3'\n"
+        "importlib.reload(conftest)\n"
+        "print(os.environ['OMP_NUM_THREADS'])"
+    )
+    assert printed_by(code).splitlines() == ["1 False", "3"]
+
+
 @pytest.mark.full
 def test_every_campaign_starts_outside_of_pytest() -> None:
     """What a campaign imports needs nothing that tests/conftest.py sets up."""

@@ -155,7 +155,9 @@ def solve(
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
     refute: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
-    threads: Annotated[int | None, typer.Option(help="How many threads it may use; all by default.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="How many threads it may use, all by default; BLAS's: OMP_NUM_THREADS.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
     out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
@@ -208,7 +210,13 @@ def check(
     "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --solver LCP --json",
 )
 def certify(
-    file: Annotated[str, typer.Argument(help="A convex quadratic program: .npz (P, A, q, l, u), .qps, .mps or .nl.")],
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="A convex program, quadratic or linear: .npz or .mat (P, q, A, l, u; or P, c, G, h, A, b, lower, "
+            "upper; or quadprog's H, f, …), .qps, .mps or .nl."
+        ),
+    ],
     solver: Annotated[str, typer.Option(help="cvxpy's names of solvers, with commas between; LCP is ours.")] = "LCP",
     tolerance: Annotated[
         float | None, typer.Option(help="What is to be proved; by default 1e-6, or else 1e-3.")
@@ -223,7 +231,7 @@ def certify(
     names = list(dict.fromkeys(name.strip() for name in solver.split(",") if name.strip()))
     if not names:
         raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
-    program, offset = load_program(file)
+    program, offset, *_ = load_program(file)
     answers: list[JudgedAnswer] = []
     for answer in judged_answers(program, names, tolerance=tolerance, max_seconds=max_seconds):
         if not json:

@@ -1,33 +1,111 @@
-"""Quadratic programs from files: ``.npz`` of arrays, QPS and MPS through HiGHS."""
+"""Problems of other kinds than LCPs from files: programs and least squares as arrays, QPS and MPS through HiGHS."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InvalidProblem, UnreadableFile, UnsupportedModel
-from ..problem.files import checked_path, read_npz
+from ..problem.files import MATRIX_KEYS, checked_path, flat, names_in, read_npz, require_keys, with_infinities
+from ..problem.lcp import LCP
+from ..problem.least_squares import BoundedLeastSquares
+from ..problem.mat_files import read_mat
 from .program import QuadraticProgram
 
-MATRICES = tuple(f"{name}_{part}" for name in "PA" for part in ("data", "indices", "indptr", "shape"))
-VECTORS = ("q", "l", "u")
-MPS = (".mps", ".qps")
+ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
+PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
+ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
+QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
+OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
+OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge")
+MATRICES = ("P", "A", "G", "H", "Aeq")
+MOST_ROWS = 10**8
+KEYS = {*OF_PROGRAM, *OF_LEAST_SQUARES, *PARTS, *ALIASES, *QUADPROG}
+LAYOUT = (
+    "a program holds P, q, A, l, u (l ≤ A x ≤ u), or P, c with G, h (G x ≤ h), A, b (A x = b), lower, upper where "
+    "there are such, or H, f, A, b, Aeq, beq, lb, ub as quadprog has them; a sparse matrix by P_data, P_indices, "
+    "P_indptr, P_shape (CSC)"
+)
 
 
-def load_program(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
-    """Return the program min ½ xᵀP x + qᵀx + r over l ≤ A x ≤ u of a file, and r.
+class Stated(NamedTuple):
+    """A program as a file states it.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+        To be minimised.
+    constant : float
+        What is added to its objective.
+    sign : float
+        −1 where the file maximises: its objective is sign · (that of the program + constant).
+    names : sequence of str or None
+        Of the variables.
+    """
+
+    program: QuadraticProgram
+    constant: float = 0.0
+    sign: float = 1.0
+    names: Sequence[str] | None = None
+
+
+def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedLeastSquares:
+    """Return the problem of a file, of the kind that its content states.
 
     Parameters
     ----------
     path : str or Path
-        ``.npz`` with the arrays ``P_data, P_indices, P_indptr, P_shape`` (CSC; of a symmetric P all or one triangle),
-        the same of A, ``q, l, u`` (beyond ±1e20: no limit) and, if it is not 0, ``r``; never pickle. Or ``.qps``,
-        ``.mps``, which highspy reads, a package that cvxpy needs in its newer releases. Or AMPL's ``.nl``.
+        ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
+        the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
+        and b, no more than bounds, weights and ridge beside them, a BoundedLeastSquares. Everything else is read by
+        :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.modeling.nl.read_nl`.
+
+    Raises
+    ------
+    UnreadableFile
+        Where the file is missing, damaged or of another kind.
+    InvalidProblem, UnsupportedModel
+        Where it states no problem, or one with integers.
+    """
+    kind = kind_in(path)
+    if kind is QuadraticProgram:
+        return load_program(path).program
+    return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
+
+
+def kind_in(path: str | PathLike[str]) -> type:
+    """Return the class of the problem that a file seems to state, by its ending and the names in it; LCP in doubt."""
+    source = checked_path(path)
+    if source.suffix.lower() in MPS and not source.is_dir():
+        return QuadraticProgram
+    if source.suffix.lower() not in ARRAYS or not source.is_file():
+        return LCP
+    names = {PARTS.get(name, name) for name in names_in(source)}
+    if "M" in names or names & {*MATRIX_KEYS}:
+        return LCP
+    if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:
+        return QuadraticProgram
+    return BoundedLeastSquares if {"A", "b"} <= names else LCP
+
+
+def load_program(path: str | PathLike[str]) -> Stated:
+    """Return the quadratic or linear program of a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.npz`` or ``.mat`` with the arrays P, q, A, l, u of min ½ xᵀP x + qᵀx over l ≤ A x ≤ u, or with those of
+        :class:`~lcp_plugin.QuadraticProgram` by their names (q, lb, ub stand for c, lower, upper), or with MATLAB's H,
+        f, A, b, Aeq, beq, lb, ub. No P means a linear program; r is a constant. A limit beyond ±1e20 is none. Sparse
+        matrices in ``.npz`` are ``P_data, P_indices, P_indptr, P_shape`` (CSC), so of A and G; of a symmetric P all or
+        one triangle. Never pickle. Or ``.qps``, ``.mps``, which highspy reads, a package that cvxpy needs in its newer
+        releases. Or AMPL's ``.nl``.
 
     Raises
     ------
@@ -39,37 +117,131 @@ def load_program(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
         Of a file with integers, or an ``.nl`` file that states something else.
     """
     source = checked_path(path)
-    if source.suffix.lower() == ".npz":
-        return _from_npz(source)
-    if source.suffix.lower() in MPS:
+    suffix = source.suffix.lower()
+    if suffix in ARRAYS:
+        return _from_arrays(source)
+    if suffix in MPS:
         return _from_mps(source)
-    if source.suffix.lower() == ".nl":
+    if suffix == NL:
         from .. import program_in_nl
 
-        stated: tuple[QuadraticProgram, float] = program_in_nl(source)
-        return stated
-    raise UnreadableFile(f"cannot read {source}: a quadratic program is an .npz, .qps, .mps or .nl file")
+        return Stated(*program_in_nl(source))
+    if not source.exists():
+        raise UnreadableFile(f"no such file: {source}")
+    raise UnreadableFile(f"cannot read {source}: a quadratic program is an .npz, .mat, .qps, .mps or .nl file")
 
 
-def _from_npz(source: Path) -> tuple[QuadraticProgram, float]:
-    content = read_npz(source, {*MATRICES, *VECTORS, "r"})
-    missing = [key for key in (*MATRICES, *VECTORS) if key not in content]
-    if missing:
-        raise UnreadableFile(f"{source} lacks the keys {missing}; a program holds {', '.join((*MATRICES, *VECTORS))}")
+def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
+    """Return the problem of an ``.npz`` or ``.mat`` file with A, b and, if wanted, lower, upper, weights, ridge.
+
+    See :class:`~lcp_plugin.BoundedLeastSquares` for what is meant where one is missing: lower is 0 then. Bounds may be
+    called lb and ub, and a sparse A is A_data, A_indices, A_indptr, A_shape (CSC) in ``.npz``.
+    """
+    source = checked_path(path)
+    content = _arrays(source, {*OF_LEAST_SQUARES, "lb", "ub", *PARTS})
+    content = {ALIASES.get(name, name): array for name, array in content.items()}
+    require_keys(source, content, ("A", "b"), "a least squares problem holds A, b and, if wanted, lower and upper")
     try:
-        P, A = (
-            sp.csr_array(sp.csc_array(
-                (content[f"{name}_data"], content[f"{name}_indices"], content[f"{name}_indptr"]),
-                shape=tuple(int(k) for k in content[f"{name}_shape"]),
-            )) for name in "PA"
+        return BoundedLeastSquares(
+            content["A"], content["b"], **_limits(content, "lower", "upper"), weights=content.get("weights"),
+            ridge=_number(content.get("ridge", 0.0)),
         )
-        offset = float(content.get("r", 0.0))
-    except (ValueError, TypeError, OverflowError, MemoryError) as error:
+    except (InvalidProblem, ValueError) as error:
+        raise InvalidProblem(f"{source}: {error}") from error
+
+
+# --- Arrays -----------------------------------------------------------------------------------------------------
+
+
+def _from_arrays(source: Path) -> Stated:
+    content = _arrays(source, KEYS)
+    if "M" in names_in(source):
+        raise UnreadableFile(f"{source} holds an LCP (key M), not a program; `lcp-plugin solve` takes it")
+    renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES
+    program: dict[str, Any] = {}
+    for name, array in content.items():
+        if (known := renamed.get(name, name)) in program or (renamed is QUADPROG and name not in (*QUADPROG, "r")):
+            raise UnreadableFile(f"{source} holds {name} beside other names for the same; {LAYOUT}")
+        program[known] = array
+    require_keys(source, program, ("c",), LAYOUT)
+    constant = _number(program.pop("r", 0.0))
+    P, c, A = program.pop("P", None), program.pop("c"), program.pop("A", None)
+    P = sp.csr_array((c.size, c.size)) if P is None else _whole(P)
+    try:
+        bounds = _limits(program, "lower", "upper")
+        if program.keys() & {"l", "u"}:
+            _require_ranges_alone(source, program, A)
+            limits = {"l": -np.inf, "u": np.inf} | _limits(program, "l", "u")
+            return Stated(QuadraticProgram.from_ranges(P, c, A, limits["l"], limits["u"], **bounds), constant)
+        program |= {"h": with_infinities(program["h"])} if "h" in program else {}
+        return Stated(QuadraticProgram(P, c, A=A, **program, **bounds), constant)
+    except InvalidProblem as error:
+        raise InvalidProblem(f"{source}: {error}") from error
+
+
+def _require_ranges_alone(source: Path, program: Mapping[str, Any], A: Any) -> None:
+    if A is None:
+        raise UnreadableFile(f"{source} holds l or u, the limits of A x, and no A; bounds of x are lower and upper")
+    if others := sorted(program.keys() & {"G", "h", "b"}):
+        raise UnreadableFile(f"{source} holds {', '.join(others)} beside l and u, the limits of all rows; {LAYOUT}")
+
+
+def _arrays(source: Path, wanted: set[str]) -> dict[str, Any]:
+    """Return the arrays of a file by name, matrices put together from their parts; without what is empty in MATLAB."""
+    if source.suffix.lower() == ".mat":
+        found = {name: array for name, array in read_mat(source, wanted)[0].items() if 0 not in array.shape}
+        for name, array in found.items():
+            if max(array.shape) > MOST_ROWS:  # of a sparse one, which takes a few bytes until it is dense
+                raise UnreadableFile(f"{name} of {source} has the shape {array.shape}; at most {MOST_ROWS} are taken")
+        return {name: array if name in MATRICES else flat(array).reshape(-1) for name, array in found.items()}
+    found = dict(read_npz(source, wanted))
+    for name in "PAG":
+        if parts := {part: found.pop(f"{name}_{part}") for part in MATRIX_KEYS if f"{name}_{part}" in found}:
+            require_keys(source, parts, MATRIX_KEYS, f"the CSC matrix {name} is {', '.join(_parts(name))}")
+            found[name] = _csc(source, parts)
+    return found
+
+
+def _parts(name: str) -> list[str]:
+    return [f"{name}_{part}" for part in MATRIX_KEYS]
+
+
+def _limits(program: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Take the limits of these names out of the arrays; a single number stands for all."""
+    found = {name: np.asarray(program.pop(name)) for name in names if name in program}
+    return {name: with_infinities(limit.reshape(()) if limit.size == 1 else limit) for name, limit in found.items()}
+
+
+def _csc(source: Path, parts: Mapping[str, Any]) -> sp.csr_array:
+    try:
+        shape = tuple(int(k) for k in parts["shape"])
+        columns = sp.csc_array((parts["data"], parts["indices"], parts["indptr"]), shape=shape)
+        columns.check_format(full_check=True)
+        return sp.csr_array(columns)
+    except (ValueError, TypeError, IndexError, OverflowError, MemoryError) as error:
         raise UnreadableFile(f"{source} holds no valid CSC matrices: {error}") from error
-    return _program(source, P, content["q"], A, content["l"], content["u"]), offset
 
 
-def _from_mps(source: Path) -> tuple[QuadraticProgram, float]:
+def _number(value: Any) -> float:
+    array = np.asarray(value)
+    if array.size != 1 or array.dtype.kind not in "fiub":
+        raise InvalidProblem(f"r and ridge must be numbers, got shape {array.shape} of dtype {array.dtype}")
+    return float(array.reshape(())[()])
+
+
+def _whole(P: Any) -> Any:
+    """Return P, or of a triangle of it, all of it."""
+    if P.ndim != 2 or P.shape[0] != P.shape[1] or not sp.issparse(P):
+        return P
+    if (sp.tril(P, -1).nnz == 0) != (sp.triu(P, 1).nnz == 0):
+        return P + P.T - sp.diags_array(P.diagonal())
+    return P
+
+
+# --- MPS --------------------------------------------------------------------------------------------------------
+
+
+def _from_mps(source: Path) -> Stated:
     try:
         import highspy
     except ImportError as error:
@@ -96,17 +268,12 @@ def _from_mps(source: Path) -> tuple[QuadraticProgram, float]:
     if hessian.dim_:
         P = sp.csr_array(sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n)))
     sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    return _program(
-        source, sense * P, sense * np.array(linear.col_cost_), A, linear.row_lower_, linear.row_upper_,
-        linear.col_lower_, linear.col_upper_,
-    ), sense * float(linear.offset_)
-
-
-def _program(source: Path, P: Any, c: Any, A: Any, *limits: Any) -> QuadraticProgram:
-    """Return the program; of a triangle of P, all of it."""
     try:
-        if P.shape[0] == P.shape[1] and (sp.tril(P, -1).nnz == 0) != (sp.triu(P, 1).nnz == 0):
-            P = P + P.T - sp.diags_array(P.diagonal())
-        return QuadraticProgram.from_ranges(P, c, A, *limits)
+        program = QuadraticProgram.from_ranges(
+            sense * _whole(P), sense * np.array(linear.col_cost_), A, linear.row_lower_, linear.row_upper_,
+            linear.col_lower_, linear.col_upper_,
+        )
     except InvalidProblem as error:
         raise InvalidProblem(f"{source}: {error}") from error
+    names = list(linear.col_names_)
+    return Stated(program, sense * float(linear.offset_), sense, names if len(names) == n else None)

@@ -8,6 +8,7 @@
 | cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
 | QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
+| programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
 | cvxpy, PyTorch, JAX | not doors but rooms: ``help("lcp_plugin.modeling")``, ``help("lcp_plugin.learn")`` |
 

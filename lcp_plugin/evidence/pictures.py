@@ -18,6 +18,7 @@ FINEST_SURFACE, FINEST_SKETCH = 70, 110  # nodes along an axis
 LONGEST_SKETCH = 600
 SKETCH_SIZE = (3.6, 3.2)
 FEW = 60  # values, which are drawn larger
+MOST_DOTS, BINS = 2000, 100  # values that are drawn one by one; of more the least and the largest of each bin
 ARRAYS = {"z", "x", "y", "lower", "upper"}
 ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
@@ -45,13 +46,13 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
         if is_field:
             surface = figure.add_subplot(1, 3, 1, projection="3d")
             field = _field(scene, result.certificate)
-            _draw_map(figure, figure.add_subplot(1, 3, 2), field)
+            draw_map(figure.add_subplot(1, 3, 2), field)
             _draw_surface(surface, field)
         else:
-            _draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate, result.z.size))
+            draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate, result.z.size))
             if has_edge:
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
-        _draw_residuals(figure.add_subplot(1, panels, panels), result)
+        draw_residuals(figure.add_subplot(1, panels, panels), result)
         title = scene.description if scene is not None else ""
         run = f"n = {result.z.size}: {result.status.name} by {result.algorithm} in {result.iterations} iterations"
         figure.suptitle(f"{title}\n{run}".strip(), fontsize=11, x=0.01, ha="left")
@@ -64,11 +65,19 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
 def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
     """Return z over the grid as a map shows it: values, contact set, coordinates and names."""
     z, active = scene.picture(answer.z), scene.picture(is_at_bound(answer.problem, answer.z))
-    labels, axes = scene.axis_labels, scene.coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
+    names = {"unknown": scene.unknown, "active_means": scene.active_means}
+    return field_of(z, active, scene.axis_labels, scene.coordinates) | names
+
+
+def field_of(z: Any, active: Any, labels: Sequence[str], coordinates: Sequence[Any] | None = None) -> dict[str, Any]:
+    """Return values over a grid of two or more axes, and which of them rest on a bound, as a map shows them."""
+    axes = coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
     while z.ndim > 2:  # the middle slice of what cannot be drawn whole
         z, active, labels, axes = z[z.shape[0] // 2], active[active.shape[0] // 2], labels[1:], axes[1:]
-    names = {"unknown": scene.unknown, "active_means": scene.active_means}
-    return names | {"z": z, "active": active, "x": axes[1], "y": axes[0], "x_label": labels[1], "y_label": labels[0]}
+    return {
+        "z": z, "active": active, "x": axes[1], "y": axes[0], "x_label": labels[1], "y_label": labels[0],
+        "unknown": "z", "active_means": "at a bound",
+    }
 
 
 def _coarse(field: dict[str, Any], finest: int) -> dict[str, Any]:
@@ -78,11 +87,11 @@ def _coarse(field: dict[str, Any], finest: int) -> dict[str, Any]:
     return field | kept | {"x": field["x"][columns], "y": field["y"][rows]}
 
 
-def _draw_map(figure: Any, axes: Any, field: dict[str, Any]) -> None:
+def draw_map(axes: Any, field: dict[str, Any]) -> None:
     """Draw the field from above, its contact set dotted."""
     x, y, z, active = (field[name] for name in ("x", "y", "z", "active"))
     image = axes.pcolormesh(x, y, z, shading="nearest", cmap=HEIGHTS, rasterized=True)
-    figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]).outline.set_visible(False)
+    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]).outline.set_visible(False)
     if 0.0 < active.mean() < 1.0 and min(z.shape) > 1:
         axes.contourf(x, y, active, levels=[0.5, 1.5], colors="none", hatches=["....."])
         for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
@@ -126,8 +135,11 @@ def _line(scene: Scene | None, answer: Certificate, longest: int) -> dict[str, A
     } | {name: bound[step] for name, bound in bounds.items() if np.isfinite(bound).all()}
 
 
-def _draw_line(axes: Any, line: dict[str, Any]) -> None:
+def draw_line(axes: Any, line: dict[str, Any]) -> None:
     """Draw z, what rests on a bound in orange; grey is where z must not go."""
+    if line["kind"] == "dots" and line["z"].size > MOST_DOTS:
+        _draw_bands(axes, line)
+        return
     x, z, active = line["x"], line["z"], line["active"].astype(bool)
     for name, end in (("lower", min), ("upper", max)):
         if name in line:
@@ -146,6 +158,23 @@ def _draw_line(axes: Any, line: dict[str, Any]) -> None:
     axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
 
 
+def _draw_bands(axes: Any, line: dict[str, Any]) -> None:
+    """Draw the least and the largest value of each bin of the index, of those at a bound in orange."""
+    z, active = line["z"], line["active"].astype(bool)
+    starts = np.linspace(0, z.size, BINS, endpoint=False).astype(np.intp)
+    x = line["x"][starts]
+    for chosen, colour in ((~active, FREE), (active, ACTIVE)):
+        low = np.minimum.reduceat(np.where(chosen, z, np.inf), starts)
+        high = np.maximum.reduceat(np.where(chosen, z, -np.inf), starts)
+        low, high = (np.where(low <= high, end, np.nan) for end in (low, high))
+        axes.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0)
+        for end in (low, high):
+            axes.plot(x, end, color=colour, linewidth=0.8)
+    many = f"least and largest of each {-(-z.size // BINS)}"
+    axes.set_title(f"{many}; orange: {line['active_means']}" if active.any() else many, fontsize=8.5)
+    axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
+
+
 def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
     """Draw where the contact set that begins at the lower end of the axis ends, step by step."""
     x, edges = scene.coordinates[0], []
@@ -160,7 +189,8 @@ def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
     axes.set(xlabel="step of the march", ylabel=scene.axis_labels[0])
 
 
-def _draw_residuals(axes: Any, result: Result) -> None:
+def draw_residuals(axes: Any, result: Result) -> None:
+    """Draw how the residual of a recorded run fell with time."""
     samples = [(sample.seconds, sample.residual) for sample in result.history if sample.residual is not None]
     least = min([*(value for _, value in samples if value > 0.0), result.tolerance or 1.0])
     if samples:
@@ -205,7 +235,7 @@ def draw_sketch(sketch: dict[str, Any]) -> Any:
         figure, axes = new_figure(SKETCH_SIZE)
         axes.grid(False)
         if sketch["kind"] == "field":
-            _draw_map(figure, axes, shown)
+            draw_map(axes, shown)
         else:
-            _draw_line(axes, shown)
+            draw_line(axes, shown)
     return figure

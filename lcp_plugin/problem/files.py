@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,7 +89,7 @@ def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     bounds = {}
     for name in ("lower", "upper"):
         if Path(f"{prefix}{name}.mtx").exists():
-            bounds[name] = _with_infinities(_read_vector(Path(f"{prefix}{name}.mtx")))
+            bounds[name] = with_infinities(_read_vector(Path(f"{prefix}{name}.mtx")))
     return _problem(kind, prefix + "M.mtx", M, q, bounds)
 
 
@@ -152,19 +153,32 @@ def _refuse_huge_bounds(problem: LCP) -> None:
 
 def _load_npz(kind: type[LCP], source: Path) -> LCP:
     content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data"})
-    if "P_data" in content:
-        raise UnreadableFile(f"{source} holds a quadratic program (key P_data), not an LCP; {LAYOUT}")
+    if "P_data" in content or not {"M", *MATRIX_KEYS} & content.keys():
+        _refuse_other_kinds(source)
     is_compressed = any(key in content for key in MATRIX_KEYS)
     require_keys(source, content, (*(MATRIX_KEYS if is_compressed else ("M",)), "q"), LAYOUT)
     M = csr_in(source, content) if is_compressed else content["M"]
-    bounds = {name: _with_infinities(content[name]) for name in ("lower", "upper") if name in content}
+    bounds = {name: with_infinities(content[name]) for name in ("lower", "upper") if name in content}
     return _problem(kind, str(source), M, content["q"], bounds)
+
+
+def _refuse_other_kinds(source: Path) -> None:
+    """Raise UnreadableFile in the words of what the names in the file state."""
+    found = names_in(source)
+    for what, names in (("a quadratic program", ("P", "P_data", "c", "H")), ("a least squares problem", ("b",))):
+        if key := next((name for name in names if name in found), None):
+            raise UnreadableFile(
+                f"{source} holds {what} (key {key}), not an LCP: lcp_plugin.load_problem(path) reads it, "
+                f"`lcp-plugin solve` solves it; {LAYOUT}"
+            )
 
 
 def _load_mat(kind: type[LCP], source: Path) -> LCP:
     content, names = read_mat(source, {"M", "q", *(name for pair in MATLAB_BOUNDS.values() for name in pair)})
     there = f"it holds {', '.join(names) or 'nothing'}"
     if missing := [name for name in ("M", "q") if name not in content]:
+        if "M" in missing:
+            _refuse_other_kinds(source)
         raise UnreadableFile(f"{source} lacks the matrices {missing}, {there}; {MATLAB_LAYOUT}")
     rows, columns = content["M"].shape
     if rows != columns:
@@ -172,15 +186,15 @@ def _load_mat(kind: type[LCP], source: Path) -> LCP:
     for name in content.keys() - {"M"}:
         if max(content[name].shape) > max(rows, 1):  # before a sparse one becomes dense
             raise UnreadableFile(f"{name} of {source} has the shape {content[name].shape}, but M has {rows} rows")
-    q, bounds = _flat(content["q"]), {}
+    q, bounds = flat(content["q"]), {}
     _require_a_number_a_row(content["M"], q, f"M of {source}", "q")
     for name, others in MATLAB_BOUNDS.items():
         given = [other for other in others if other in content]
         if len(given) > 1:
             raise UnreadableFile(f"{source} holds {' and '.join(given)}, which say the same; leave one of them out")
         for other in given:
-            bound = _flat(content[other])
-            bounds[name] = _with_infinities(bound[0] if bound.size == 1 else bound)
+            bound = flat(content[other])
+            bounds[name] = with_infinities(bound[0] if bound.size == 1 else bound)
     return _problem(kind, str(source), content["M"], q, bounds)
 
 
@@ -214,15 +228,30 @@ def csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
         raise UnreadableFile(f"{source} holds no valid CSR matrix: {error}") from error
 
 
+def names_in(source: Path) -> list[str]:
+    """Return the names of the arrays in a ``.npz`` or ``.mat`` file; raise UnreadableFile where it is none."""
+    if source.suffix.lower() == ".mat":
+        return read_mat(source, ())[1]
+    with _archive(source) as archive:
+        return list(archive.files)
+
+
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
     """Return those of the wanted arrays that are in the file; whatever is wrong with it is an UnreadableFile."""
+    with _archive(source) as archive:
+        return {key: archive[key] for key in archive.files if key in wanted}
+
+
+@contextmanager
+def _archive(source: Path) -> Iterator[Any]:
+    """Open a ``.npz`` file; whatever is found wrong with it is an UnreadableFile."""
     try:
         with source.open("rb") as file:
             if file.read(2) != b"PK":
                 raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
-                return {key: archive[key] for key in archive.files if key in wanted}
+                yield archive
     except FileNotFoundError as error:
         raise UnreadableFile(f"no such file: {source}") from error
     except UnreadableFile:
@@ -230,7 +259,8 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
     except Exception as error:  # a damaged archive raises whatever its decoders raise
         if "allow_pickle" in str(error):
             raise UnreadableFile(
-                f"cannot read {source}: it holds pickled objects, which are never read; LCP.save writes a sparse M"
+                f"cannot read {source}: it holds pickled objects, which are never read; LCP.save writes a sparse M, a "
+                "program's sparse P is saved as P_data, P_indices, P_indptr, P_shape, and what is None left out"
             ) from error
         raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive ({error})") from error
 
@@ -247,7 +277,8 @@ def _matrix_market_prefix(source: Path) -> str:
             raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
         if source.is_file():
             raise UnreadableFile(
-                f"cannot read {source}: expected a .npz or .mat file, or M.mtx with q.mtx beside it; {LAYOUT}: write "
+                f"cannot read {source}: expected an .npz, .mat, .nl, .qps or .mps file, or M.mtx with q.mtx beside it; "
+                f"{LAYOUT}: write "
                 f'LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
             )
         tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
@@ -256,16 +287,16 @@ def _matrix_market_prefix(source: Path) -> str:
 
 
 def _read_vector(source: Path) -> FloatVector:
-    return _flat(read_matrix_market(source))
+    return flat(read_matrix_market(source))
 
 
-def _flat(values: Any) -> FloatVector:
+def flat(values: Any) -> FloatVector:
     """Return a row or a column as a vector."""
     dense: FloatVector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense
 
 
-def _with_infinities(bound: Any) -> Any:
+def with_infinities(bound: Any) -> Any:
     """Return the bound with ±1e20 and beyond read as ±∞, the convention of most file formats."""
     values = np.asarray(bound)
     if values.dtype.kind not in "fiu":

@@ -128,7 +128,7 @@ class Answer:
         Parameters
         ----------
         **how
-            Of :func:`lcp_plugin.evidence.plots.plot`: ``axes`` to draw into, ``shape`` of the grid of the unknowns.
+            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid.
         """
         from .. import plot_answer
 

@@ -1,0 +1,253 @@
+"""`answer.plot()`: a picture of any answer, into matplotlib axes of the caller or of a new figure."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..checks import FloatVector
+from ..errors import InvalidOption, UnsuitableProblem
+from ..settings import Status
+from ..solving.answer import Answer, AnswerSequence
+from ..solving.equilibria.result import EquilibriumResult
+from ..solving.march import March
+from ..solving.result import Result
+from .drawing import COLOURS, HEIGHTS, require_matplotlib, styled
+from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
+
+LABELS = ("layer", "row", "column")
+PANEL = (4.9, 4.4)
+SLICES, PANELS = 6, 4  # of a march: as lines, as maps
+BARS = 30
+
+
+def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
+    """Return matplotlib's axes with a picture of an answer.
+
+    - z or x by its index, or as a map over a grid, what rests on a bound in orange or dotted. Of more than 2000 values
+      without a grid the least and the largest of each bin. A run that was recorded has a second panel, how its
+      residual fell, and a search for the best equilibrium one, how the proved bound rose.
+    - A march: some of its steps. A batch: how many problems took how many iterations, a colour a status.
+
+    Parameters
+    ----------
+    answer : Answer or AnswerSequence
+        What `solve`, `solve_batch`, `march` and the like return.
+    axes : Axes, optional
+        To draw the first panel into; by default those of a new figure of pyplot.
+    shape : sequence of int, optional
+        Of the grid of the unknowns, (rows, columns); their order is that of ``z.reshape(shape)``. Of more than two axes
+        the middle slice is drawn.
+
+    Raises
+    ------
+    LCPError
+        Where matplotlib is missing.
+    InvalidOption
+        Where the shape does not hold as many unknowns, or goes with a batch.
+    UnsuitableProblem
+        Where there is no x to draw.
+    """
+    if not isinstance(answer, (Answer, AnswerSequence)):
+        raise InvalidOption(f"plot_answer needs what solve returns, got {type(answer).__name__}")
+    require_matplotlib()
+    if isinstance(answer, March):
+        return _plot_march(answer, axes, shape)
+    if isinstance(answer, AnswerSequence):
+        return _plot_batch(answer, axes, shape)
+    beside = _panel_beside(answer)
+    if answer.x is None and beside is None:
+        raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
+    panels = [panel for panel in (None if answer.x is None else partial(_draw_x, answer=answer, shape=shape), beside)
+              if panel is not None]
+    with _style_of(axes):
+        every = _axes_for(len(panels)) if axes is None else [axes]
+        for one, panel in zip(every, panels, strict=False):  # into the caller's axes goes the first
+            panel(one)
+        if axes is None:
+            every[0].figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
+    return every[0]
+
+
+def checked_shape(shape: Sequence[int] | None, n: int) -> tuple[int, ...] | None:
+    """Return the shape of a grid of n unknowns, or raise InvalidOption."""
+    if shape is None:
+        return None
+    try:
+        sizes = tuple(int(size) for size in shape)
+        is_whole = all(size == given and size > 0 for size, given in zip(sizes, shape, strict=True)) and bool(sizes)
+    except (TypeError, ValueError):
+        sizes, is_whole = (), False
+    if not is_whole:
+        raise InvalidOption(f"shape must hold whole numbers > 0, as (rows, columns), got {shape!r}")
+    if (held := int(np.prod(sizes, dtype=object))) != n:
+        raise InvalidOption(f"shape {sizes} is that of {held} unknowns, and the problem has {n}; give that of its grid")
+    return sizes
+
+
+def labels_of(shape: Sequence[int]) -> tuple[str, ...]:
+    """Return what the axes of a grid are called."""
+    return (*(f"axis {k}" for k in range(len(shape) - len(LABELS))), *LABELS[-len(shape):])
+
+
+# --- One answer -------------------------------------------------------------------------------------------------
+
+
+def _draw_x(axes: Any, *, answer: Answer, shape: Sequence[int] | None) -> None:
+    lower, upper = _bounds(answer)
+    _draw_values(axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer))
+
+
+def _draw_values(
+    axes: Any, x: FloatVector, lower: FloatVector, upper: FloatVector, shape: tuple[int, ...] | None, unknown: str
+) -> None:
+    """Draw values as a map where they have two axes of more than one node, else by their index."""
+    active = (x <= lower) | (x >= upper)
+    if shape is not None and len(shape) > 1 and min(shape[-2:]) > 1:
+        draw_map(axes, field_of(x.reshape(shape), active.reshape(shape), labels_of(shape)) | {"unknown": unknown})
+        return
+    axes.locator_params(axis="x", integer=True)
+    draw_line(axes, {
+        "kind": "dots", "z": x, "active": active, "x": np.arange(x.size), "x_label": "index", "unknown": unknown,
+        "active_means": "at a bound",
+    })
+
+
+def _bounds(answer: Answer) -> tuple[FloatVector, FloatVector]:
+    """Return the bounds of x."""
+    problem: Any = answer.certificate.problem if isinstance(answer, Result) else getattr(answer, "problem", None)
+    problem = getattr(answer if problem is None else problem, "program", problem)  # of a program, or beside pairs
+    if getattr(problem, "is_distributed", False):
+        raise UnsuitableProblem("no rank holds the whole z: gather it, or save with LCP.save and plot elsewhere")
+    return problem.lower, problem.upper
+
+
+def _unknown(answer: Answer) -> str:
+    return "z" if isinstance(answer, Result) else "x"
+
+
+def _headline(answer: Answer) -> str:
+    value = "" if answer.objective is None else f"objective {answer.objective:.6g}, "
+    size = "" if answer.x is None else f"n = {len(answer.x)}: "
+    return f"{size}{answer.status.name} by {answer.algorithm},\n{value}{answer.iterations} iterations"
+
+
+def _panel_beside(answer: Answer) -> Any:
+    """Return what draws how the run went, None where nobody recorded it."""
+    if isinstance(answer, EquilibriumResult):
+        return partial(_draw_search, answer=answer)
+    if not getattr(answer, "history", ()):
+        return None
+    run: Any = getattr(answer, "lcp_result", answer)  # of a program, the run on its complementarity problem
+    return partial(draw_residuals, result=run)
+
+
+def _draw_search(axes: Any, *, answer: EquilibriumResult) -> None:
+    """Draw how the least bound of the leaves rose from branching to branching, and the value found."""
+    nodes = iter(answer.tree)
+    root = next(nodes, None)
+    leaves, gone = [] if root is None else [(root.bound, id(root))], set[int]()
+    bounds = [one for one, _ in leaves]
+    for node in nodes:
+        if id(node.parent) not in gone:
+            gone.add(id(node.parent))
+            bounds.append(bounds[-1])
+        heapq.heappush(leaves, (node.bound, id(node)))
+        while leaves and leaves[0][1] in gone:
+            heapq.heappop(leaves)
+        bounds[-1] = min(leaves[0][0], answer.value) if leaves else answer.value
+    shown = np.array(bounds)
+    axes.step(np.arange(shown.size), np.where(np.isfinite(shown), shown, np.nan), where="post", color=FREE)
+    if np.isfinite(answer.lower_bound):
+        axes.plot([max(shown.size - 1, 0)], [answer.lower_bound], ".", color=FREE)
+    if np.isfinite(answer.value):
+        axes.axhline(answer.value, color=ACTIVE, linewidth=1, linestyle="--")
+        axes.annotate("objective found", (0.99, answer.value), (0, 3), xycoords=("axes fraction", "data"),
+                      textcoords="offset points", ha="right", color=ACTIVE, fontsize=8)
+    axes.locator_params(axis="x", integer=True)
+    axes.set(xlabel="nodes branched on", ylabel="proved lower bound", title=f"gap {answer.gap:.1e}")
+
+
+# --- Sequences --------------------------------------------------------------------------------------------------
+
+
+def _plot_march(march: March, axes: Any, shape: Sequence[int] | None) -> Any:
+    if not len(march):
+        raise UnsuitableProblem("the march has no step to draw")
+    grid = checked_shape(shape, march[0].z.size)
+    is_map = (grid is not None and len(grid) > 1) or march[0].z.size > MOST_DOTS
+    count = (1 if axes is not None else PANELS) if is_map else SLICES
+    steps = sorted({round(k) for k in np.linspace(len(march) - 1, 0, min(count, len(march)))})
+    with _style_of(axes):
+        every = _axes_for(len(steps) if is_map else 1) if axes is None else [axes]
+        if is_map:
+            for one, k in zip(every, steps, strict=True):
+                _draw_values(one, march.z[k], *_bounds(march[k]), grid, f"z after step {k + 1}")
+        else:
+            _draw_slices(every[0], march, steps)
+        if axes is None:
+            every[0].figure.suptitle(f"{len(march)} steps: {march.counts()}", fontsize=10, x=0.01, ha="left")
+    return every[-1]
+
+
+def _draw_slices(axes: Any, march: March, steps: Sequence[int]) -> None:
+    """Draw z of some steps over each other, from light to dark, what rests on a bound thicker."""
+    from matplotlib import colormaps
+
+    for place, k in enumerate(steps):
+        z, (lower, upper) = march.z[k], _bounds(march[k])
+        colour, x = colormaps[HEIGHTS](1.0 - (place + 1) / len(steps)), np.arange(z.size)
+        axes.plot(x, z, color=colour, linewidth=1.3, label=f"step {k + 1}")
+        axes.plot(x, np.where((z <= lower) | (z >= upper), z, np.nan), color=colour, linewidth=3.0)
+    axes.legend(fontsize="small")
+    axes.set_title("thick: at a bound", fontsize=8.5)
+    axes.set(xlabel="index", ylabel="z")
+
+
+def _plot_batch(answers: AnswerSequence[Any], axes: Any, shape: Sequence[int] | None) -> Any:
+    if shape is not None:
+        raise InvalidOption("shape goes with one answer: answers[k].plot(shape=…)")
+    status: list[Status | None] = list(answers.status)
+    table: Any = getattr(answers, "iterations", None)  # of a batch; a list of answers is looked at one by one
+    if table is None:
+        table = [0 if one is None else answers[k].iterations for k, one in enumerate(status)]
+    iterations = np.asarray(table, dtype=np.intp)
+    largest = int(iterations.max(initial=0))
+    edges = np.unique(np.linspace(0, largest + 1, min(largest + 1, BARS) + 1).astype(np.intp)) - 0.5
+    kinds = [one for one, _ in Counter(status).most_common()]
+    counts = [iterations[[other is one for other in status]] for one in kinds]
+    names = [f"no {answers.ITEM}" if one is None else one.name for one in kinds]
+    colours = [ACTIVE if one is not Status.SOLVED else FREE for one in kinds]
+    others = iter([*COLOURS.values()][2:])
+    colours = [colour if colour not in colours[:k] else next(others) for k, colour in enumerate(colours)]
+    with _style_of(axes):
+        if axes is None:
+            (axes,) = _axes_for(1)
+        if kinds:
+            axes.hist(counts, bins=edges, stacked=True, color=colours, label=[
+                f"{name}: {len(count)}" for name, count in zip(names, counts, strict=True)
+            ])
+            axes.legend(fontsize="small")
+        axes.locator_params(integer=True)
+        axes.set(xlabel="iterations", ylabel=f"{answers.ITEM}s", title=f"{len(status)} {answers.ITEM}s, "
+                 f"{answers.seconds:.3g} s")
+    return axes
+
+
+def _style_of(axes: Any) -> Any:
+    """Return the context of a figure of our own; the caller's axes keep theirs."""
+    return styled() if axes is None else nullcontext()
+
+
+def _axes_for(count: int) -> list[Any]:
+    """Return axes side by side in a new figure of pyplot, which shows it."""
+    from matplotlib import pyplot
+
+    size = count * PANEL[0], PANEL[1]
+    return [*pyplot.subplots(1, count, figsize=size, layout="constrained", squeeze=False)[1][0]]

@@ -1,0 +1,144 @@
+"""``answer.plot()``: every kind of answer has a picture, into axes of the caller's or a figure of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    EquilibriumProgram,
+    InvalidOption,
+    NonlinearProblem,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    UnsuitableProblem,
+    gallery,
+    march,
+    plot_answer,
+    solve,
+    solve_batch,
+)
+
+figure = pytest.importorskip("matplotlib.figure")
+M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+PROGRAM = QuadraticProgram(M, q, G=[[1, 1]], h=[2.0], lower=0.0)
+CONTRADICTION = QuadraticProgram(M, q, G=[[1.0, 0.0], [-1.0, 0.0]], h=[-1.0, 0.0])
+PAIR = QuadraticProgram(np.eye(2), [-2.0, -1.0], lower=0.0)
+
+
+@pytest.fixture(autouse=True)
+def without_a_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No window opens, and no figure is left."""
+    import matplotlib as mpl
+
+    before = mpl.get_backend()
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    yield
+    pyplot.close("all")
+    mpl.use(before)
+
+
+def heat(steps: int, n: int) -> Any:
+    """A rod on an obstacle, which it sinks onto."""
+    L = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    return march(LCP(sp.eye_array(n) + L, np.zeros(n)), np.full((steps, n), 0.1), z0=np.ones(n))
+
+
+ANSWERS: dict[str, Callable[[], Any]] = {
+    "an LCP": lambda: solve(LCP(M, q)),
+    "recorded": lambda: solve(LCP(M, q), "npsor", record=True),
+    "empty": lambda: solve(LCP(np.zeros((0, 0)), [])),
+    "infeasible": lambda: solve(LCP([[0.0]], [-1.0])),
+    "nonlinear": lambda: solve(NonlinearProblem(lambda x: x**3 - 1.0, lower=0.0), x0=[2.0, 3.0]),
+    "a program": lambda: solve(PROGRAM),
+    "a recorded program": lambda: solve(PROGRAM, record=True),
+    "without a point": lambda: solve(CONTRADICTION),
+    "least squares": lambda: solve(BoundedLeastSquares(M, q)),
+    "an equilibrium": lambda: solve(EquilibriumProgram(PAIR, [0], [1])),
+    "a march": lambda: heat(8, 30),
+    "a long march": lambda: heat(3, 2500),
+    "one step": lambda: heat(1, 2),
+    "a batch": lambda: solve_batch([M, -M, M], [q, q, [np.nan, 1.0]]),
+    "programs": lambda: solve_batch(QuadraticProgramBatch(M, [q, -q])),
+    "a list": lambda: solve_batch([PROGRAM, CONTRADICTION]),
+}
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_every_answer_has_a_picture(name: str, tmp_path: Path) -> None:
+    """One call draws a figure of its own with something in it, which can be saved; the same into axes of the caller."""
+    answer = ANSWERS[name]()
+    axes = answer.plot()
+    axes.figure.savefig(tmp_path / "own.png")
+    assert (tmp_path / "own.png").stat().st_size > 2000
+    given = figure.Figure().subplots()
+    assert answer.plot(axes=given) is given
+    assert given.has_data() or name == "empty"
+
+
+def test_a_grid_shows_a_map() -> None:
+    """With its shape z is a map with rows and columns; of three axes the middle slice; other shapes are refused."""
+    result = solve(gallery.obstacle_2d(size=12).problem)
+    axes = result.plot(shape=(12, 12))
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("column", "row")
+    np.testing.assert_array_equal(axes.collections[0].get_array().reshape(12, 12), result.z.reshape(12, 12))
+    np.testing.assert_array_equal(
+        result.plot(shape=(3, 4, 12)).collections[0].get_array().reshape(4, 12), result.z.reshape(3, 4, 12)[1]
+    )
+    assert result.plot(shape=(144,)).get_xlabel() == "index"
+    assert result.plot(shape=(1, 144)).get_xlabel() == "index"
+    for shape, words in (
+        ((12, 13), r"shape \(12, 13\) is that of 156 unknowns, and the problem has 144"),
+        ((0, 12), "whole numbers > 0"), ((1.5, 96), "whole numbers > 0"), (144, "whole numbers"), ((), "whole numbers"),
+        ("12x12", "whole numbers"),
+    ):
+        with pytest.raises(InvalidOption, match=words):
+            result.plot(shape=shape)
+
+
+def test_a_march_over_a_grid_shows_slices() -> None:
+    """One map for each of some steps, the last one the last step."""
+    done = heat(9, 30)
+    axes = done.plot(shape=(5, 6))
+    assert len([one for one in axes.figure.axes if one.get_xlabel() == "column"]) == 4
+    np.testing.assert_array_equal(axes.collections[0].get_array().reshape(5, 6), done.z[-1].reshape(5, 6))
+
+
+def test_long_vectors_are_no_solid_block() -> None:
+    """Without a grid 90 000 values are bands of the least and the largest of each bin: a hundred, not one a value."""
+    result = solve(gallery.obstacle_2d(size=300).problem)
+    axes = result.plot()
+    assert all(len(line.get_xdata()) <= 100 for line in axes.lines)
+    low = np.nanmin([np.nanmin(line.get_ydata()) for line in axes.lines])
+    high = np.nanmax([np.nanmax(line.get_ydata()) for line in axes.lines])
+    assert (low, high) == (result.z.min(), result.z.max())
+
+
+def test_a_search_shows_its_bound() -> None:
+    """Beside x the proved bound, which never falls and ends at that of the result."""
+    from lcp_plugin.evidence.report.equilibria import random_leader
+
+    result = solve(random_leader(10, True))
+    beside = result.plot().figure.axes[1]
+    bounds = beside.lines[0].get_ydata()
+    assert (np.diff(bounds) >= 0.0).all()
+    assert bounds[-1] == pytest.approx(result.lower_bound, abs=1e-6)
+
+
+def test_what_cannot_be_drawn_is_refused_in_words() -> None:
+    """No step, a shape of a batch, what is no answer."""
+    with pytest.raises(InvalidOption, match=r"shape goes with one answer: answers\[k\]\.plot"):
+        solve_batch([M], [q]).plot(shape=(1, 2))
+    with pytest.raises(UnsuitableProblem, match="no step to draw"):
+        march(LCP(M, q), np.zeros((0, 2))).plot()
+    with pytest.raises(InvalidOption, match="needs what solve returns, got LCP"):
+        plot_answer(LCP(M, q))

@@ -84,8 +84,8 @@ def print_everything() -> None:
     ]
     terminal = console(160)
     ways = [(way, *("✓" if way in kind.ways else "–" for kind in KINDS)) for way in WAYS]
-    kinds = ("", *(kind.word for kind in KINDS))
-    terminal.print(table("Kinds of problems, and what takes each", kinds, ways, pad_edge=False))
+    words = ("", *(kind.word for kind in KINDS))
+    terminal.print(table("Kinds of problems, and what takes each", words, ways, pad_edge=False))
     terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
     for reference, source in sources.items():

@@ -276,7 +276,7 @@ class Statement:
         arrangement = assembly.arranged()
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
-        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants=constants)
+        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
         return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs, beside)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:

@@ -276,7 +276,8 @@ class Statement:
         arrangement = assembly.arranged()
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
-        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
+        rows, variables, weights, offsets = folded
+        of_pairs = PairRows(pairs, content.partners[pairs], rows, variables, weights, offsets, constants)
         return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs, beside)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
